@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The integrator auto: the cheapest method and largest step size that hold a tolerance."""
+"""`integrator: auto`: the cheapest method and largest step size that meet a tolerance."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -27,21 +27,21 @@ import numba
 import numpy as np
 from pydantic import ValidationError
 
-# In the order in which they are tried. Every one keeps its energy for ever, so that what a run
-# of many gradients shows holds for a longer one. All Gauss methods share one compiled kernel.
+# Candidates in the order in which they are tried. All have a bounded energy error, so results
+# of a limited run extrapolate to a longer one. All Gauss methods share one compiled kernel.
 CANDIDATES = (*(f'gauss{order}' for order in range(16, 2, -2)), 'stormer_verlet',
               'generalized_leapfrog', 'variational_euler', 'time_transformed')
-# The last one is tried first where the strongest force is so many times the median one; with
-# each of these bases, and forces from which on steps are shortened, in units of the median.
+# time_transformed is tried first if the ratio of strongest to median force is at least _CLOSE,
+# with each of these bases and thresholds of its argument `force`, in units of the median force.
 _CLOSE, _BASES, _FORCES = 6.0, ('gauss8', 'gauss6', 'gauss4'), (1.0, 0.25)
-# Where one method has reached round-off without holding the tolerance, others are tried up to so
-# many times its cost.
+# Once a method has reached its round-off floor above the tolerance, others are tried up to this
+# multiple of its cost.
 _BEYOND_FLOOR = 10.0
-# Share of a run in which the time that is reported is measured.
+# Share of a run used to measure the reported computing time.
 _TIMED = 0.01
-# Format of remembered choices; another number discards them all.
+# Format version of cached choices; changing it invalidates the cache.
 _FORMAT = 4
-# What the integrator taylor is given, as shares of a path error.
+# Tolerances tried for the integrator taylor, as shares of the path error.
 _SERIES = 10.0 ** -np.arange(0.0, 8.0)
 
 
@@ -53,23 +53,23 @@ class Choice:
     Parameters
     ----------
     method : str
-        A name of INTEGRATORS.
+        A key of INTEGRATORS.
     step_size : float
-        h [s].
+        Step size h [s].
     error : float
-        The largest error seen, in the tolerance's measure, at the horizon.
+        Maximum error, of the kind of the tolerance, extrapolated to the horizon.
     checked : float
-        The simulated time over which it was seen [s]; less than the horizon where that is long.
+        Simulated time over which the error was measured [s]; less than a long horizon.
     seconds_per_simulated_second : float
-        Cost of a simulated second on this machine [s/s]; for the report, not for the choice.
+        Computing time per simulated second on this machine [s/s]; reported, not used to choose.
     work_per_simulated_second : float
-        Basis of the choice: gradients, and the rest of the steps in gradients [1/s].
+        Criterion of the choice: gradients plus step overhead in units of gradients [1/s].
     arguments : mapping
-        Of the method.
+        Arguments of the method.
     energy_scale : float
-        To which energy errors are relative [J].
+        Energy that energy errors are relative to [J].
     largest_step : float or None
-        The time that the step had to divide and is as long as [s]; None for a shorter step.
+        Upper limit of the step size [s] if the step size equals it; None for a shorter step.
 
     """
 
@@ -84,7 +84,7 @@ class Choice:
     largest_step: float | None = None
 
     def explain(self, tolerance: Tolerance) -> str:
-        """Say what was chosen and why, on one line."""
+        """Return the choice and its reason on one line."""
         extent = '' if self.checked >= 0.999 * tolerance.horizon else (
             f', seen over {self.checked:.3g} s and carried on to {tolerance.horizon:g} s')
         relative = f' of {self.energy_scale:.3g} J' if tolerance.kind == 'energy_error' else ''
@@ -101,33 +101,33 @@ class Choice:
 def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: float | None = None
               ) -> Choice:
     """
-    Try methods and step sizes, and return the cheapest that holds a tolerance.
+    Try methods and step sizes, and return the cheapest that meets a tolerance.
 
-    Cost is counted, in gradients and steps, and so is how long trials run: the same problem gives
-    the same choice, however busy the machine is.
+    Costs and the length of trials are counted in gradients and steps, not in time, so the choice
+    is reproducible whatever the load of the machine.
 
     Parameters
     ----------
     problem : InitialValueProblem
         The problem to simulate.
     tolerance : Tolerance
-        What must be held.
+        The tolerance to meet.
     largest_step : float, optional
-        Steps must divide this time [s], such as that between two samples; without it a tenth of
-        the horizon.
+        Time that the step size must divide [s], such as the sampling interval; by default a
+        tenth of the horizon.
 
     Returns
     -------
     Choice
-        The cheapest, its cost in time measured on this machine.
+        The cheapest choice, with its computing time measured on this machine.
 
     Raises
     ------
     CalibrationError
-        No method holds the tolerance; it names the nearest miss. Or the path cannot be known up
-        to the horizon, since it is chaotic or round-off is larger than the error.
+        No method meets the tolerance (the message names the nearest miss), or the path cannot be
+        determined up to the horizon, because of chaos or round-off larger than the error.
     UnsupportedSystem
-        No candidate takes the effects.
+        No candidate supports the effects.
 
     """
     study = held_costs(problem, tolerance, largest_step or 0.1 * tolerance.horizon)
@@ -145,14 +145,14 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
 
 def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) -> CostStudy:
     """
-    Measure the candidates, each with ever shorter steps until they hold a tolerance.
+    Measure the candidates, each with decreasing step sizes until it meets a tolerance.
 
     Parameters
     ----------
     problem, tolerance
         See ``calibrate``.
     base : float
-        A time that steps divide [s].
+        Time that step sizes divide [s].
 
     """
     known, by_path = survey(problem, tolerance.horizon, base), tolerance.kind == 'path_error'
@@ -163,8 +163,8 @@ def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) 
     bound = math.inf
 
     def enough(costs: list[Cost]) -> bool:
-        # Of one that is lost the cost is not known; and where steps are so long that their
-        # equations are hard to solve, shorter ones cost less.
+        # The cost of a diverged run is unknown; and shorter steps can cost less than steps so
+        # long that their equations are hard to solve.
         last = [cost for cost in costs[-2:] if cost.failure in ('', TOO_MUCH)]
         return len(last) == 2 and last[0].work <= last[1].work and (
             last[0].failure != '' or last[0].work >= bound
@@ -173,7 +173,7 @@ def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) 
     for method in _candidates(known):
         if not refusal(study, method):
             costs = ladder(study, method, bound, enough)
-            # Where the longest of these steps is not too long, longer ones are tried as well.
+            # Longer steps are tried as well if the longest of the ladder is not too long.
             while (costs[0].failure == TOO_MUCH or study.holds(costs[0], tolerance.error)) and (
                     longer := parts_between(0, round(base / costs[0].step_size))):
                 costs.insert(0, measure(study, method, longer[-1], bound))
@@ -182,7 +182,7 @@ def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) 
             if best is not None:
                 bound = best.work
             elif method in study.at_floor:
-                # No method has errors far below the round-off of another.
+                # The round-off floors of different methods are similar.
                 bound = min([bound, *(_BEYOND_FLOOR * cost.work for cost in costs
                                       if not cost.failure)])
     if by_path:
@@ -201,7 +201,7 @@ def _candidates(known: PathSurvey) -> Iterator[Method]:
 
 
 def _measure_series(study: CostStudy, error: float, bound: float) -> None:
-    """Add Taylor series, the loosest first, until one holds a path error or costs too much."""
+    """Add Taylor series, loosest first, until one meets a path error or costs too much."""
     for share in np.clip(_SERIES * error, 1e-16, 1e-3):
         method = Method('taylor', {'tolerance': float(f'{share:.3g}')})
         if refusal(study, method):
@@ -212,7 +212,7 @@ def _measure_series(study: CostStudy, error: float, bound: float) -> None:
 
 
 def _refusal(study: CostStudy, tolerance: Tolerance) -> str:
-    """Say that no method holds the tolerance, which comes nearest, and what keeps it from more."""
+    """Return a message: no method meets the tolerance, the nearest miss and its limitation."""
     wanted = f'no method holds {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s'
     nearest = min(study.costs, key=study.error, default=None)
     if nearest is None or nearest.failure:
@@ -228,14 +228,14 @@ def _refusal(study: CostStudy, tolerance: Tolerance) -> str:
 def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step: float | None,
                name: str) -> Choice:
     """
-    Return what ``calibrate`` chooses, from the last time that it did so on this machine.
+    Return the result of `calibrate`, cached on this machine.
 
     Parameters
     ----------
     problem, tolerance, largest_step
         See calibrate.
     name : str
-        Distinguishes the problem from others, in addition to the model behind H.
+        Key of the problem in the cache, in addition to the provenance of H.
 
     """
     key = json.dumps([_FORMAT, name, problem.hamiltonian.provenance, largest_step, __version__,
@@ -245,7 +245,7 @@ def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step:
     try:
         return Choice(**json.loads(file.read_text()))
     except (OSError, ValueError, TypeError):
-        # Missing or not readable: choose again.
+        # Missing or unreadable: calibrate again.
         choice = calibrate(problem, tolerance, largest_step)
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -260,14 +260,14 @@ def _cache_folder() -> Path:
 
 
 class Chosen(NamedTuple):
-    """Question put to the integrator auto, its energy scale known now, and the choice it made."""
+    """Tolerance requested of `integrator: auto`, with its energy scale, and the choice made."""
 
     tolerance: Tolerance
     choice: Choice
 
 
 def tolerance_of(choice: AutoChoice) -> Tolerance:
-    """Return what the integrator auto is asked for."""
+    """Return the tolerance requested of `integrator: auto`."""
     if choice.energy_error is not None:
         return Tolerance('energy_error', choice.energy_error, choice.horizon)
     assert choice.path_error is not None, 'its schema asks for one of them'
@@ -275,7 +275,7 @@ def tolerance_of(choice: AutoChoice) -> Tolerance:
 
 
 def problem_of(scene: Scene) -> InitialValueProblem:
-    """Return what a scene describes, whatever its method, or raise HnnViRosError."""
+    """Return the initial value problem of a scene, without its method, or raise HnnViRosError."""
     state = scene.initial_state
     return InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
                                np.array(state.q), np.array(state.p))
@@ -283,27 +283,27 @@ def problem_of(scene: Scene) -> InitialValueProblem:
 
 def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Chosen | None]:
     """
-    Return a scene with a method and a step size in place of the integrator auto, if it has that.
+    Return a scene with `integrator: auto`, if it has that, replaced by a method and a step size.
 
     Parameters
     ----------
     scene : Scene
-        With the integrator auto or any other.
+        A scene with the integrator auto or any other.
     largest_step : float, optional
-        A time that the step must divide where the scene names none, such as that between two
-        samples [s].
+        Time that the step size must divide if the scene has no step_size, such as the sampling
+        interval [s].
 
     Returns
     -------
     scene : Scene
-        The same if it names its method.
+        The resolved scene; unchanged if it has another integrator.
     chosen : Chosen or None
-        The choice, if the scene asks for one.
+        The choice; None if the scene has another integrator.
 
     Raises
     ------
     HnnViRosError
-        No method holds the tolerance, or the scene cannot be built.
+        No method meets the tolerance, or the scene cannot be built.
 
     """
     if not isinstance(scene.integrator, AutoChoice):
@@ -313,7 +313,7 @@ def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Cho
     with scene.placed('integrator'):
         base = scene.step_size or largest_step
         if _names_code(scene):
-            # The code, and its imports, may change from one time to the next.
+            # The code and its imports may change between runs, so the choice is not cached.
             choice = calibrate(problem, tolerance, base)
         else:
             name = json.dumps([scene.model_dump_json(), scene.model_digests])
@@ -324,9 +324,9 @@ def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Cho
 
 
 def _names_code(scene: Scene) -> bool:
-    """Return whether the motion depends on Python code of the user's."""
+    """Return whether the motion depends on Python code of the user."""
     try:
-        # As of a bag, for which none is run.
+        # Validated as a scene from a bag, which runs no code of the user.
         Scene.model_validate(scene.model_dump(exclude={'invariants'}))
     except ValidationError:
         return True

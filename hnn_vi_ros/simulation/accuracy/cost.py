@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of accuracy: the errors of methods and step sizes, against the time that they take."""
+"""Work-precision study: errors of methods and step sizes versus computing time."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -21,42 +21,44 @@ from hnn_vi_ros.simulation.accuracy.trials import (
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
-# Measured first, in case that time does not suffice for all: what others are compared with; after
-# the scene's own, explicit ones, and all Gauss methods, which are compiled once.
+# Order of measurement, in case the time does not suffice for all: the baselines, the scene's own
+# method, then explicit methods and all Gauss methods, which are compiled once.
 _YARDSTICKS = ('gauss8', 'lie_gauss8')
 _NEXT = ('stormer_verlet', 'generalized_leapfrog', 'lie_stormer_verlet', 'lie_leapfrog',
          *GAUSS_METHODS, *LIE_GAUSS_METHODS, 'kahan_li8', 'rk4', 'variational_euler')
-# Compositions are made of the first of these that fits: explicit ones cost less.
+# Compositions use the first of these that the problem supports: explicit ones cost less.
 _BASES = ('stormer_verlet', 'lie_stormer_verlet', 'generalized_leapfrog', 'lie_leapfrog',
           'implicit_midpoint')
-# Shortens its steps where forces are strong: of use where the strongest is so many times the
-# median one. It is measured last, since it takes the longest to compile.
+# The method that shortens its steps where forces are strong: useful if the strongest force is at
+# least _CLOSE times the median. It is measured last, since it takes the longest to compile.
 _CLOSE_ENCOUNTERS, _CLOSE = 'time_transformed', 6.0
-# States at which energies are compared, about, and times at which a run may end for its error;
-# where a tolerance is to be held, and where effects do work, whose sum is asked for at each look.
+# Approximate number of states at which energies are compared, and number of checks at which a
+# run may end early; the same with a tolerance; number of checks if effects do work, since their
+# sum is evaluated only at checks.
 _ENERGIES, _LOOKS, _HELD_ENERGIES, _HELD_LOOKS, _LOOKS_OF_WORK = 1000, 20, 20_000, 100, 2000
-# The first step over what resolves the path, at least: the order is taken where that is more, for
-# a run that is lost at once costs nothing. Each further step is shorter by some numbers of parts
-# in the list of trials, the fewer, the higher the order is: the error falls faster.
+# Ratio of the first step size to the one that resolves the path: the larger of this and the
+# order, since a run that diverges at once is cheap. Strides through the list of subdivisions,
+# by upper bound of the order: smaller for higher orders, whose error falls faster.
 _LONGEST, _STRIDES = 2.0, ((4, 3), (8, 2), (math.inf, 1))
-# A method that takes so many times what another one does for the same error is followed no more.
+# A method this many times as expensive as another one at the same error is abandoned.
 _HOPELESS = 100.0
-# As many steps are measured of each method, also where they take more than its share of the time.
+# Minimum number of step sizes measured per method, even beyond its share of the time.
 _LEAST = 3
-# An error of this share of the path's size, or of the energy scale, says that a run is lost; and
-# so many times a tolerance need not be known better.
+# A run counts as diverged beyond this share of the path's size or of the energy scale; with a
+# tolerance, beyond this multiple of it.
 _LOST, _ENOUGH = 0.1, 1e3
-# Shorter steps, one after another, that show the round-off floor: slopes of the error over the
-# step as shares of the order, there and where steps resolve the path; errors that only such have.
+# Detection of the round-off floor: number of consecutive flat step sizes; slopes of log error
+# over log step size, as shares of the order, that count as flat and as resolving the path;
+# error below which the path is resolved in any case.
 _STUCK, _FLAT, _RESOLVED, _SMALL = 2, 0.25, 0.5, 1e-7
-# How long a run is repeated to be timed [s], and at most how often.
+# Minimum total time of timed repetitions [s], and their maximum number.
 _TIMED, _REPEATS = 0.02, 7
-# Why a run is given up whose work is more than it may be.
+# Failure reason of a run that exceeds its limit of work.
 TOO_MUCH = 'costs too much'
-# No method is begun in this last share of the time: it may have to be compiled.
+# No method is started in this last share of the time, since it may need compiling.
 _BEGUN = 0.05
-# Between the instants of a comparison errors may be larger: what is recommended keeps this share,
-# and the other one if its error is carried on from a shorter time.
+# Safety factors of recommendations, since errors may be larger between instants of comparison:
+# for errors measured up to the horizon, and for errors extrapolated to it.
 _SEEN, _CARRIED = 0.95, 0.5
 
 
@@ -71,7 +73,7 @@ class RunErrors(NamedTuple):
     energy : float
         Largest abs(H - H0 - W) [J].
     gradients : int
-        Gradients and Hessian-vector products that it took.
+        Number of gradients and Hessian-vector products evaluated.
 
     """
 
@@ -83,28 +85,28 @@ class RunErrors(NamedTuple):
 @dataclass(frozen=True)
 class Cost:
     """
-    Cost of a method at one step size; a figure that there is none for is NaN.
+    Cost of a method at one step size; unknown figures are NaN.
 
     Parameters
     ----------
     method : Method
-        With its arguments.
+        The method and its arguments.
     step_size : float
-        h [s].
+        Step size h [s].
     path_error : float
-        Largest deviation from the reference, not below what is known of that.
+        Largest deviation from the reference, at least the accuracy of the reference.
     energy_error : float
         Largest abs(H - H0 - W), over the energy scale of the path [1].
     seconds : float
-        Processor time of a simulated second [s/s].
+        Processor time per simulated second [s/s].
     gradients : float
-        How many a simulated second takes [1/s].
+        Gradients per simulated second [1/s].
     failure : str
-        Why the run did not come to its end; empty where it did.
+        Reason why the run ended early; empty if it completed.
     work : float
-        Gradients of a simulated second, and all else that steps take in gradients [1/s].
+        Gradients plus step overhead in units of gradients, per simulated second [1/s].
     checked : float
-        Simulated time over which its error was seen; it is carried on from there [s].
+        Simulated time over which the error was measured; beyond it, it is extrapolated [s].
 
     """
 
@@ -122,29 +124,29 @@ class Cost:
 @dataclass
 class CostStudy:
     """
-    Costs of the methods that fit a problem.
+    Costs of the methods that support a problem.
 
     Parameters
     ----------
     problem : InitialValueProblem
-        The motion.
+        The problem to simulate.
     known : PathSurvey
-        Of its path.
+        Survey of the path.
     reference : PathReference
-        What paths are compared with, and for how long.
+        Reference that paths are compared with, up to its own horizon.
     no_path : str
-        Why they cannot be, so that energies are; empty where they can.
+        Reason why energies are compared instead of paths; empty if paths are.
     costs : list of Cost
-        Method by method, the longest steps first.
+        Costs grouped by method, the longest steps first.
     left_out : dict of str to list of str
-        Methods that do not fit, by the reason.
+        Unsupported methods by reason.
     unreached : list of str
-        Methods that there was no time for.
+        Methods skipped for lack of time.
     tolerance : Tolerance or None
-        What is to be held: work is what counts then, which is the same on every machine. Without
-        one it is the time.
+        Tolerance to meet: methods are then ranked by work, which is machine-independent. None:
+        by time.
     at_floor : list of Method
-        Those of which shorter steps do not help, for round-off.
+        Methods at their round-off floor: shorter steps do not reduce their error.
 
     """
 
@@ -160,39 +162,39 @@ class CostStudy:
 
     @property
     def floor(self) -> float:
-        """Return the error below which nothing is known."""
+        """Return the smallest error that can be measured."""
         return 0.0 if self.no_path else self.reference.accuracy
 
     @property
     def lost(self) -> float:
-        """Return the error from which on a run says nothing."""
+        """Return the error beyond which a run counts as diverged."""
         if self.tolerance is not None:
             return _ENOUGH * self.tolerance.error
         return _LOST if self.no_path else _LOST * float(np.abs(self.reference.states).max())
 
     def error(self, cost: Cost) -> float:
-        """Return the error of the path, or that of the energy where no path is known."""
+        """Return the path error, or the energy error if there is no reference path."""
         if cost.failure:
             return math.inf
         return cost.energy_error if self.no_path else cost.path_error
 
     def price(self, cost: Cost) -> float:
-        """Return what is to be small: the time, or the work."""
+        """Return the quantity to minimise: the time, or the work if there is a tolerance."""
         return cost.seconds if self.tolerance is None else cost.work
 
     def cheapest(self, error: float, method: str | None = None) -> Cost | None:
-        """Return what costs least and errs by no more, of all methods or of one."""
+        """Return the cheapest cost with at most this error, of all methods or of one."""
         good = [cost for cost in self.costs
                 if method in (None, str(cost.method)) and self.error(cost) <= error]
         return min(good, key=self.price, default=None)
 
     def holds(self, cost: Cost, error: float) -> bool:
-        """Return whether a row holds an error, with a margin for unknown errors."""
+        """Return whether a cost meets an error, with a safety margin."""
         seen = self.tolerance is None or cost.checked >= self.tolerance.horizon * (1.0 - 1e-9)
         return self.error(cost) <= (_SEEN if seen else _CARRIED) * error - self.floor
 
     def recommended(self, error: float, method: str | None = None) -> Cost | None:
-        """Return the cheapest that holds an error, of all methods or of one."""
+        """Return the cheapest cost that meets an error with margin, of all methods or of one."""
         good = [cost for cost in self.costs
                 if method in (None, str(cost.method)) and self.holds(cost, error)]
         return min(good, key=self.price, default=None)
@@ -202,34 +204,34 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
                   own: Method | None = None, error: float | None = None,
                   show: Callable[[float, str], None] = lambda share, what: None) -> CostStudy:
     """
-    Run the methods that fit a problem, with ever smaller steps.
+    Run the methods that support a problem, with decreasing step sizes.
 
     Parameters
     ----------
     problem : InitialValueProblem
-        The motion.
+        The problem to simulate.
     horizon : float
-        For how long [s]; what cannot be followed for so long is measured for less.
+        Simulated time [s]; shorter if the path cannot be determined that far.
     seconds : float
-        Processor time that may be taken, compilation included, about [s].
+        Approximate budget of processor time, compilation included [s].
     own : Method, optional
-        That of the scene: it comes first, with its arguments.
+        Method of the scene, with its arguments; measured right after the baselines.
     error : float, optional
-        Near which more steps are tried.
+        Error near which additional step sizes are tried.
     show : callable, optional
-        Takes the share that is done, and what is.
+        Progress callback; takes the share done and a description of the current task.
 
     Raises
     ------
     CalibrationError
-        No step is short enough to follow the path.
+        No step is short enough to resolve the path.
     UnsupportedSystem
-        No method fits.
+        No method supports the problem.
 
     """
     end = time.process_time() + seconds
     with warnings.catch_warnings():
-        # Each simulation of an H in plain Python warns of that.
+        # Each simulation of an H in plain Python emits a warning.
         warnings.simplefilter('ignore')
         show(0.0, 'the reference')
         known = survey(problem, horizon, horizon, EVERY_SURVEYOR)
@@ -243,7 +245,7 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
                 study.unreached = [other.kind for other in methods[k:]]
                 break
             show((1 + k) / (2 + len(methods)), str(method))
-            # However little time there is, one method has results: others may be compiled then.
+            # The first method gets results whatever the budget; compilation may use up the rest.
             last = end if k > 0 else math.inf
             _measure_for(study, method, left / (len(methods) - k), last)
         if error is not None:
@@ -255,18 +257,18 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
 def run_errors(simulation: Simulation, reference: PathReference, enough: float = math.inf,
                hamiltonian: Hamiltonian | None = None) -> RunErrors:
     """
-    Run a simulation from its initial state on, as far as a reference goes.
+    Run a simulation from its initial state to the end of a reference and return its errors.
 
     Parameters
     ----------
     simulation : Simulation
-        Whose step divides the time between two instants, or the base of all.
+        Simulation whose step size divides the time between two instants, or their base.
     reference : PathReference
-        What its path is compared with; one that is not verified is none.
+        Reference path; ignored for path errors if it is not verified.
     enough : float, optional
-        A path error that need not be known better: the run ends there.
+        Path error at which the run ends early.
     hamiltonian : Hamiltonian, optional
-        By which energies are judged where no effect works; by default that of the simulation.
+        Hamiltonian used for energies if no effect does work; by default the simulation's.
 
     Raises
     ------
@@ -286,13 +288,13 @@ def run_errors(simulation: Simulation, reference: PathReference, enough: float =
 def _errors_along(simulation: Simulation, reference: PathReference, path: np.ndarray | None,
                   energies: int, looks: int, hamiltonian: Hamiltonian | None = None
                   ) -> Iterator[tuple[float, float]]:
-    """Yield the largest path error, and energy error [J], between one look and the next."""
+    """Yield the largest path error and energy error [J] of each interval between checks."""
     hamiltonian = hamiltonian or simulation.hamiltonian
     instants = reference.instants
     every, apart = instants.met(round(instants.base / simulation.step_size))
     path = None if path is None else path[apart - 1::apart]
     rows = instants.count // apart if path is None else len(path)
-    # Energies are looked at between instants as well, where steps end there.
+    # Energies are also compared between instants, at multiples of the step size.
     parts = max(k for k in range(1, max(1, energies // rows) + 1) if every % k == 0)
     start = hamiltonian.energy(simulation.q, simulation.p)
     for done in range(0, rows, more := math.ceil(rows / looks)):
@@ -308,7 +310,7 @@ def _errors_along(simulation: Simulation, reference: PathReference, path: np.nda
 
 
 def _why_no_path(problem: InitialValueProblem, reference: PathReference, method: str) -> str:
-    """Return why paths cannot be compared with a reference; nothing where they can."""
+    """Return the reason why paths cannot be compared with a reference; '' if they can."""
     for effect in problem.effects:
         if effect.random:
             return f'{type(effect).__name__} draws other numbers at each step size'
@@ -321,7 +323,7 @@ def _why_no_path(problem: InitialValueProblem, reference: PathReference, method:
 
 
 def _fitting(study: CostStudy, own: Method | None) -> Iterator[Method]:
-    """Yield the methods that fit, and note why the others do not."""
+    """Yield the supported methods, and record the reason for each unsupported one."""
     order = [*_YARDSTICKS, *([own.kind] if own else ()), *_NEXT, *INTEGRATORS]
     kinds = sorted(INTEGRATORS, key=lambda kind: (kind == _CLOSE_ENCOUNTERS, order.index(kind)))
     for kind in kinds:
@@ -337,11 +339,11 @@ def _fitting(study: CostStudy, own: Method | None) -> Iterator[Method]:
 
 
 def refusal(study: CostStudy, method: Method) -> str:
-    """Return why a method does not fit a problem; nothing where it does."""
+    """Return the reason why a method does not support a problem; '' if it does."""
     try:
         study.problem.simulation(method, study.reference.instants.base)
     except UnsupportedSystem as problem:
-        # What follows the name of the method, without those that can.
+        # The reason follows the method's name; the list of alternatives is dropped.
         name = method_name(method.create())
         return str(problem).removeprefix(name).strip().partition(';')[0]
     except (TypeError, ValueError) as problem:
@@ -352,7 +354,7 @@ def refusal(study: CostStudy, method: Method) -> str:
 
 
 def _variants(kind: str, known: PathSurvey) -> list[Method]:
-    """Return a method with the arguments that are tried, the first that fits to be taken."""
+    """Return the variants of a method, by arguments; the first supported one is used."""
     if kind == _CLOSE_ENCOUNTERS:
         close = known.strongest >= _CLOSE * known.force > 0.0
         return [Method(kind, {'base': 'gauss8', 'force': float(f'{known.force:.3g}')})] * close
@@ -364,25 +366,25 @@ def _variants(kind: str, known: PathSurvey) -> list[Method]:
 def ladder(study: CostStudy, method: Method, bound: float,
            enough: Callable[[list[Cost]], bool]) -> list[Cost]:
     """
-    Return the costs of ever shorter steps, until they do not help or are enough.
+    Return the costs at decreasing step sizes, until round-off or the stopping criterion.
 
     Parameters
     ----------
     study : CostStudy
-        What is known so far.
+        Results so far.
     method : Method
-        Whose steps.
+        Method to run.
     bound : float
-        Work of a simulated second beyond which a run is given up [1/s].
+        Work per simulated second at which a run is abandoned [1/s].
     enough : callable
-        Takes the costs so far.
+        Stopping criterion; takes the costs so far.
 
     """
     order = method.create().order
     stride = next(stride for below, stride in _STRIDES if order < below)
     longest = max(_LONGEST, order) * study.known.step_size
     if study.tolerance is not None:
-        # Runs up to a far horizon take long: fewer of them, around what holds an error as a rule.
+        # Runs up to a long horizon are expensive: use fewer, around the usual step size.
         stride, longest = max(stride, 2), order ** 0.5 * study.known.step_size
     if method.kind == _CLOSE_ENCOUNTERS:
         longest *= (study.known.strongest / method.arguments.get('force', 1.0)) ** 0.75
@@ -409,7 +411,7 @@ def ladder(study: CostStudy, method: Method, bound: float,
 
 
 def _measure_for(study: CostStudy, method: Method, seconds: float, last: float) -> None:
-    """Add the costs of a method, for its time [s]; the first few until the last of all time."""
+    """Add the costs of a method within its time [s]; the first few may use all the time left."""
     _warm_up(study, method)
     end = time.process_time() + seconds
     before = [time.process_time()]
@@ -423,45 +425,45 @@ def _measure_for(study: CostStudy, method: Method, seconds: float, last: float) 
                     other is not None and costs[-1].seconds > _HOPELESS * other.seconds):
                 return True
         before.append(time.process_time())
-        # The next one takes longer; the first few are measured as long as there is time at all.
+        # The next run takes about twice as long; the first few may use all the remaining time.
         longer = before[-1] - before[-2]
         return before[-1] + 2.0 * longer > (end if len(good) >= _LEAST else last)
 
     costs = ladder(study, method, math.inf, enough)
     lost = [k for k, cost in enumerate(costs) if study.error(cost) > study.lost]
-    # Of those that are lost the last one shows where that ends.
+    # Keep only the diverged run with the shortest step, which shows the stability limit.
     study.costs += [cost for k, cost in enumerate(costs) if k not in lost[:-1]]
 
 
 def _warm_up(study: CostStudy, method: Method) -> None:
-    """Compile a method, and whatever else its first step takes."""
+    """Compile a method and everything else that its first step needs."""
     with suppress(StepFailure), np.errstate(over='ignore', invalid='ignore'):
         simulation = study.problem.simulation(method, study.known.step_size)
         simulation.advance(1)
-        simulation.energy_balance  # noqa: B018  it is compiled as well
+        simulation.energy_balance  # noqa: B018  compiles it
 
 
 def measure(study: CostStudy, method: Method, parts: int, bound: float = math.inf) -> Cost:
     """
-    Run a method with so many steps of the base, up to the horizon.
+    Run a method with the base divided into `parts` steps, up to the horizon.
 
     Parameters
     ----------
     study : CostStudy
-        What errors are measured against.
+        Study with the reference and the survey.
     method : Method
-        Whose steps.
+        Method to run.
     parts : int
-        Steps in the base of all.
+        Number of steps per base.
     bound : float, optional
-        Work of a simulated second beyond which the run is given up [1/s].
+        Work per simulated second at which the run is abandoned [1/s].
 
     """
     h = study.reference.instants.base / parts
     try:
         with np.errstate(over='ignore', invalid='ignore'):
             simulation = study.problem.simulation(method, h)
-            # A first step may compile: the series of a formula, say.
+            # The first step may compile code, for example the Taylor series of a formula.
             simulation.advance(1)
             simulation.restart(study.problem.q, study.problem.p)
             if study.tolerance is None:
@@ -472,7 +474,7 @@ def measure(study: CostStudy, method: Method, parts: int, bound: float = math.in
 
 
 def _timed(study: CostStudy, method: Method, simulation: Simulation) -> Cost:
-    """Return the errors of a run and the time that it takes."""
+    """Return the errors and the computing time of a run."""
     start = time.process_time()
     errors = run_errors(simulation, study.reference, study.lost)
     first, extent = time.process_time() - start, simulation.time
@@ -485,7 +487,7 @@ def _timed(study: CostStudy, method: Method, simulation: Simulation) -> Cost:
 
 def fastest(problem: InitialValueProblem, simulation: Simulation, steps: int, *times: float
             ) -> float:
-    """Return the least processor time of steps from the start [s], with what is known of it."""
+    """Return the minimum processor time of `steps` from the start [s], given earlier `times`."""
     found = [*times]
     while not found or (sum(found) < _TIMED and len(found) < _REPEATS):
         simulation.restart(problem.q, problem.p)
@@ -497,7 +499,7 @@ def fastest(problem: InitialValueProblem, simulation: Simulation, steps: int, *t
 
 def _judged(study: CostStudy, tolerance: Tolerance, method: Method, simulation: Simulation,
             bound: float) -> Cost:
-    """Return the error of a run, carried on to the horizon, and its work."""
+    """Return the error of a run, extrapolated to the horizon, and its work."""
     by_path, limit = not study.no_path, study.problem.gradients
     extent = study.reference.horizon if by_path else study.known.extent
     most = 4.0 * limit * (PATIENCE if by_path else 1)
@@ -506,7 +508,7 @@ def _judged(study: CostStudy, tolerance: Tolerance, method: Method, simulation: 
     for errors in _errors_along(simulation, study.reference, study.reference.states if by_path
                                 else None, _HELD_ENERGIES if not by_path else 1, looks):
         seen.append(errors[0] if by_path else errors[1] / study.known.energy_scale)
-        # Rounding of the time does not count: it is over at the last instant.
+        # Tolerate rounding of the time: the run is complete at the last instant.
         t, spent = simulation.time, work(simulation)
         over = t >= extent * (1.0 - 1e-12)
         if seen[-1] > study.lost:
@@ -522,7 +524,7 @@ def _judged(study: CostStudy, tolerance: Tolerance, method: Method, simulation: 
 
 
 def try_between(study: CostStudy, error: float) -> None:
-    """Measure more steps near an error, where they may be cheaper than what is known."""
+    """Measure additional step sizes near an error if they may beat the cheapest known cost."""
     base = study.reference.instants.base
     order = list(dict.fromkeys(str(cost.method) for cost in study.costs))
     for name in order:

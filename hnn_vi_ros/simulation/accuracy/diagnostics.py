@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of samples and steps: energy error, drift and scale, local error."""
+"""Quality measures of samples and steps: energy error, drift and scale, local error."""
 
 import math
 from typing import Any
@@ -15,23 +15,23 @@ import numpy as np
 
 def local_error(simulation: Simulation) -> float:
     """
-    Return the estimated error that the next step of a simulation adds, and leave it unchanged.
+    Return the estimated local error of the next step, and leave the simulation unchanged.
 
-    A step of h and two of h / 2 from the same state differ by (1 - 2^-p) of the error of the
-    first, up to terms of higher order, with p the order of the method:
+    One step of h and two of h / 2 from the same state differ by (1 - 2^-p) times the error of
+    the former, up to terms of higher order, where p is the order of the method:
 
         e = max abs(z_h - z_(h/2, h/2)) / (1 - 2^-p)
 
     Parameters
     ----------
     simulation : Simulation
-        In any state; it continues bit-identically.
+        Simulation in any state; it continues bit-identically.
 
     Returns
     -------
     float
-        The largest error of a coordinate or momentum, in its own unit; NaN where such a step
-        fails, and where a thermostat makes each step another one.
+        The largest error of a coordinate or momentum, in its own unit; NaN if a step fails or
+        if a thermostat makes steps random.
 
     References
     ----------
@@ -50,22 +50,21 @@ def local_error(simulation: Simulation) -> float:
     return difference / (1.0 - 0.5 ** simulation.integrator.order)
 
 
-# Share of the state over which to difference H where (q, p) is not canonical: truncation and
-# rounding are both some 1e-6.
+# Relative spacing of finite differences of H if (q, p) is not canonical: truncation and rounding
+# errors are both about 1e-6.
 _SCALE_SPACING = 1e-5
-# With this many samples, their mean represents the mean over the path; fewer may all lie at a
-# turning point.
+# Minimum number of samples for a representative mean; fewer may all lie at a turning point.
 _MEAN = 8
-# Entries of the record of a path: integral of the virial, time, largest virial, samples, first
-# scale, whether energy has been turned over.
+# Length of the record of a path: integral of the virial, time, largest virial, number of samples,
+# initial scale, flag that energy has been exchanged once.
 RECORD = 6
 
 
 @kept(error_model='numpy')
 def follow(record: np.ndarray, potential: float, virial: float, weight: float
            ) -> tuple[float, bool]:
-    """Take the next sample of a path; return its scale, and whether energy is turned over."""
-    # A value that is not finite is not in play; the energy itself shows it.
+    """Add the next sample of a path; return the scale, and whether energy was exchanged once."""
+    # Skip non-finite values; the energy itself reveals them.
     if math.isfinite(virial):
         record[0] += weight * virial
         record[1] += weight
@@ -91,7 +90,7 @@ def _follow_all(records: np.ndarray, potential: np.ndarray, virial: np.ndarray,
 @kept(error_model='numpy')
 def _virials(q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray,
              middle: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Return abs((q - c) . H_q) and abs(p . H_p), shape (2, n), at n states."""
+    """Return abs((q - c) . H_q) and abs(p . H_p) at n states, shape (2, n)."""
     virials = np.zeros((2, len(q)))
     for i in range(len(q)):
         for j in range(q.shape[1]):
@@ -106,24 +105,23 @@ def _virials(q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray,
 
 class EnergyScale:
     """
-    Energy scale of a path, or of m paths, by the virials of its states.
+    Energy scale of a path, or of m paths, from the virials of its states.
 
-    The virial p . H_p is twice the kinetic energy. Of a bounded motion its mean over time is that
-    of (q - c) . H_q about any c as well, so it measures kinetic and potential energy alike, and
-    neither a constant in H nor an offset of q changes it; in a magnetic field p is meant as the
-    momentum of the velocity. The scale is
+    The virial p . H_p is twice the kinetic energy. For a bounded motion its time average equals
+    that of (q - c) . H_q for any c, so it measures kinetic and potential energy alike, and is
+    independent of constants in H and offsets of q; in a magnetic field p is the kinetic momentum.
+    The scale is
 
         E_s(t) = (1 / t) integral over the path so far of abs(p . H_p)
 
-    from when p . H_p has fallen, from its largest value, by its mean, and samples are enough for a
-    mean: energy has been turned over once. Before, a start at rest would have no scale. Until
-    then it is the largest value so far
-    of (abs((q - c) . H_q) + abs(p . H_p)) / 2 with c the middle of the training box, 0 where
-    there is none; angles count modulo a turn about c.
+    once there are enough samples for a mean and p . H_p has fallen from its maximum by at least
+    its mean: kinetic and potential energy have been exchanged once. Before that, when a start at
+    rest would have no scale, it is the largest value so far of
+    (abs((q - c) . H_q) + abs(p . H_p)) / 2, where c is the centre of the training box, or 0 if
+    there is none; angles are taken modulo one turn about c.
 
-    A mean over the path keeps a motion that rests near a saddle from having the scale of that
-    rest, which a minimum over short blocks would take; and a close encounter at the start weighs
-    by the time that it takes.
+    Averaging over the path prevents a rest near a saddle from setting the scale, as a minimum
+    over short blocks would; and it weights a close encounter at the start by its duration.
 
     Parameters
     ----------
@@ -147,7 +145,7 @@ class EnergyScale:
                 ) -> tuple[np.ndarray, np.ndarray]:
         """Return abs((q - c) . H_q) and abs(p . H_p) [J], shape (...), at states (..., d)."""
         if self._gauge is not None:
-            # P = p - c A(q) and its H_q: far from where A vanishes p . H_p is c A . v.
+            # Use P = p - c A(q) and its H_q: far from the zero of A, p . H_p is mostly c A . v.
             p, dH_dq = p - q @ self._gauge.T, dH_dq + dH_dp @ self._gauge
         if self._hamiltonian.canonical:
             q_, p_, H_q, H_p = (np.ascontiguousarray(x).reshape(-1, x.shape[-1])
@@ -161,7 +159,7 @@ class EnergyScale:
 
     def _slope(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
                ) -> np.ndarray:
-        """Return H' (v_q, v_p) by differences, for a kernel that gives no gradient of H."""
+        """Return H' (v_q, v_p) by central differences, if the kernel has no gradient of H."""
         ahead, behind = self._hamiltonian.energy(
             np.array([q + _SCALE_SPACING * v_q, q - _SCALE_SPACING * v_q]),
             np.array([p + _SCALE_SPACING * v_p, p - _SCALE_SPACING * v_p]))
@@ -177,7 +175,7 @@ def energy_scale(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> floa
     hamiltonian : Hamiltonian
         H of d coordinates.
     q, p : np.ndarray, shape (N, d)
-        States at equal distances in time.
+        States at equidistant times.
 
     """
     return float(scales_along(hamiltonian, q, p, np.ones(len(q)))[-1])
@@ -192,14 +190,14 @@ def scales_along(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, weights
 
 def scales_of(potential: np.ndarray, virial: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """
-    Return the energy scale [J] at k samples of m paths, of the shape of virial.
+    Return the energy scale [J] at k samples of m paths, with the shape of `virial`.
 
     Parameters
     ----------
     potential, virial : np.ndarray, shape (k,) or (k, m)
         See EnergyScale.virials.
     weights : np.ndarray, shape (k,)
-        Time since the sample before, in any unit.
+        Time since the previous sample, in any unit.
 
     """
     rows = virial.reshape(len(weights), -1)
@@ -213,13 +211,13 @@ _EPS = float(np.finfo(np.float64).eps)
 
 
 def energy_band(error: np.ndarray) -> float:
-    """Return the largest absolute value of an energy error; NaN if it holds one."""
+    """Return the largest absolute value of an energy error; NaN if it contains NaN."""
     return float(np.abs(error).max(initial=0.0))
 
 
 def secular_change(values: np.ndarray) -> float:
     """
-    Return the least-squares slope of equally distant values, times their whole run.
+    Return the least-squares slope of equidistant values, times their total length.
 
     Parameters
     ----------
@@ -235,19 +233,19 @@ def secular_change(values: np.ndarray) -> float:
 
 def rounding_walk(scale: Any, steps: Any) -> Any:
     """
-    Return how far rounding alone may carry the energy, eight times its standard deviation [J].
+    Return a bound of the energy error due to rounding, eight standard deviations [J].
 
-    A step solved to 8 eps leaves errors of that share of the scale; they add up like a random
-    walk. A band below this says nothing of the method.
+    A step solved to 8 eps has a relative energy error of that size; these errors accumulate as a
+    random walk. A smaller energy band contains no information about the method.
     """
     return 8.0 * 8.0 * _EPS * scale * np.sqrt(steps)
 
 
 def state_scales(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return over what H changes, for each entry of (q, p): its box, or the size of the state."""
+    """Return the scale of each entry of (q, p): half its box, or the size of the state."""
     if hamiltonian.box is not None:
         return 0.5 * np.ptp(np.concatenate(hamiltonian.box), axis=1)
-    # An angle that has turned over many times is no larger for that.
+    # Clip angles: full turns do not increase their size.
     angles = angle_columns(hamiltonian.coordinates)
     sizes = [float(np.abs(x).max()) or 1.0 for x in (np.where(angles, np.clip(q, -1, 1), q), p)]
     return np.repeat(sizes, (q.size, p.size))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rate at which neighbouring motions part: chaos is measured, not guessed."""
+"""Lyapunov time: the rate at which neighbouring motions diverge."""
 
 from collections.abc import Sequence
 import math
@@ -17,43 +17,43 @@ from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
-# Steps from one renormalisation to the next, and of the first horizon that is looked at.
+# Number of steps between renormalisations, and number of steps up to the first horizon.
 _EVERY, _FIRST = 32, 1024
-# Distance of the neighbour: far above round-off, and far below where the motion is not linear.
+# Distance of the neighbour: far above round-off, and well within the linear regime.
 _DISTANCE = 1e-7
-# Motions that are not chaotic part in proportion to time, or to its square: by 2 log 2 = 1.4 in
-# the second half of a run.
+# Threshold of the growth in the second half of a run. Regular motions diverge in proportion to
+# time, or to its square, which gives a growth of at most 2 log 2 = 1.4.
 _CHAOTIC = 10.0
 
 
 def lyapunov_time(scene: Scene | str | Path, duration: float | None = None) -> float:
     """
-    Return the time in which neighbouring motions part by the factor e [s].
+    Return the Lyapunov time: the time in which neighbouring motions diverge by a factor e [s].
 
-    The scene gives the method and the effects; a second motion is kept near the first (Benettin).
-    The growth in the second half of ever longer runs decides: it is some 10 and grows
-    where the motion is chaotic, and stays near 1 where neighbours part in proportion to time. A
-    close encounter makes them part for a while only, and the half before reveals it.
+    The scene defines the method and the effects; a second motion is renormalised to stay near the
+    first (Benettin's method). The criterion is the growth of the log distance in the second half
+    of runs of doubling length: it exceeds 10 and increases for chaotic motion, and stays near 1
+    for linear divergence. A close encounter causes growth in one half only.
 
     Parameters
     ----------
     scene : Scene, str or Path
-        From ``load_scene``, or what that takes; one with the integrator auto through
-        ``automatic_choice.resolve``.
+        A scene, or an argument of ``load_scene``; resolve the integrator auto with
+        ``automatic_choice.resolve`` first.
     duration : float, optional
-        Simulated time up to which chaos is looked for [s]; by default 2^17 steps.
+        Maximum simulated time of the search for chaos [s]; by default 2^17 steps.
 
     Returns
     -------
     float
-        Infinity where no chaos is found within the duration.
+        The Lyapunov time; inf if no chaos is found within the duration.
 
     Raises
     ------
     HnnViRosError
-        The scene cannot be built, a step fails, or the motion runs away.
+        The scene cannot be built, a step fails, or the motion escapes to very large values.
     ValueError
-        A duration that is negative or not finite; or the scene takes one motion at a time only:
+        The duration is negative or not finite, or the scene supports only one motion at a time:
         thermostat, impact, joint_limits, holonomic_constraint, time_transformed.
     TypeError
         The duration is not a number.
@@ -79,14 +79,14 @@ def time_between_motions(hamiltonian: Hamiltonian, effects: Sequence[Effect],
                          integrator: Integrator, h: float, q: np.ndarray, p: np.ndarray,
                          steps: float, on_failure: str = 'substep') -> float:
     """
-    Return the Lyapunov time of a motion that no scene describes [s]; see ``lyapunov_time``.
+    Return the Lyapunov time of a motion given without a scene [s]; see ``lyapunov_time``.
 
     Parameters
     ----------
     hamiltonian, effects, integrator, h, q, p, on_failure
-        As of Simulation.
+        Arguments of Simulation.
     steps : float
-        Up to how many of them chaos is looked for, some thousands at least.
+        Maximum number of steps of the search for chaos, at least some thousands.
 
     """
     pair = _Pair(hamiltonian, effects, integrator, h, q, p, on_failure)
@@ -99,8 +99,8 @@ def time_between_motions(hamiltonian: Hamiltonian, effects: Sequence[Effect],
             if taken == horizon // 2:
                 half = pair.growth
         growth = pair.growth - half
-        # In two halves that follow one another: a close encounter grows a distance as well, and
-        # takes that back.
+        # Require growth in two successive halves: the growth from a close encounter is reversed
+        # afterwards.
         if growth > _CHAOTIC and growth > seen > 0.25 * growth:
             return (horizon // 2) * h / growth
         seen, half, horizon = growth, pair.growth, 2 * horizon
@@ -108,7 +108,7 @@ def time_between_motions(hamiltonian: Hamiltonian, effects: Sequence[Effect],
 
 
 class _Pair:
-    """Two neighbouring motions, and the logarithm of how far they have parted."""
+    """Two neighbouring motions and the logarithm of their relative divergence."""
 
     def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
                  integrator: Integrator, h: float, q: np.ndarray, p: np.ndarray,
@@ -124,7 +124,7 @@ class _Pair:
             hamiltonian, integrator, h, *self._states(q, p), effects, on_failure)
 
     def advance(self) -> None:
-        """Take the next steps, and bring the neighbour back to its distance."""
+        """Advance both motions, and rescale their distance to its initial value."""
         simulation = self._simulation
         simulation.advance(_EVERY)
         q, p = simulation.q, simulation.p
@@ -140,6 +140,6 @@ class _Pair:
         simulation.restart(*self._states(q[0].copy(), p[0].copy()), step=simulation.steps)
 
     def _states(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return q and p of the motion and of its neighbour, shape (2, d) each."""
+        """Return q and p of the motion and its neighbour, shape (2, d) each."""
         moved = np.concatenate([q, p]) + self._scale * self._offset
         return np.array([q, moved[:q.size]]), np.array([p, moved[q.size:]])

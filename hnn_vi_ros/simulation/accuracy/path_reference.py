@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The path that trials are measured against, and how far it can be known."""
+"""Reference path of trials, and the time up to which it can be determined."""
 
 from dataclasses import dataclass, replace
 import math
@@ -11,39 +11,38 @@ from hnn_vi_ros.simulation.accuracy.lyapunov import time_between_motions
 from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, PathSurvey, Tolerance
 import numpy as np
 
-# Instants at which paths are compared: at least and at most; the least of an H that is slow.
+# Number of instants at which paths are compared: minimum, maximum, and minimum for a slow H.
 _LEAST, _MOST, _FEW = 320, 2000, 40
 _SLOW = 1_000_000
-# References may take this many times the gradients of a trial.
+# Limit of the gradients of a reference, as a multiple of that of a trial.
 PATIENCE = 6
-# A reference is good enough when it is known to this share of the tolerance, and usable up to
-# half.
+# Target accuracy of a reference as a share of the tolerance, and the largest usable share.
 _KNOWN, _USABLE = 0.02, 0.5
-# Refinements without progress after which round-off is what is left, or chaos.
+# Number of refinements without progress after which round-off or chaos is assumed.
 _STUCK = 3
-# A path that is known less well than this share of its size is none.
+# Largest relative error of a path that counts as verified.
 _VERIFIED = 1e-4
 _EPS = float(np.finfo(np.float64).eps)
-# Each refinement's number of steps over that of the one before.
+# Ratio of the numbers of steps of successive refinements.
 _RATIO = 1.5
 _CHUNK = 20
-# Steps up to which chaos is looked for at least.
+# Minimum number of steps of the search for chaos.
 _CHAOS_STEPS = 2 ** 14
 
 
 @dataclass(frozen=True)
 class Instants:
     """
-    Times at which paths are compared: each so many bases, or so many times a base.
+    Equidistant times at which paths are compared, at multiples or fractions of a base.
 
     Parameters
     ----------
     base : float
-        What steps divide [s].
+        Time that step sizes divide [s].
     stride, density : int
-        One instant each ``stride`` bases, or ``density`` in each base; one of them is 1.
+        One instant every ``stride`` bases, or ``density`` per base; one of the two is 1.
     count : int
-        How many up to the horizon.
+        Number of instants up to the horizon.
 
     """
 
@@ -54,7 +53,7 @@ class Instants:
 
     @classmethod
     def of(cls, horizon: float, base: float, least: int = _LEAST) -> 'Instants':
-        """Return instants that steps meet, of base / 4, / 5, / 6, / 8, ...: see parts_for."""
+        """Return instants that steps of base / 4, / 5, / 6, / 8, ... meet; see parts_for."""
         bases = max(1, round(horizon / base))
         if bases >= least:
             stride = math.ceil(bases / _MOST)
@@ -69,7 +68,7 @@ class Instants:
         return self.base * self.stride / self.density
 
     def met(self, parts: int) -> tuple[int, int]:
-        """Return steps of base / parts between instants that they meet, and their distance."""
+        """Return steps of base / parts between instants they meet, and the stride of these."""
         if self.density == 1:
             return self.stride * parts, 1
         common = math.gcd(parts, self.density)
@@ -79,19 +78,19 @@ class Instants:
 @dataclass(frozen=True)
 class PathReference:
     """
-    A path, known as well as possible.
+    A path determined as accurately as possible.
 
     Parameters
     ----------
     instants : Instants
-        Up to the horizon.
+        Instants up to the horizon.
     states : np.ndarray, shape (n, 2 d)
-        (q, p) at the first n instants; of a rotation 2 d less one.
+        (q, p) at the first n instants; 2 d - 1 columns for a rotation.
     accuracy : float
-        The largest error: of a formula a bound, else the largest difference from the path that
-        was found before it.
+        Largest error: a bound for an exact formula, otherwise the largest difference from the
+        previous refinement.
     how : str
-        How it was computed.
+        Description of the computation.
 
     """
 
@@ -102,36 +101,36 @@ class PathReference:
 
     @property
     def horizon(self) -> float:
-        """Return how far it goes, or as far as was wanted where it goes nowhere [s]."""
+        """Return the time of the last state, or the requested horizon without states [s]."""
         instants, count = self.instants, len(self.states) or self.instants.count
         return instants.base * instants.stride * count / instants.density
 
     @property
     def verified(self) -> bool:
-        """Return whether errors can be measured against the path: in chaos they soon cannot."""
+        """Return whether the path is accurate enough to measure errors against it."""
         return self.accuracy <= _VERIFIED * np.abs(self.states).max(initial=1e-300)
 
 
 def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: float,
                    known: PathSurvey) -> PathReference:
     """
-    Return the path, refined until two of them agree.
+    Return the path, refined until two successive refinements agree.
 
     Parameters
     ----------
     problem : InitialValueProblem
         The problem to simulate.
     tolerance : Tolerance
-        How well it must be known, and until when.
+        Tolerance and horizon of the trials.
     base : float
-        A time that the steps of trials divide [s].
+        Time that the step sizes of trials divide [s].
     known : PathSurvey
-        Of the path.
+        Survey of the path.
 
     Raises
     ------
     CalibrationError
-        Round-off or chaos, which is measured, keeps it from being known so well.
+        Round-off, or chaos (as measured by the Lyapunov time), prevents the accuracy needed.
 
     """
     limit = PATIENCE * problem.gradients
@@ -145,46 +144,46 @@ def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: flo
 def best_reference(problem: InitialValueProblem, horizon: float, known: PathSurvey,
                    limit: float) -> PathReference:
     """
-    Return the path as well as it can be known: by a formula, or refined until that is no better.
+    Return the most accurate path: from an exact formula, or refined until it converges.
 
     Parameters
     ----------
     problem : InitialValueProblem
         The problem to simulate.
     horizon : float
-        Until when [s].
+        End of the path [s].
     known : PathSurvey
-        Of the path.
+        Survey of the path.
     limit : float
-        Gradients that a run may take; the path may end sooner for that.
+        Maximum number of gradients of a run; it may shorten the path.
 
     Returns
     -------
     PathReference
-        One without states where no path is known at all.
+        The path; without states if none can be determined.
 
     """
     instants = Instants.of(horizon, horizon, _FEW)
     found = None
-    # Random numbers are others at each step size.
+    # Random effects draw different numbers at each step size.
     if not any(effect.random for effect in problem.effects):
         found = exact_path(problem, instants) or refined_path(
             problem, instants, known, limit, shorten=False)
     if found is None:
         return PathReference(
             instants, np.empty((0, problem.q.size + problem.p.size)), math.inf, '')
-    # Two paths may agree by chance to the last digit, which is rounded.
+    # Two refinements may agree by chance to the last, rounded digit.
     return replace(found, accuracy=max(found.accuracy, _EPS * np.abs(found.states).max()))
 
 
 def exact_path(problem: InitialValueProblem, instants: Instants) -> PathReference | None:
-    """Return the path that a formula gives; None where none is known, or an effect acts."""
+    """Return the path of an exact formula; None if none is known or there are effects."""
     hamiltonian = problem.hamiltonian
     t = instants.gap * np.arange(1, instants.count + 1)
     motion = None if problem.effects else hamiltonian.exact_motion(problem.q, problem.p, t)
     if motion is None:
         return None
-    # A phase is known to about two eps, and a value to one.
+    # The phase has a rounding error of about two eps, and a value of one.
     speed = np.abs(hamiltonian.gradient(*np.split(motion.path, 2, axis=1))).max()
     rounding = _EPS * (np.abs(motion.path).max() + 2.0 * motion.condition * speed * t[-1])
     return PathReference(instants, motion.path, float(rounding), f'exact: {motion.formula}')
@@ -194,28 +193,28 @@ def refined_path(problem: InitialValueProblem, instants: Instants, known: PathSu
                  limit: float, wanted: float = 0.0, shorten: bool = True
                  ) -> PathReference | None:
     """
-    Return the path by ever smaller steps, up to where they no longer bring it nearer.
+    Return the path computed with decreasing step sizes, until it no longer converges.
 
     Parameters
     ----------
     problem : InitialValueProblem
         The problem to simulate.
     instants : Instants
-        Where it is wanted; it may end sooner.
+        Requested instants; the path may end earlier.
     known : PathSurvey
-        Of the path: the method, and the first step.
+        Survey of the path, which provides the method and the first step size.
     limit : float
-        Gradients that a run may take.
+        Maximum number of gradients of a run.
     wanted : float, optional
-        Accuracy that is enough; by default, all that can be had.
+        Sufficient accuracy; by default the best possible.
     shorten : bool, optional
-        Whether it may end sooner to be known better: smaller steps do not come so far by as many
-        gradients.
+        Accept a shorter path for better accuracy: with smaller steps, the same number of
+        gradients covers less time.
 
     Returns
     -------
     PathReference or None
-        The two paths that agree best; None where no two are known.
+        The refinement closest to its predecessor; None if fewer than two runs succeeded.
 
     """
     steps = max(1, math.ceil(instants.gap / known.step_size))
@@ -242,7 +241,7 @@ def refined_path(problem: InitialValueProblem, instants: Instants, known: PathSu
 
 def _path(problem: InitialValueProblem, method: str, instants: Instants, steps: int, limit: float
           ) -> np.ndarray | None:
-    """Return the states at the instants, as many as gradients allow; None if a step fails."""
+    """Return the states at the instants, up to the limit of gradients; None if a step fails."""
     simulation = problem.simulation(method, instants.gap / steps)
     rows: list[np.ndarray] = []
     count = 0
@@ -257,7 +256,7 @@ def _path(problem: InitialValueProblem, method: str, instants: Instants, steps: 
 
 def _refusal(problem: InitialValueProblem, tolerance: Tolerance, known: PathSurvey,
              best: PathReference | None) -> str:
-    """Say why the path cannot be known so well."""
+    """Return the reason why the path cannot be determined with the accuracy needed."""
     wanted = f'path_error {tolerance.error:g} up to {tolerance.horizon:g} s: '
     if best is None:
         return f'{wanted}no path can be computed; take a shorter horizon'

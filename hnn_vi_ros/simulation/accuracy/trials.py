@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The problem that methods are tried on, their work, and the survey of its path."""
+"""Initial value problem of trials, the work of methods, and the survey of the path."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,14 +16,14 @@ from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
-# From each to the next by a quarter: a step divides its base into such a number of parts.
+# Allowed numbers of steps per base, with ratios of 5 / 4, 6 / 5 and 4 / 3 from 4 on.
 _PARTS = sorted({k * 2 ** e for e in range(40) for k in (4, 5, 6)} | {1, 2, 3})
 
 
 @dataclass(frozen=True)
 class Tolerance:
     """
-    The error that a simulation may make.
+    The largest allowed error of a simulation.
 
     Parameters
     ----------
@@ -31,11 +31,11 @@ class Tolerance:
         ``'energy_error'``, abs(H - H0 - W) over the energy scale of the path; or
         ``'path_error'``, the largest deviation of a coordinate or momentum from the exact path.
     error : float
-        The largest that is allowed.
+        The largest allowed error.
     horizon : float
-        Until when it must hold [s].
+        Time up to which it must hold [s].
     energy_scale : float or None
-        That of the path, to which energy errors are relative [J]; None before it was surveyed.
+        Energy scale of the path, for relative energy errors [J]; None before the survey.
 
     """
 
@@ -48,14 +48,14 @@ class Tolerance:
 @dataclass(frozen=True)
 class Method:
     """
-    A method with its arguments, as a scene names it.
+    A method with its arguments, as in a scene.
 
     Parameters
     ----------
     kind : str
-        A name of INTEGRATORS.
+        A key of INTEGRATORS.
     arguments : mapping
-        Those of its constructor.
+        Arguments of its constructor.
 
     """
 
@@ -75,12 +75,12 @@ class Method:
 @dataclass(frozen=True)
 class InitialValueProblem:
     """
-    Problem to simulate: H, effects, and the initial state of shape (d,).
+    Problem to simulate: H, effects, and initial state of shape (d,).
 
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        H.
+        The Hamiltonian H.
     effects : tuple of Effect
         Effects in addition to H.
     q, p : np.ndarray, shape (d,)
@@ -94,7 +94,7 @@ class InitialValueProblem:
     p: np.ndarray
 
     def simulation(self, method: str | Method, h: float) -> Simulation:
-        """Return a simulation of it that stops at the first step that fails."""
+        """Return a simulation of the problem that stops at the first failed step."""
         if isinstance(method, str):
             method = Method(method)
         return Simulation(self.hamiltonian, method.create(), h, self.q, self.p, self.effects,
@@ -102,7 +102,7 @@ class InitialValueProblem:
 
     @property
     def gradients(self) -> int:
-        """Return how many gradients a run may take: the same on every machine, at any time."""
+        """Return the maximum number of gradients of a run; machine-independent."""
         kernel = self.hamiltonian.kernel
         if not kernel.compiled:
             return _PLAIN
@@ -110,7 +110,7 @@ class InitialValueProblem:
 
 
 def _numbers(kernel: Kernel) -> int:
-    """Return how many numbers the arrays of a kernel hold."""
+    """Return the total number of entries in the arrays of a kernel."""
     found, rest = 0, list(kernel.parameters)
     while rest:
         part = rest.pop()
@@ -122,9 +122,9 @@ def _numbers(kernel: Kernel) -> int:
 
 def work(simulation: Simulation) -> float:
     """
-    Return the work of a run's steps so far, in gradients: those that it took, and all else.
+    Return the work of a run so far, in gradients: evaluated gradients plus step overhead.
 
-    A gradient of nanoseconds costs less than what an implicit step does with it.
+    A gradient of nanoseconds is cheaper than the rest of an implicit step.
     """
     kernel = simulation.hamiltonian.kernel
     gradient = _GRADIENT * (1.0 + _numbers(kernel) / _EACH) if kernel.compiled else _IN_PYTHON
@@ -133,17 +133,17 @@ def work(simulation: Simulation) -> float:
 
 
 def parts_for(wish: float) -> int:
-    """Return the number of parts that a base is divided into, at least as many as wished for."""
+    """Return the smallest allowed number of steps per base that is at least `wish`."""
     return next((k for k in _PARTS if k >= wish), _PARTS[-1])
 
 
 def parts_between(low: int, high: float) -> list[int]:
-    """Return the numbers of parts that are larger than one and smaller than another."""
+    """Return the allowed numbers of steps per base between two bounds, both excluded."""
     return [k for k in _PARTS if low < k < high]
 
 
 def time_scale(problem: InitialValueProblem) -> float:
-    """Return a time in which the initial state changes by about its size [s]."""
+    """Return the time in which the initial state changes by about its own size [s]."""
     q, p = problem.q, problem.p
     dH_dq, dH_dp = problem.hamiltonian.gradient(q, p)
     size = max(np.abs(q).max(), np.abs(p).max())
@@ -153,16 +153,16 @@ def time_scale(problem: InitialValueProblem) -> float:
 
 def carried(errors: list[float], t: float, horizon: float, least: float) -> float:
     """
-    Return the largest of errors that grew until t, carried on to the horizon as they grew.
+    Return the largest error, extrapolated from t to the horizon by its observed growth.
 
     Parameters
     ----------
     errors : list of float
-        In the order of time.
+        Errors in the order of time.
     t, horizon : float
-        Until when they were seen, and are wanted [s].
+        Times up to which errors were measured and are extrapolated [s].
     least : float
-        The least exponent: 0 where errors are bounded, 1 where phases part.
+        Minimum exponent of the growth: 0 for bounded errors, 1 for phase errors.
 
     """
     worst, early = max(errors), max(errors[:(len(errors) + 1) // 2])
@@ -170,36 +170,36 @@ def carried(errors: list[float], t: float, horizon: float, least: float) -> floa
         return worst
     growth = worst / max(early, 1e-300)
     if growth > 4.0:
-        # Faster than quadratically in time: exponentially, as where the motion is chaotic.
+        # Growth faster than quadratic is taken as exponential, as in chaotic motion.
         return worst * math.exp(min(math.log(growth) * (horizon - t) / (0.5 * t), 500.0))
     return worst * (horizon / t) ** max(math.log2(growth), least)
 
 
-# What surveys a path: the first of these that takes H and the effects. The calibration takes those
-# among which it chooses; the others are for rotations, and for coordinates that are not canonical.
+# Methods that survey a path; the first that supports H and the effects is used. Calibration uses
+# SURVEYORS; the others are for rotations and for non-canonical coordinates.
 SURVEYORS = ('gauss16', 'gauss4', 'generalized_leapfrog', 'stormer_verlet', 'variational_euler')
 EVERY_SURVEYOR = (*SURVEYORS, 'lie_gauss16', 'lie_leapfrog', 'rk4')
-# A path is resolved when half the step changes none of its figures by more than this share; and
-# where energy is conserved, when its error is below this share of its scale.
+# A path is resolved if halving the step changes each figure by at most this share and, for
+# conserved energy, if the energy error is at most this share of its scale.
 _AGREED = 0.1
 _HALVINGS, _SURVEY_CHUNK = 24, 512
-# States by which energies are weighed.
+# Approximate number of states used for the energy scale.
 _SURVEY_SAMPLES = 4000
 
 
 @dataclass(frozen=True)
 class PathSurvey:
     """
-    The figures of a path.
+    Characteristic figures of a path.
 
     Parameters
     ----------
     method : str
-        What surveyed it.
+        Method used for the survey.
     step_size : float
-        The longest of its steps that resolve the path [s].
+        The longest of its step sizes that resolve the path [s].
     extent : float
-        How far it went, at most up to the horizon [s].
+        End of the surveyed path, at most the horizon [s].
     energy_scale : float
         See ``energy_scale`` [J].
     force, strongest : float
@@ -218,25 +218,25 @@ class PathSurvey:
 def survey(problem: InitialValueProblem, horizon: float, base: float,
            surveyors: Sequence[str] = SURVEYORS) -> PathSurvey:
     """
-    Follow a path with ever shorter steps until its figures are known.
+    Simulate a path with decreasing step sizes until its characteristic figures converge.
 
     Parameters
     ----------
     problem : InitialValueProblem
         The problem to simulate.
     horizon : float
-        How far, if gradients allow [s].
+        End of the path, if the limit of gradients allows [s].
     base : float
-        A time that the steps divide [s].
+        Time that step sizes divide [s].
     surveyors : sequence of str, optional
-        Methods; the first that fits is taken.
+        Methods; the first that supports the problem is used.
 
     Raises
     ------
     CalibrationError
         No step is short enough.
     UnsupportedSystem
-        No method takes the effects.
+        No method supports the effects.
 
     """
     method = _surveyor(problem, base, surveyors)
@@ -271,10 +271,10 @@ def _surveyor(problem: InitialValueProblem, base: float, surveyors: Sequence[str
 
 def _follow(problem: InitialValueProblem, method: str, h: float, horizon: float
             ) -> tuple[PathSurvey, float]:
-    """Return the figures by steps of one size, and the energy's error over its scale."""
+    """Return the figures at one step size, and the relative energy error."""
     simulation = problem.simulation(method, h)
     states = np.concatenate(list(_states(problem, simulation, horizon)))
-    # A rotation has one column less in p than in q.
+    # For a rotation, p has one column less than q.
     q, p = np.split(states, [problem.q.size], axis=1)
     hamiltonian = simulation.hamiltonian
     every = math.ceil(len(q) / _SURVEY_SAMPLES)
@@ -291,7 +291,7 @@ def _follow(problem: InitialValueProblem, method: str, h: float, horizon: float
 
 def _states(problem: InitialValueProblem, simulation: Simulation, horizon: float
             ) -> Iterator[np.ndarray]:
-    """Yield the initial state and those after each step, rows of (q, p)."""
+    """Yield the initial state and the states after each step, as rows of (q, p)."""
     yield np.concatenate([problem.q, problem.p])[None]
     while simulation.time < horizon * (1.0 - 1e-9) and simulation.gradients < problem.gradients:
         left = math.ceil((horizon - simulation.time) / simulation.step_size * (1.0 - 1e-9))
@@ -304,8 +304,9 @@ def _agree(one: PathSurvey, other: PathSurvey) -> bool:
     return all(abs(a - b) <= _AGREED * max(a, b) for a, b in pairs)
 
 
-# Gradients that a run may take, of an H whose kernel holds few numbers; of one whose gradient is
-# plain Python. A network's gradient takes time in proportion to its weights.
+# Maximum number of gradients of a run for a kernel with few parameters; number of parameters
+# that halves it, since a network's gradient time is proportional to its weights; and maximum
+# number for gradients in plain Python.
 _GRADIENTS, _WEIGHTS, _PLAIN = 3_000_000, 2000, 20_000
-# The time of a gradient [s]: compiled, of so many numbers for each as much again, and in Python.
+# Time of a compiled gradient [s], number of parameters that doubles it, and time in Python [s].
 _GRADIENT, _EACH, _IN_PYTHON = 1e-8, 40, 2e-5
