@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Guards of what is conserved: the account of energy and work, ranges of it and of invariants."""
+"""Guards of conserved quantities: accounted energy (energy minus work) and invariants."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -19,10 +19,10 @@ import numpy as np
 @kept(error_model='numpy')
 def _widen(ends: np.ndarray, values: np.ndarray, weights: np.ndarray, limits: np.ndarray,
            first: int, raised: bool) -> tuple[int, float, bool]:
-    """Widen ranges by values (n, k) from the first on, up to one beyond its limit, if any."""
+    """Widen ranges by values (n, k) from `first` on, up to the first one beyond its limit."""
     band = 0.0
     for i in range(first, values.shape[1]):
-        # No value, as of NaN, leaves 0; infinite values leave NaN.
+        # NaN values leave a band of 0; infinite values give NaN.
         band, beyond = 0.0, False
         for j in range(len(values)):
             if math.isnan(values[j, i]):
@@ -34,7 +34,7 @@ def _widen(ends: np.ndarray, values: np.ndarray, weights: np.ndarray, limits: np
                 own = (ends[1, j] - ends[0, j]) / weights[j]
                 if not (own <= band or math.isnan(band)):
                     band = own
-        # Written so that NaN is an alarm.
+        # The negated comparison makes NaN an alarm.
         if not raised and (beyond or not band <= limits[i]):
             return i + 1, band, True
     return values.shape[1], band, False
@@ -42,30 +42,30 @@ def _widen(ends: np.ndarray, values: np.ndarray, weights: np.ndarray, limits: np
 
 class BandGuard(BlockGuard):
     """
-    Base of guards: the range of the accounted energy, or of other values, so far.
+    Base class of guards of the range, so far, of the accounted energy or of other values.
 
     Parameters
     ----------
     share : float, optional
-        The band that is allowed, over a scale, where there is one.
+        Allowed band relative to a scale, for guards that have one.
     weights : tuple of float, optional
-        For each of the values: over how much of it its range counts.
+        Divisors of the ranges of the values.
 
     Attributes
     ----------
     raised : bool
-        Whether there was an alarm.
+        True once an alarm was raised.
     band : float
         The range so far.
     limit : float
-        What is allowed, as of the last sample.
+        Allowed band at the last sample.
 
     """
 
     def __init__(self, share: float = math.nan, weights: tuple[float, ...] = (1.0,)):
         self.raised, self.band, self.limit, self._share = False, 0.0, math.nan, share
         self._weights = np.array(weights)
-        # Of each value the lowest and the highest so far.
+        # Minimum and maximum of each value so far.
         self._ends = np.repeat([[math.inf], [-math.inf]], len(weights), axis=1)
 
     def allow(self, band: float, change: float) -> None:
@@ -87,36 +87,36 @@ class BandGuard(BlockGuard):
         return self._alarm(sample.step)
 
     def _values(self, block: Block) -> np.ndarray:
-        """Return the values whose range is watched, shape (n, k) with a weight for each n."""
+        """Return the n values whose ranges are checked, shape (n, k); one weight per value."""
         return block.accounted[None]
 
     @abstractmethod
     def _limits(self, block: Block) -> np.ndarray:
-        """Return the band that is allowed as of each sample, shape (k,)."""
+        """Return the allowed band at each sample, shape (k,)."""
 
     @abstractmethod
     def _alarm(self, step: int) -> Alarm:
-        """Return what to say of a band that is beyond the limit."""
+        """Return the alarm for a band beyond the limit."""
 
 
 def plain_share(simulation: Simulation) -> float:
     """
-    Return how many times as far as the modified energy H may go, 1 where none is known.
+    Return the allowed range of H relative to that of the modified energy; 1 if none is known.
 
-    That H swings is the method's own, and no loss, but beyond a tenth of the energies in play it
-    is no resolution.
+    Oscillations of H are inherent to the method and no energy loss, but beyond a tenth of the
+    energy scale the motion is not resolved.
     """
     return 1.0 if simulation.modification is None else 2.0
 
 
-# H of a method of order 1 is judged at once where it goes this many times as far as it may.
+# With a method of order 1, a range of H beyond this multiple of its limit is an alarm at once.
 _AT_ONCE = 2.0
 
 
 @kept(error_model='numpy')
 def _first_lasting(own: np.ndarray, step: np.ndarray, energy: np.ndarray, limits: np.ndarray,
                    times: float) -> int:
-    """Return the first sample at which H is too far and was at half the time; -1 for none."""
+    """Return the first sample with H beyond its limit since half the run; -1 if there is none."""
     for i in range(len(step)):
         if own[2] < 0.0:
             own[2] = step[i]
@@ -133,22 +133,22 @@ def _first_lasting(own: np.ndarray, step: np.ndarray, energy: np.ndarray, limits
 
 class ResolutionGuard(BandGuard):
     """
-    The step resolves the motion: H, and H~ where known, stay within a share of the energy scale.
+    Resolution of the motion: H, and H~ if known, stay within a share of the energy scale.
 
-    A method of order 1 is given time: from an apocentre on, energies are small at first, and so
-    is their scale. Only where H has gone twice as far as it may is it told at once, else where it
-    has been too far since half the time of the run.
+    With a method of order 1 the alarm is delayed, because energies and their scale are small at
+    first if the run starts at an apocentre: it is raised at once only if the range of H is twice
+    its limit, otherwise if the range has been beyond the limit since half the time of the run.
 
     Parameters
     ----------
     share : float
-        The band that is allowed, over the scale.
+        Allowed band relative to the scale.
     scale : callable
         Returns the energy scale at each sample of a block [J]; see SampledScale.
     plain : float, optional
-        How many times that share is allowed for H; see ``plain_share``.
+        Multiple of the share that is allowed for H; see ``plain_share``.
     order : int, optional
-        Of the method.
+        Order of the method.
 
     """
 
@@ -158,10 +158,10 @@ class ResolutionGuard(BandGuard):
 
     def __init__(self, share: float, scale: Scale, plain: float = 1.0, order: int = 2):
         self._patient = order == 1 and plain > 1.0
-        # Of the range of H a part counts; of a method of order 1 it is judged by itself.
+        # The range of H is divided by `plain`; with a method of order 1 it is judged separately.
         super().__init__(share, (1.0, math.inf if self._patient else plain))
         self._scale, self._plain = scale, plain
-        # Lowest and highest H, the first step, and since when H has been too far.
+        # Minimum and maximum of H, first step, and step since which H is beyond its limit.
         self._own = np.array([math.inf, -math.inf, -1.0, math.inf])
 
     def take(self, block: Block) -> list[Alarm]:
@@ -184,7 +184,7 @@ class ResolutionGuard(BandGuard):
 
     def _alarm(self, step: int) -> Alarm:
         kept, swing = self._ends[1] - self._ends[0]
-        # Report H, if H went too far.
+        # Report H if its range is the one beyond the limit.
         band, times = (swing, self._plain) if swing > self._plain * kept else (kept, 1.0)
         return self._tell(step, float(band), times * self.limit, times)
 
@@ -199,20 +199,20 @@ class ResolutionGuard(BandGuard):
 
 class BarrierGuard(BandGuard):
     """
-    The energy is kept better than its distance from that of a barrier.
+    Energy barrier: the energy error stays smaller than the distance to the barrier's energy.
 
     Parameters
     ----------
     name : str
         Name of the barrier: 'separatrix', 'escape barrier'.
     energy : float
-        That of the barrier [J]; the motion's is that of the first sample.
+        Energy of the barrier [J]; the energy of the motion is that of the first sample.
     order : int, optional
-        Of the method. With order 1 the band of H says nothing: H~ is judged where it is known.
-        From order 2 on it is H: where H~ stays on one side of the barrier the motion may still
-        leave, by as much as H and H~ differ, the region that H below it confines it to.
+        Order of the method. With order 1 the band of H is not meaningful: H~ is judged if known.
+        From order 2 on H is judged: even if H~ stays on one side of the barrier, the motion may
+        leave the region that H below the barrier confines it to, by the difference of H and H~.
     search : SaddleSearch, optional
-        Finds saddles along the run, the nearest in energy of which is the barrier.
+        Search for saddles along the run; the nearest in energy is the barrier.
 
     """
 
@@ -229,7 +229,7 @@ class BarrierGuard(BandGuard):
         self._gap, self._start = math.inf, (math.nan, math.nan)
 
     def take(self, block: Block) -> list[Alarm]:
-        """See BlockGuard; as long as no barrier is known, nothing is told."""
+        """See BlockGuard; no alarm is raised while no barrier is known."""
         alarms = super().take(block)
         self.raised &= self._gap < math.inf
         return alarms if self.raised else []
@@ -241,8 +241,8 @@ class BarrierGuard(BandGuard):
         found = [(0, energy) for energy in self._found]
         self._found.clear()
         for i, energy in [*found, *(self._search.take(block) if self._search else ())]:
-            # At a saddle H~ is H, as the gradient is zero: what is conserved must be on the side
-            # of it that H is on.
+            # At a saddle H~ = H, since the gradient is zero: the conserved quantity and H must be
+            # on the same side of it.
             plain, kept = (energy - start for start in self._start)
             self._gap = min(self._gap, abs(kept) if plain * kept > 0.0 else 0.0)
             limits[i:] = self._gap
@@ -257,28 +257,28 @@ class BarrierGuard(BandGuard):
                      f'{self.limit:.2g} J away: {self.kind}; use a smaller step_size')
 
 
-# Spacing of differences relative to the state; they need be good to a tenth only.
+# Spacing of finite differences relative to the state; an accuracy of a tenth suffices.
 _SPACING = 1e-4
 
 
 class InvariantGuard(BandGuard):
     """
-    An invariant stays within a share of the change that the state could cause.
+    Invariant: it stays within a share of the largest change that the state could cause.
 
-    That scale is the sum over i of abs(dI/dz_i) s_i, with s_i the size of the state or of the
-    training box (``state_scales``): no constant in I changes it. It is the mean of those at the
-    samples 1, 2, 4, 8, ..., which do not all lie at the start.
+    The scale is the sum over i of abs(dI/dz_i) s_i, with s_i the size of the state or of the
+    training box (``state_scales``), which is independent of constants in I. It is averaged over
+    samples 1, 2, 4, 8, ..., which extend over the whole run.
 
     Parameters
     ----------
     name : str
         Name of the invariant.
     function : callable
-        Of q and p, each of shape (d,).
+        Function of q and p, each of shape (d,).
     share : float
-        The band that is allowed, over the scale.
+        Allowed band relative to the scale.
     hamiltonian : Hamiltonian
-        H of the motion.
+        Hamiltonian of the motion.
 
     """
 
@@ -322,17 +322,18 @@ class InvariantGuard(BandGuard):
                      '1')
 
 
-# A change for good is looked for in that many blocks at least, of that many samples each at least.
+# Minimum number of blocks, and of samples per block, to detect a lasting change.
 _BLOCKS, _BLOCK = 50, 20
-# It must last from one length of the run to this many times that: a slow swing does not.
+# A change is lasting if it persists until the run is this many times longer; a slow oscillation
+# does not.
 _LASTING = 5
-# A sudden change by this multiple of the energies in play is no oscillation any more.
+# A sudden change beyond this multiple of the energy scale is not an oscillation.
 _JUMP = 10.0
 
 
 @kept(error_model='numpy')
 def _turn_over(own: np.ndarray, work: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """Return the scale, or the work turned over if more; own are the work and that so far."""
+    """Return the larger of scale and total abs work; own: last work, total abs work so far."""
     larger = np.empty(len(work))
     for i in range(len(work)):
         own[1] += abs(work[i] - own[0])
@@ -344,7 +345,7 @@ def _turn_over(own: np.ndarray, work: np.ndarray, scales: np.ndarray) -> np.ndar
 @kept(error_model='numpy')
 def _change(ends: np.ndarray, accounted: np.ndarray, start: float, scales: np.ndarray, first: int,
             last: int) -> tuple[int, bool]:
-    """Widen the range of the change; return the place of a jump in it, or the last one."""
+    """Widen the range of the change; return the index of a jump, or the last index."""
     at, jumped = last - 1, False
     for i in range(first, last):
         change = accounted[i] - start
@@ -352,7 +353,7 @@ def _change(ends: np.ndarray, accounted: np.ndarray, start: float, scales: np.nd
             ends[0] = change
         if change > ends[1]:
             ends[1] = change
-        # Written so that NaN is an alarm.
+        # The negated comparison makes NaN an alarm.
         if not (jumped or abs(change) <= _JUMP * scales[i]):
             at, jumped = i, True
     return at, jumped
@@ -360,18 +361,18 @@ def _change(ends: np.ndarray, accounted: np.ndarray, start: float, scales: np.nd
 
 class EnergyGuard(BlockGuard):
     """
-    No energy is lost or gained beyond the account of work: neither at once nor by a drift.
+    Energy balance: energy changes only by the work done, with neither jumps nor drift.
 
-    It counts as lost or gained when, in the whole last third of the run, it is on one side of
-    where it started by more than a share of the scale, and stays so while the run grows to five
-    times its length; or at once, by ten times the scale. An oscillation comes back before. Where
-    effects have turned over more work than the energy scale, in and out together, the shares are
-    of that.
+    The alarm for drift is raised if, during the whole last third of the run, the energy is on one
+    side of its initial value by more than a share of the scale, and remains so until the run is
+    five times as long: an oscillation returns earlier. The alarm for a jump is raised at once,
+    beyond ten times the scale. If the total absolute work of effects exceeds the energy scale, it
+    replaces the scale.
 
     Parameters
     ----------
     share : float
-        The lasting change that is allowed, over the scale.
+        Allowed lasting change relative to the scale.
     scale : callable
         Returns the energy scale at each sample of a block [J]; see SampledScale.
 
@@ -384,13 +385,13 @@ class EnergyGuard(BlockGuard):
     def __init__(self, share: float, scale: Scale):
         self.raised, self._how = False, (share, '')
         self._share, self._scale_at, self._scale = share, scale, 0.0
-        # The work so far, and what has been turned over by it.
+        # Work at the last sample, and total absolute work.
         self._turned = np.zeros(2)
         self._start: float | None = None
         self._low: list[float] = []
         self._high: list[float] = []
         self._count, self._length = 0, _BLOCK
-        # Of the block that is open.
+        # Range of the change in the current block.
         self._ends = np.array([math.inf, -math.inf])
         self._since, self._sign = math.inf, 0
 
@@ -403,7 +404,7 @@ class EnergyGuard(BlockGuard):
         scales = _turn_over(self._turned, block.work, self._scale_at(block))
         alarms, first = [], 0
         while first < len(scales):
-            # Up to where a block of this guard ends.
+            # Stop at the end of a block of this guard.
             last = min(len(scales), first + self._length - self._count)
             i, jumped = _change(self._ends, block.accounted, self._start, scales, first, last)
             self._count, self._scale = self._count + last - first, float(scales[i])
@@ -418,7 +419,7 @@ class EnergyGuard(BlockGuard):
 
     @property
     def calm(self) -> tuple[float, float]:
-        """See BlockGuard: ten times the scale that was known when it looked last."""
+        """See BlockGuard: ten times the scale at the last sample judged."""
         if self.raised:
             return super().calm
         if self._start is None:
@@ -431,7 +432,7 @@ class EnergyGuard(BlockGuard):
         return self._alarm(sample.step, change, *self._how)
 
     def _end_block(self) -> float:
-        """Close a block; return by how much the energy has changed for good, 0 if it has not."""
+        """Close a block; return the lasting change of the energy [J], 0 if there is none."""
         self._low.append(float(self._ends[0]))
         self._high.append(float(self._ends[1]))
         self._count, self._ends[:] = 0, (math.inf, -math.inf)
@@ -464,6 +465,6 @@ class EnergyGuard(BlockGuard):
 
 
 def is_wrong(kind: str) -> bool:
-    """Return whether alarms of a kind say that a run may be qualitatively wrong."""
+    """Return whether alarms of a kind indicate that a run may be qualitatively wrong."""
     return kind.endswith(tuple(guard.kind for guard in (
         ResolutionGuard, BarrierGuard, InvariantGuard, EnergyGuard)))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base of guards: the state that they look at, and their alarms."""
+"""Base classes of guards, the samples that they check, and their alarms."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
@@ -13,7 +13,7 @@ import numpy as np
 
 
 class Look(NamedTuple):
-    """The state of a run after so many steps, and its energies; see Sample."""
+    """State and energies of a run after `step` steps; see Sample."""
 
     step: int
     q: np.ndarray
@@ -25,29 +25,29 @@ class Look(NamedTuple):
     work: float = 0.0
 
 
-# The state that guards look at.
+# A state that guards check.
 Observed = Sample | Look
 
 
 def accounted_energy(sample: Observed) -> float:
-    """Return H~, or H for want of it, less the work done on the system [J]."""
+    """Return H~, or H if there is none, minus the work done on the system [J]."""
     modified = sample.modified_energy
-    # Only NaN differs from itself.
+    # Only NaN compares unequal to itself.
     return (modified if modified == modified else sample.energy) - sample.work
 
 
 class Block(NamedTuple):
     """
-    Samples that follow each other, k of them.
+    Batch of k consecutive samples.
 
     Parameters
     ----------
     step : np.ndarray, shape (k,)
         Steps since the start of the run.
     q, p, dH_dq, dH_dp : np.ndarray, shape (k, d), or (k, m, d) for m trajectories
-        The states and the derivatives of H there.
+        States, and derivatives of H at them.
     energy, accounted, work : np.ndarray, shape (k,)
-        H, the accounted energy, and the work so far [J].
+        H, accounted energy, and work so far [J].
 
     """
 
@@ -67,24 +67,24 @@ _REST = Struct('4d')
 
 class Waiting:
     """
-    Samples that wait for others, to be looked at together.
+    Buffer of samples to be checked together as a block.
 
-    They are copied while they are new, which costs less than to keep them.
+    Samples are copied on arrival, which is cheaper than keeping the objects.
 
     Parameters
     ----------
     most : int
-        Coordinates of theirs that there is room for, those of one sample at least.
+        Capacity in coordinates q; at least one sample fits.
 
     Attributes
     ----------
     full : bool
-        Whether there is no room for another.
+        True if the capacity is reached.
 
     """
 
     def __init__(self, most: int):
-        # In bytes.
+        # Capacity in bytes.
         self._most = 8 * most
         self.full = False
         self._shapes: list[tuple[int, ...]] = []
@@ -92,11 +92,11 @@ class Waiting:
         self._dH_dq, self._dH_dp, self._rest = bytearray(), bytearray(), bytearray()
 
     def __len__(self) -> int:
-        """Return how many wait."""
+        """Return the number of samples in the buffer."""
         return len(self._rest) // _REST.size
 
     def add(self, sample: Observed) -> float:
-        """Let a sample wait; return its accounted energy [J]."""
+        """Append a sample; return its accounted energy [J]."""
         accounted = accounted_energy(sample)
         self._q += sample.q.tobytes()
         self._p += sample.p.tobytes()
@@ -109,7 +109,7 @@ class Waiting:
         return accounted
 
     def block(self, first: int = 0) -> Block | None:
-        """Return those that wait, from the first on; None for none."""
+        """Return the buffered samples from index `first` on as a block; None if there are none."""
         n = len(self)
         if first >= n:
             return None
@@ -121,20 +121,20 @@ class Waiting:
 
 class Alarm(NamedTuple):
     """
-    Finding of a guard.
+    Alarm of a guard.
 
     Parameters
     ----------
     kind : str
-        Which guard: the same words each time.
+        Constant name of the alarms of this guard.
     step : int
         Steps since the start of the run.
     value, limit : float
-        The value found, and the limit for it.
+        The value found, and its limit.
     message : str
-        One line: what, by how much, remedy.
+        One line: the violation, its size, the remedy.
     unit : str
-        Of value and limit.
+        Unit of value and limit.
 
     """
 
@@ -148,7 +148,7 @@ class Alarm(NamedTuple):
 
 class Guard(ABC):
     """
-    Something that must hold all the time.
+    A condition checked at every sample; violating it raises an alarm.
 
     Attributes
     ----------
@@ -163,21 +163,21 @@ class Guard(ABC):
     remedy: ClassVar[str]
 
     def allow(self, band: float, change: float) -> None:  # noqa: B027
-        """Change the shares of a scale that are allowed, as far as there are such."""
+        """Change the allowed shares of a scale, in guards that have them."""
 
     @abstractmethod
     def renew(self, sample: Observed) -> Alarm | None:
-        """Return the raised alarm updated to a sample, None if nothing in it changes."""
+        """Return the raised alarm updated to a sample; None if it does not change."""
 
 
 class StateGuard(Guard):
     """
-    A guard that looks at the run as it is when it is asked.
+    A guard that checks the current state of the run.
 
     Attributes
     ----------
     each : bool
-        Whether it must be asked at each sample.
+        True if it must be updated at each sample.
 
     """
 
@@ -185,20 +185,20 @@ class StateGuard(Guard):
 
     @abstractmethod
     def update(self, sample: Observed) -> Alarm | None:
-        """Look at the next sample; return an alarm when it stops to hold, not while it lasts."""
+        """Check the next sample; return an alarm when a violation begins, None otherwise."""
 
 
 class BlockGuard(Guard):
-    """A guard that looks at samples in blocks, however many make one: many cost little more."""
+    """A guard that checks samples in blocks of any length, vectorised."""
 
     @property
     def calm(self) -> tuple[float, float]:
-        """Return between which accounted energies a sample can wait for others [J]."""
+        """Return the range of accounted energies in which a check can be deferred [J]."""
         return -math.inf, math.inf
 
     @abstractmethod
     def take(self, block: Block) -> list[Alarm]:
-        """Look at the next samples; return an alarm where it stops to hold, not while it lasts."""
+        """Check the next samples; return an alarm for each beginning of a violation."""
 
 
 # Returns the energy scale at each sample of a block [J].
@@ -206,10 +206,10 @@ Scale = Callable[[Block], np.ndarray]
 
 
 def judge(guards: Iterable[BlockGuard], block: Block | None) -> list[Alarm]:
-    """Let guards look at the next samples; return what they find, by steps."""
+    """Check the next samples with all guards; return the alarms in the order of steps."""
     if block is None:
         return []
-    # A guard judges what is not finite; it says so itself.
+    # Guards raise alarms for non-finite values themselves.
     with np.errstate(invalid='ignore', over='ignore'):
         found = [alarm for guard in guards for alarm in guard.take(block)]
     return sorted(found, key=lambda alarm: alarm.step)

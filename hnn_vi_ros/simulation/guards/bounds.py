@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bounds of what a model knows: the box of its training data, and the spread of an ensemble."""
+"""Guards of the validity of a model: box of the training data, and spread of an ensemble."""
 
 from collections.abc import Callable
 import math
@@ -13,7 +13,7 @@ import numpy as np
 
 @kept(error_model='numpy')
 def _excess(q: np.ndarray, p: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return how far states (k, d) are outside of a box, in half-widths; NaN where one is."""
+    """Return the excess of states (k, d) over a box, in half-widths; NaN for NaN states."""
     (k, d), excess = q.shape, np.zeros(len(q))
     for i in range(k):
         for j in range(2 * d):
@@ -26,25 +26,25 @@ def _excess(q: np.ndarray, p: np.ndarray, low: np.ndarray, high: np.ndarray) -> 
 
 class BoxGuard(BlockGuard):
     """
-    The state is inside the box that the model was trained in.
+    Training box: the state stays inside the box of the training data.
 
     Parameters
     ----------
     box : tuple of np.ndarray
         Bounds of q and of p, each (d, 2), as ``Hamiltonian.box``.
     gauge : np.ndarray, shape (d, d), optional
-        Of magnetic fields, c A(q) = gauge q: the model was trained in P = p - c A(q).
+        Gauge of a magnetic field, c A(q) = gauge q: the model was trained on P = p - c A(q).
     domain : Domain, optional
-        Of a machine, in place of the box: what was seen of q and v.
+        Training domain of a machine in q and v, which replaces the box.
 
     Attributes
     ----------
     excess : float
-        How far the last sample is outside, in half-widths of the box; 0 inside.
+        Distance of the last sample from the box, in its half-widths; 0 inside.
     largest : float
-        The largest of these so far.
+        The largest excess so far.
     share : float
-        Of the samples so far that are outside.
+        Share of the samples so far that are outside.
 
     """
 
@@ -61,7 +61,7 @@ class BoxGuard(BlockGuard):
         self._bounds = tuple(np.concatenate(box).T.copy())
 
     def outside(self, sample: Observed) -> bool:
-        """Return whether a sample is outside."""
+        """Return whether a sample is outside the box or domain."""
         return bool(self._excess(sample.q[None], sample.p[None], sample.dH_dp[None])[0] > 0.0)
 
     def take(self, block: Block) -> list[Alarm]:
@@ -90,7 +90,7 @@ class BoxGuard(BlockGuard):
         return alarms
 
     def _excess(self, q: np.ndarray, p: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return how far states (k, d) are outside, in half-widths, shape (k,)."""
+        """Return the excess of states (k, d) over the box, in half-widths, shape (k,)."""
         if self._domain is not None:
             return self._domain.excess(q, v).max(axis=-1)
         return _excess(q, p if self._gauge is None else p - q @ self._gauge.T, *self._bounds)
@@ -116,14 +116,14 @@ class BoxGuard(BlockGuard):
 
 class SpreadGuard(StateGuard):
     """
-    The members of an ensemble have not come apart.
+    Ensemble spread: the members of an ensemble stay close together.
 
     Parameters
     ----------
     spread : callable
         Returns the half-widths of the bands of q, then of p, shape (2 d,).
     box : tuple of np.ndarray
-        Bounds of q and of p in the data of training, each (d, 2).
+        Bounds of q and of p in the training data, each (d, 2).
     limit : float
         Largest allowed spread, in half-widths of the box.
 

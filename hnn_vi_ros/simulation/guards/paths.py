@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A guard of the path: the next turns are taken once more with half the step."""
+"""Guard of the path error, estimated by trials with half the step size."""
 
 import math
 
@@ -9,37 +9,37 @@ from hnn_vi_ros.simulation.guards.base import Alarm, Block, BlockGuard, Observed
 from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
 import numpy as np
 
-# Turns and steps of a trial, at most; steps at least.
+# Maximum number of turns and of steps of a trial; minimum number of steps.
 _TURNS, _STEPS, _LEAST = 3, 128, 8
-# A derivative of H that is this many times as large as in all trials before calls for another.
+# A derivative of H beyond this multiple of its maximum so far triggers another trial.
 _FASTER = 2.0
-# Coordinates whose range is less than this share of the largest one do not count.
+# Coordinates whose range is less than this share of the largest range are ignored.
 _SLIGHT = 1e-3
-# Error of the path over its length: that of a quarter of a turn in a hundred turns.
+# Largest path error over path length: a quarter of a turn in a hundred turns.
 _LIMIT = 0.5 * math.pi / 400.0
-# Samples further apart than so many steps say little of those between.
+# Maximum number of steps between samples for a trial to start at the earlier one.
 _NEAR = 16
 
 
 class PathGuard(BlockGuard):
     """
-    The path errs by less than 0.4 % of its length: a hundred turns are counted right.
+    Path error: it stays below 0.4 % of the path length, so that 100 turns are counted correctly.
 
-    From the initial state, and from where a derivative of H has doubled, up to three turns and
-    128 steps are taken with h and with h / 2. The paths differ by (1 - 2^-p) of the error of the
-    first, with p the order of the method. Each coordinate and momentum is compared with the length
-    of its own path. Of an oscillator whose frequency is off by a share s, the error over the
-    length is pi s / 2; a quarter of a turn is lost in a hundred turns where s is 1 / 400. Where a
-    path errs by less than 1 % of its size, its length in three turns is twelve times that size or
-    more, and nothing is told.
+    Trials start at the initial state, and where a derivative of H has doubled; they take up to
+    three turns and 128 steps of h, and the same with h / 2. The paths differ by (1 - 2^-p) times
+    the error of the former, with p the order of the method. Each coordinate and momentum is
+    compared with the length of its own path. For an oscillator with relative frequency error s,
+    error over length is pi s / 2; it loses a quarter of a turn in a hundred turns at s = 1 / 400.
+    A path error below 1 % of the size of the path raises no alarm, since the length of three
+    turns is at least twelve times that size.
 
-    With order 1, what is conserved is another function at each state: a trial from a state on the
-    way would be of another motion, so that there is one from the initial state only.
+    With order 1 there is only the trial at the initial state: H~ - H changes along the path, so a
+    trial from a later state would follow a different motion.
 
     Parameters
     ----------
     simulation : Simulation
-        Of one trajectory.
+        Simulation of one trajectory.
 
     References
     ----------
@@ -53,7 +53,7 @@ class PathGuard(BlockGuard):
 
     def __init__(self, simulation: Simulation):
         self._simulation, self.raised, self._error = simulation, False, 0.0
-        # The largest derivatives so far, and the sample before.
+        # Largest derivatives so far, and the previous sample.
         self._largest = np.zeros(0)
         self._before: tuple[int, np.ndarray, np.ndarray] | None = None
 
@@ -80,7 +80,7 @@ class PathGuard(BlockGuard):
         return int(block.step[i]), block.q[i].copy(), block.p[i].copy()
 
     def _begin(self, block: Block, i: int, slopes: np.ndarray) -> bool:
-        """Make a trial from before a sample; return whether the path errs too much."""
+        """Run a trial from just before a sample; return whether the path error is too large."""
         start = self._sample(block, i)
         before = self._sample(block, i - 1) if i > 0 else self._before
         if before is not None and start[0] - before[0] <= _NEAR:
@@ -94,14 +94,14 @@ class PathGuard(BlockGuard):
         return not self._error <= _LIMIT
 
     def _try(self, q: np.ndarray, p: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the error over the length of the path, and the largest derivatives on it."""
+        """Return the path error over the path length, and the largest derivatives of H."""
         simulation, h, start = self._simulation, self._simulation.step_size, np.append(q, p)
         try:
             row, = simulation.rows(start[None])
             path, better = (np.vstack([start, np.hstack(simulation.trial(
                 row, h / parts, _STEPS, parts))]) for parts in (1, 2))
         except (StepFailure, RescuePending):
-            # A step that fails in the run is told there.
+            # A failing step is reported by the run itself.
             return 0.0, np.zeros(start.size)
         lengths = np.vstack([np.zeros(start.size), np.cumsum(
             np.abs(np.diff(better, axis=0)), axis=0)])
@@ -116,8 +116,8 @@ class PathGuard(BlockGuard):
         errors = np.abs(path - better) / (1.0 - 0.5 ** order)
         worst = errors[part].max(axis=0)
         if order == 1:
-            # Such a method is one of order 2 in states that are a share of a step aside: what it
-            # errs in the first of the turns, and no more in the last one, does not grow.
+            # A method of order 1 may be conjugate to one of order 2 in states displaced by part
+            # of a step. This displacement does not grow after the first turn: subtract it.
             begin = end // _TURNS
             worst -= errors[:begin + 1].max(axis=0) if turned.any() else worst
         slopes = np.hstack(simulation.hamiltonian.gradient(

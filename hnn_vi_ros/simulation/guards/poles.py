@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A guard of the poles of H, which no motion can pass, but a step can."""
+"""Guard of the poles of H, which no motion can cross, but a step can."""
 
 from itertools import pairwise
 import math
@@ -10,20 +10,20 @@ from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.simulation.guards.base import Alarm, Block, BlockGuard, Observed
 import numpy as np
 
-# Second derivatives this many times as large as their mean so far are searched for a pole.
+# A search for a pole starts if second derivatives exceed this multiple of their mean so far.
 _STEEP = 4.0
-# Searches, for each doubling of the samples.
+# Maximum number of searches per doubling of the number of samples.
 _SEARCHES = 2
-# Places on the way between two samples, none of them its middle, and how often they are refined:
-# down to a 1e-7th of it. There a pole of H'' of the first order has grown by 1e7, as for a
-# logarithm the gradient has.
+# Number of points between two samples, even to avoid the midpoint, and of refinements: down to
+# 1e-7 of the distance. There H'' has grown by 1e7 at a pole of first order, as has the gradient
+# at a logarithm. Thresholds of growth: of H'', of H', and of H'' in each round.
 _PLACES, _ROUNDS = 16, 8
 _POLE, _FLOW, _SHOWS = 1e6, 1e3, 2.0
 
 
 @kept(error_model='numpy')
 def _next_peak(own: np.ndarray, sizes: np.ndarray, first: int) -> int:
-    """Return the next sample before which H'' is steep and steepest; own: sum, count, last two."""
+    """Return the index after the next steep peak of H''; own: sum, count, last two values."""
     for i in range(first, len(sizes)):
         own[0] += sizes[i]
         own[1] += 1.0
@@ -36,16 +36,16 @@ def _next_peak(own: np.ndarray, sizes: np.ndarray, first: int) -> int:
 
 class PoleGuard(BlockGuard):
     """
-    The motion passes no pole of H, such as that of an azimuth or of a centrifugal barrier.
+    Poles: the motion crosses no pole of H, such as that of an azimuth or centrifugal barrier.
 
-    Between samples where rows of H'' are large, the place on the straight line from one to the
-    other is searched where they are the largest. They, and H', grow without bounds if there is a
-    pole; H' does not where its factor is zero, as an angular momentum that is.
+    Between samples at which rows of H'' are large, the maximum of these rows is searched on the
+    straight line from one sample to the next. They and H' grow without bound at a pole; H' does
+    not if the factor of the pole is zero, for example a zero angular momentum.
 
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        H of the motion.
+        Hamiltonian of the motion.
 
     """
 
@@ -54,7 +54,7 @@ class PoleGuard(BlockGuard):
 
     def __init__(self, hamiltonian: Hamiltonian):
         self._hamiltonian, self.raised, self._searched = hamiltonian, False, 0
-        # Different numbers: a symmetry of H'' hides no row of it.
+        # Distinct entries, so that no row of H'' cancels by symmetry.
         self._direction = 1.0 / (1.0 + 0.1 * np.arange(2 * hamiltonian.dimension))
         self._own = np.zeros(4)
         # The last two samples.
@@ -107,7 +107,7 @@ class PoleGuard(BlockGuard):
             z = start + places[:, None] * (end - start)
             sizes = self._sizes(z)
             k = int(np.nan_to_num(sizes, nan=math.inf).argmax())
-            # At the first places a pole shows: one of them is within a thirtieth of the way of it.
+            # A pole shows at the first points: one is within 1 / 30 of the distance from it.
             if sizes[k] < _SHOWS * steepest:
                 return False
             low, high = places[max(k - 1, 0)], places[min(k + 1, _PLACES - 1)]

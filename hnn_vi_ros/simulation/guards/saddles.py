@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Saddles of H next to a run: where all derivatives of H are small, Newton's method looks."""
+"""Search for saddles of H near a run, by Newton's method from states with a small gradient."""
 
 from collections.abc import Callable, Iterator
 
@@ -9,10 +9,10 @@ from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.simulation.guards.base import Block
 import numpy as np
 
-# The search solves 2 d equations: in fewer coordinates than this it takes a millisecond or two.
+# Maximum dimension: the search solves 2 d equations, which takes one or two milliseconds.
 MOST_COORDINATES = 16
-# Mean square of the derivatives of H, over that of the run so far: 1 all the way on a harmonic
-# oscillator. Where it is less than half of that, and of where none was found, a search is made.
+# Threshold of the mean square of the derivatives of H, relative to that of the run so far (1 for
+# a harmonic oscillator), and to the value at the last unsuccessful search.
 _LULL = 0.5
 _ITERATIONS = 30
 _EPS = float(np.finfo(np.float64).eps)
@@ -20,7 +20,7 @@ _EPS = float(np.finfo(np.float64).eps)
 
 @kept(error_model='numpy')
 def _size(squares: np.ndarray, sums: np.ndarray, count: float) -> float:
-    """Return the mean over the derivatives of their squares, over the means along the run."""
+    """Return the mean of the squared derivatives, each relative to its mean along the run."""
     total, active = 0.0, 0
     for j in range(squares.size):
         if sums[j] > 0.0:
@@ -33,10 +33,10 @@ def _size(squares: np.ndarray, sums: np.ndarray, count: float) -> float:
 def _next_lull(own: np.ndarray, squares: np.ndarray, first: int, limit: float
                ) -> tuple[int, float]:
     """
-    Return the next sample before which the derivatives are the least, and how small; or the end.
+    Return the index after the next minimum of the derivatives, and their size; or the end and 0.
 
-    Rows of own are the sums of their squares along the run, and those of the last two samples;
-    the first entry of the last row counts samples.
+    The rows of `own` are the sums of squared derivatives along the run and the squares at the
+    last two samples; the first entry of the last row is the number of samples.
     """
     for i in range(first, len(squares)):
         count = own[3, 0] + 1.0
@@ -56,19 +56,19 @@ def _next_lull(own: np.ndarray, squares: np.ndarray, first: int, limit: float
 
 class SaddleSearch:
     """
-    Search for stationary states of H that are neither a minimum nor a maximum, along a run.
+    Search along a run for stationary points of H that are neither minimum nor maximum.
 
-    It starts from the samples where the derivatives of H are smaller than before and after, and
-    small: from where the motion turns or slows down. What Newton's method comes to is the saddle
-    next to it if the first step, by the quadratic approximation of H, leads to its energy within
-    a factor of two.
+    It starts at samples with a small local minimum of the derivatives of H, where the motion
+    turns or slows down. The limit of Newton's method is accepted as the nearest saddle if its
+    energy rise agrees with the prediction of the first step, by the quadratic approximation of
+    H, within a factor of two.
 
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        H, of at most MOST_COORDINATES coordinates.
+        Hamiltonian of at most MOST_COORDINATES coordinates.
     ready : callable
-        Returns whether H'' is there: what is being compiled meanwhile is not waited for.
+        Returns whether H'' is compiled; the search does not wait for a compilation in progress.
 
     """
 
@@ -76,11 +76,11 @@ class SaddleSearch:
         self._hamiltonian, self._ready, self._limit = hamiltonian, ready, _LULL
         self._own = np.zeros((4, 2 * hamiltonian.dimension))
         self._before: tuple[np.ndarray, np.ndarray] | None = None
-        # Those found, and how far from each the derivatives need not be looked at again.
+        # Saddles found, each with the radius within which no new search is started.
         self._known: list[tuple[np.ndarray, float]] = []
 
     def take(self, block: Block) -> Iterator[tuple[int, float]]:
-        """Look at the next samples; yield places in the block and the energies found there [J]."""
+        """Search at the next samples; yield index in the block and energy of each saddle [J]."""
         squares = np.hstack([block.dH_dq, block.dH_dp]) ** 2
         at, end = 0, len(squares)
         while at < end:
@@ -104,7 +104,7 @@ class SaddleSearch:
         return np.concatenate([block.q[i], block.p[i]])
 
     def _search(self, start: np.ndarray) -> float | None:
-        """Return the energy of the saddle next to a state [J], None for none."""
+        """Return the energy of the saddle nearest to a state [J], None if there is none."""
         H, d, z, promised = self._hamiltonian, self._hamiltonian.dimension, start, 0.0
         unit = np.eye(2 * d)
         for iteration in range(_ITERATIONS):
@@ -125,7 +125,7 @@ class SaddleSearch:
         signs = np.linalg.eigvalsh(curvature)
         energy, begun = (float(H.energy(x[:d], x[d:])) for x in (z, start))
         rise, rounding = energy - begun, 64.0 * _EPS * max(abs(energy), abs(begun))
-        # A step of zero is also what a constant slope gives.
+        # A constant slope also gives a step of zero.
         if np.abs(slope).max() > 1e-8 * np.abs(curvature).max() or not (
                 signs[0] < -1e-9 * signs[-1] < 0.0) or not (
                 0.5 * abs(promised) - rounding <= abs(rise) <= 2.0 * abs(promised) + rounding):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Guards that watch a run sample by sample and say when it is no longer to be trusted."""
+"""Selection of the guards that apply to a simulation."""
 
 from collections.abc import Iterator
 import math
@@ -23,7 +23,7 @@ BAND_LIMIT, CHANGE_LIMIT = 0.05, 0.02
 def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
                 change_limit: float, barrier: tuple[str, float] | None) -> Iterator[Guard]:
     """
-    Yield the guards that apply to a simulation: the same ones in a study and in the node.
+    Yield the guards that apply to a simulation, in a study and in the node alike.
 
     Parameters
     ----------
@@ -50,14 +50,14 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
     if barrier is not None and simulation.conservative:
         yield BarrierGuard(*barrier, method.order)
     elif searchable(simulation) and simulation.system.integrator is method:
-        # On a constraint, or between walls, those of H are none of the motion.
+        # On a constraint or between walls, saddles of H are not saddles of the motion.
         yield BarrierGuard('saddle', math.inf, method.order, SaddleSearch(
             hamiltonian, lambda: simulation.rescue_ready))
     if searchable(simulation):
-        # Halved, a step that H was learned through is none that it is right for.
+        # An H learned through a scheme is valid at its own step size only, not at half of it.
         if hamiltonian.scheme is None:
             yield PathGuard(simulation)
-        # A network and a robot have no poles.
+        # Networks and robots have no poles.
         if hamiltonian.box is None and hamiltonian.robot is None:
             yield PoleGuard(hamiltonian)
     if simulation.connected:
@@ -66,7 +66,7 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
 
 
 def searchable(simulation: Simulation) -> bool:
-    """Return whether saddles are looked for, and the path is tried: of small systems."""
+    """Return whether the system is small and simple enough for the guards with trials."""
     hamiltonian = simulation.hamiltonian
     return (simulation.conservative and hamiltonian.canonical and not hamiltonian.rotations
             and simulation.q.ndim == 1 and hamiltonian.dimension <= MOST_COORDINATES)

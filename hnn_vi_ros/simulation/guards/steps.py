@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Guards of the steps: their cost, unsolved equations, and steps that another method took."""
+"""Guards of the steps: cost, ambiguous equations, and steps taken by another method."""
 
 from typing import ClassVar
 
@@ -8,23 +8,23 @@ from hnn_vi_ros.simulation.guards.base import Alarm, Observed, StateGuard
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
-# Times what the equations of a step take at most as a rule.
+# Limit of the gradients of a step, as a multiple of the usual maximum.
 _SLOW = 5
 
 
 class CostGuard(StateGuard):
     """
-    No step takes more than five times the gradients that its method takes at most as a rule.
+    Cost of steps: at most five times the usual maximum of gradients of the method.
 
-    A step that does is one whose equations have no solution that the method's own solver finds:
-    Newton's method takes it, or sub-steps do. Gradients are counted, and no time is measured, so
-    that the same run raises the same alarm everywhere. Of trajectories that step together a step
-    takes at most what each would take alone, so that much is allowed.
+    More are needed if the method's own solver finds no solution of the equations of a step, and
+    Newton's method or sub-steps take over. Gradients are counted instead of time, so that the
+    same run raises the same alarm on every machine. For trajectories that step together, the
+    limit is the sum of the limits of the single trajectories.
 
     Parameters
     ----------
     simulation : Simulation
-        Whose steps are watched.
+        Simulation to watch.
 
     """
 
@@ -52,19 +52,19 @@ class CostGuard(StateGuard):
 
 class CountGuard(StateGuard):
     """
-    Base of guards: a count of the simulation stays zero.
+    Base class of guards of a counter of the simulation that must stay zero.
 
     Parameters
     ----------
     simulation : Simulation
-        Whose steps are counted.
+        Simulation to watch.
 
     Attributes
     ----------
     counted : str
-        Attribute of the simulation that holds the count.
+        Attribute of the simulation that holds the counter.
     message : str
-        Line of the alarm, with a place for the count.
+        Message of the alarm, with a placeholder for the count.
 
     """
 
@@ -80,12 +80,12 @@ class CountGuard(StateGuard):
 
     def renew(self, sample: Observed) -> Alarm:
         count = getattr(self._simulation, self.counted)
-        # Those who look at a path afterwards see the counts of its end.
+        # The alarms of a finished path report the counts at its end.
         return Alarm(self.kind, self._simulation.steps, count, 0, self.message.format(count), '1')
 
 
 class SolutionGuard(CountGuard):
-    """No solver comes to another solution of a step than that which is connected to h = 0."""
+    """Solutions of steps: solvers find only the solution that is connected to h = 0."""
 
     kind = 'several solutions'
     remedy = 'use a smaller step_size: below the fold the equation has one solution'
@@ -96,9 +96,9 @@ class SolutionGuard(CountGuard):
 
 class RescueGuard(CountGuard):
     """
-    The scene's method takes all steps: none in sub-steps or by the midpoint rule.
+    Rescued steps: the scene's method takes all steps, without sub-steps or the midpoint rule.
 
-    Each change of method leaves H where it is, but moves what the method itself conserves.
+    Each change of method leaves H unchanged, but changes the value of the modified energy.
     """
 
     kind = 'rescued steps'

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The guards of a run outside of ROS: its energy scale, a screening, and what they find."""
+"""Guards of a run outside ROS: energy scale, screening of trajectories, and alarms."""
 
 import math
 import warnings
@@ -20,11 +20,11 @@ from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionG
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
-# An error of energy must be this many times larger, over the scale, to differ from rounding: a
-# share of a fiftieth is the smallest that can be watched.
+# Minimum of the energy scale, relative to the energies and per square root of the number of
+# steps: 50 times the rounding error, so that limits down to 1 / 50 of the scale exceed rounding.
 _FLOOR = 50.0 * rounding_walk(1.0, 1.0)
-# From rest, energies grow as the square of the time, and an error of the first order in h by the
-# share 1 / (2 n) of them in n steps: less than a fortieth beyond this many.
+# Starting from rest, energies grow as t^2, and an error of first order in h is 1 / (2 n) of them
+# after n steps: less than 1 / 40 beyond this number of steps.
 _EARLY = 20.0
 
 
@@ -32,7 +32,7 @@ _EARLY = 20.0
 def _follow_samples(record: np.ndarray, own: np.ndarray, step: np.ndarray, potential: np.ndarray,
                     virial: np.ndarray, accounted: np.ndarray, work: np.ndarray,
                     rounding: float) -> np.ndarray:
-    """Return the scales of the next samples; own are first and newest step, and largest size."""
+    """Return the scales of the next samples; own: first and last step, largest energy."""
     scales = np.empty(len(step))
     for i in range(len(step)):
         if math.isnan(own[0]):
@@ -50,22 +50,22 @@ def _follow_samples(record: np.ndarray, own: np.ndarray, step: np.ndarray, poten
 
 class SampledScale:
     """
-    Energy scale by which the guards of a run measure: one for all of them.
+    Energy scale shared by all guards of a run.
 
-    It is the EnergyScale of the samples so far, but no less than what rounding makes of H, as
-    for a system at rest. As long as energy has not been turned over, the first n steps may have
-    seen too little of it, as from a start at rest where the potential is zero: they count
-    1 + 20 / n times.
+    It is the EnergyScale of the samples so far, with a minimum from the rounding error of H, for
+    example for a system at rest. Until kinetic and potential energy have been exchanged once, it
+    is multiplied by 1 + 20 / n after n steps, since it may be too small then, for example after
+    a start at rest at zero potential.
 
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        H of the run.
+        Hamiltonian of the run.
 
     Attributes
     ----------
     value : float
-        The scale as of the last sample [J].
+        Scale at the last sample [J].
 
     """
 
@@ -73,13 +73,13 @@ class SampledScale:
         self.value = math.nan
         self._scale, self._rounding = EnergyScale(hamiltonian), hamiltonian.kernel.energy_scale
         self._record, self._own = np.zeros(RECORD), np.array([math.nan, math.nan, 0.0])
-        # The block that it was last asked for, and its scales; those of samples of the next one.
+        # The last block and its scales; scales of the first samples of the next block.
         self._block: Block | None = None
         self._values = np.zeros(0)
         self._ahead: list[float] = []
 
     def __call__(self, block: Block) -> np.ndarray:
-        """Return the scale at each sample of the next block [J], or of that before it again."""
+        """Return the scale at each sample of the next block, or of the last block again [J]."""
         if block is not self._block:
             ahead, self._ahead, self._block = self._ahead, [], block
             later = self._take(Block(*(part[len(ahead):] for part in block)) if ahead else block)
@@ -87,7 +87,7 @@ class SampledScale:
         return self._values
 
     def ahead(self, waiting: Waiting) -> float:
-        """Return the scale [J] at the last of the samples so far of what will be a block."""
+        """Return the scale [J] at the last buffered sample of the next block."""
         if (new := waiting.block(len(self._ahead))) is not None:
             self._ahead.extend(self._take(new))
         return self.value
@@ -95,7 +95,7 @@ class SampledScale:
     def _take(self, block: Block) -> np.ndarray:
         potential, virial = self._scale.virials(block.q, block.p, block.dH_dq, block.dH_dp)
         if potential.ndim > 1:
-            # The energies of trajectories that step together add up.
+            # Sum the energies of trajectories that step together.
             potential, virial = potential.sum(axis=1), virial.sum(axis=1)
         scales = _follow_samples(self._record, self._own, block.step, potential, virial,
                                  block.accounted, block.work, self._rounding)
@@ -107,26 +107,26 @@ class SampledScale:
 def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
              energy: np.ndarray, modified: np.ndarray) -> np.ndarray:
     """
-    Return which trajectories may raise an alarm.
+    Return a mask of the trajectories that may raise an alarm.
 
-    The bounds match the guards', with the whole band of a trajectory against the least energy
-    scale along it: a trajectory within them raises no alarm at any sample.
+    The guards' limits are applied to the whole band of a trajectory and the smallest energy scale
+    along it: a trajectory within them raises no alarm at any sample.
 
     Parameters
     ----------
     simulation : Simulation
-        Of any of them.
+        Simulation of any of the trajectories.
     steps : np.ndarray, shape (n,)
         Steps since the start.
     q, p : np.ndarray, shape (n, m, d)
         The trajectories.
     energy, modified : np.ndarray, shape (n, m)
-        H and H~ there; see ``energies_of``.
+        H and H~ along them; see ``energies_of``.
 
     Returns
     -------
     np.ndarray, shape (m,)
-        True where the guards must look.
+        True for trajectories that the guards must check.
 
     """
     hamiltonian, m = simulation.hamiltonian, q.shape[1]
@@ -144,7 +144,7 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
         return found
     known = modified if simulation.modification is not None else energy
     weights = np.maximum(np.diff(np.round(steps), prepend=steps[0]), 1.0)
-    # Written so that what is not finite is suspect. A change for good is less than the band.
+    # Non-finite values compare false, so are suspect. The band bounds every lasting change.
     with np.errstate(invalid='ignore', over='ignore'):
         scale = scales_along(hamiltonian, q, p, weights)[1:].min(axis=0)
         good = np.ptp(known, axis=0) <= min(BAND_LIMIT, CHANGE_LIMIT) * scale
@@ -158,18 +158,18 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
     return found | ~good
 
 
-# Most samples of a path that the guards see, besides its extremes. They need half as many to
-# recognise a lasting change; see EnergyGuard.
+# Approximate maximum of the samples of a path that the guards check, in addition to its extremes.
+# Half as many suffice to detect a lasting change; see EnergyGuard.
 SHOWN = 10_000
-# Coordinates of the looks that wait until guards look at them together.
+# Capacity of the buffer of samples, in coordinates.
 _WAITING = 4096
-# Trajectories that are screened at a time, which takes several times the memory of their states.
+# Number of trajectories screened at a time; screening takes several times their memory.
 _SCREENED = 1024
 
 
 class Watch:
     """
-    The guards of one run, and the first alarm of each kind.
+    Guards of one run, and the first alarm of each kind.
 
     Parameters
     ----------
@@ -180,12 +180,12 @@ class Watch:
     band_limit, change_limit : float, optional
         See ResolutionGuard and EnergyGuard.
     kinds : tuple of type, optional
-        The guards that are wanted; all that apply by default.
+        Classes of the guards to use; by default all that apply.
 
     Attributes
     ----------
     works : dict of int to float
-        The work done [J] after each number of steps at which it was looked at.
+        Work done [J] by number of steps, at each checked state.
 
     """
 
@@ -199,7 +199,7 @@ class Watch:
         self._of_blocks = [guard for guard in guards if isinstance(guard, BlockGuard)]
         self._of_states = [guard for guard in guards if isinstance(guard, StateGuard)]
         self._kinds = [guard.kind for guard in guards]
-        # What was found in which step, by kind.
+        # Step and first alarm by kind.
         self._found: dict[str, tuple[int, Alarm]] = {}
         self._waiting = Waiting(_WAITING)
 
@@ -213,7 +213,7 @@ class Watch:
             self._found.values(), key=lambda one: (one[0], self._kinds.index(one[1].kind)))]
 
     def update(self, look: Look) -> None:
-        """Show the next state to all guards."""
+        """Check the next state with all guards."""
         self.works[look.step] = look.work
         for guard in self._of_states:
             if (alarm := guard.update(look)) is not None:
@@ -226,20 +226,20 @@ class Watch:
     def show(self, simulation: Simulation, steps: np.ndarray, states: tuple[np.ndarray, ...],
              energies: tuple[np.ndarray, np.ndarray], most: int = SHOWN) -> None:
         """
-        Show a path: states at equal distances, the extremes of energy, the first outside a box.
+        Check a path at equidistant states, at its energy extremes, and at its first exit of a box.
 
         Parameters
         ----------
         simulation : Simulation
-            That took it, with no work done.
+            Simulation of the path, without effects that do work.
         steps : np.ndarray, shape (n,)
-            Steps since the start, and shares of steps.
+            Steps since the start, possibly fractional.
         states : tuple of np.ndarray, shape (n, d)
-            q and p there.
+            q and p along the path.
         energies : tuple of np.ndarray, shape (n,)
-            H and H~ there; see ``energies_of``.
+            H and H~ along the path; see ``energies_of``.
         most : int, optional
-            States to show at equal distances.
+            Approximate maximum number of equidistant states.
 
         """
         (q, p), (energy, modified), hamiltonian = states, energies, simulation.hamiltonian
@@ -258,7 +258,7 @@ class Watch:
 
 def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
                 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return H and H~, shape (...), of states of shape (..., d); H~ is NaN where none is."""
+    """Return H and H~, shape (...), at states of shape (..., d); H~ is NaN if unknown."""
     hamiltonian = simulation.hamiltonian
     energy = hamiltonian.energy(q, p)
     modified = None if simulation.modification is None else \
@@ -268,7 +268,7 @@ def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
 
 
 def look(simulation: Simulation) -> Look:
-    """Return the present state as guards look at it; of m trajectories, in shape (m, d)."""
+    """Return the current state for guards; for m trajectories, with shape (m, d)."""
     energy, modified = simulation.energies
     return Look(simulation.steps, simulation.q.copy(), simulation.p.copy(),
                 simulation.dH_dq.copy(), simulation.dH_dp.copy(), energy,
@@ -276,7 +276,7 @@ def look(simulation: Simulation) -> Look:
 
 
 def look_at_block(simulation: Simulation) -> Look:
-    """Return what the guards of ``watch_of_block`` look at: energies only where work is done."""
+    """Return the state for the guards of ``watch_of_block``; energies only if work is done."""
     if not simulation.conservative:
         return look(simulation)
     return Look(simulation.steps, simulation.q, simulation.p, simulation.dH_dq, simulation.dH_dp,
@@ -284,7 +284,7 @@ def look_at_block(simulation: Simulation) -> Look:
 
 
 def look_at_rows(simulation: Simulation, rows: np.ndarray, q: np.ndarray, p: np.ndarray) -> Look:
-    """Return what ``watch_of_block`` looks at, of rows whose states are q and p, (m, d)."""
+    """Return the state for ``watch_of_block`` of rows with states q and p, (m, d)."""
     energy, modified = energies_of(simulation, q, p)
     return Look(int(rows[0, 1]), q, p, *simulation.hamiltonian.gradient(q, p),
                 float(energy.sum()), float(modified.sum()), simulation.work_in(rows))
@@ -293,27 +293,27 @@ def look_at_rows(simulation: Simulation, rows: np.ndarray, q: np.ndarray, p: np.
 def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
               alarms: list[list[Alarm]]) -> np.ndarray:
     """
-    Show each of m trajectories to guards of its own; return H, shape (n, m).
+    Check each of m trajectories with its own guards; return H, shape (n, m).
 
     Parameters
     ----------
     simulation : Simulation
-        Of any of them.
+        Simulation of any of the trajectories.
     steps : np.ndarray, shape (n,)
         Steps since the start.
     q, p : np.ndarray, shape (n, m, d)
         The trajectories.
     alarms : list of list of Alarm
-        One list for each trajectory, to which what is found is added.
+        One list for each trajectory, to which its alarms are appended.
 
     """
     energy, modified = energies_of(simulation, q, p)
-    # Where work is done it is known of a block only, which was watched while it stepped.
+    # Work is known only for whole blocks, whose energy was checked while they were stepped.
     kinds = (Guard,) if simulation.conservative else (BoxGuard, InvariantGuard)
     hamiltonian = simulation.hamiltonian
     if simulation.conservative or hamiltonian.box is not None or hamiltonian.invariants:
         found = np.ones(len(alarms), bool)
-        # Guards see only a part of longer paths, which the screening does not know.
+        # Guards check only a part of the samples of longer paths, unlike the screening.
         if len(steps) < 2 * SHOWN:
             for first in range(0, len(found), _SCREENED):
                 block = np.s_[:, first:first + _SCREENED]
@@ -327,15 +327,15 @@ def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nd
 
 
 def tell(alarms: list[Alarm], step_size: float) -> None:
-    """Warn the caller of the caller of alarms."""
+    """Emit a warning for each alarm, attributed to the caller's caller."""
     for alarm in alarms:
-        # Its kind is the name under which the page on troubleshooting has its remedy.
+        # The page on troubleshooting lists remedies by `kind`.
         warnings.warn(f'{alarm.kind}: t = {alarm.step * step_size:.9g} s: {alarm.message}',
                       AlarmWarning, stacklevel=3)
 
 
 def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
-    """Warn the caller of the caller of the alarms of many trajectories, once of each kind."""
+    """Emit one warning per kind of alarm, for many trajectories, to the caller's caller."""
     for kind in dict.fromkeys(alarm.kind for own in alarms for alarm in own):
         found = {k: alarm for k, own in enumerate(alarms) for alarm in own if alarm.kind == kind}
         first, alarm = next(iter(found.items()))
@@ -345,6 +345,6 @@ def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
 
 
 def watch_of_block(simulation: Simulation) -> Watch:
-    """Return the guards whose alarms concern all trajectories of a block; see show_many."""
+    """Return the guards that apply to a block of trajectories as a whole; see show_many."""
     return Watch(simulation, None, kinds=(
         CostGuard, RescueGuard, SolutionGuard, *[EnergyGuard] * (not simulation.conservative)))
