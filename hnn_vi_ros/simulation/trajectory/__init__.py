@@ -1,3 +1,3 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate scenes in Python, and keep, plot and export the trajectories."""
+"""Simulation of scenes in Python; storage, plots and export of trajectories."""

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many trajectories of a scene on a device, with the guards' alarms about their steps."""
+"""Many trajectories of a scene on a torch device, with alarms about their steps."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,13 +13,13 @@ from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 import torch
 
-# Trajectories that step together on the processor: as many as one batch of their gradients takes,
-# several times, so that little of it is filled up; what comes of them does not depend on that.
+# Number of trajectories that step together on the CPU: several batches of gradients, so that
+# little of the last one is padding; results do not depend on it.
 TOGETHER = 3840
 
 
 def ensemble_on(device: str, parts: Parts) -> LockstepEnsemble:
-    """Return an ensemble of a scene on a device, with H of its own."""
+    """Return an ensemble of a scene on a device, with its own copy of H."""
     scene, hamiltonian, integrator, effects = parts.copy()
     return LockstepEnsemble(hamiltonian, integrator, scene.known_step_size, effects,
                             scene.on_failure, device)
@@ -28,23 +28,23 @@ def ensemble_on(device: str, parts: Parts) -> LockstepEnsemble:
 def record_on(ensemble: LockstepEnsemble, one: Simulation, q: np.ndarray, p: np.ndarray,
               samples: Sequence[int]) -> tuple[Recorded, dict[int, list[Alarm]]]:
     """
-    Take the steps of many trajectories in torch.
+    Simulate many trajectories in torch, and return their samples and alarms.
 
     Parameters
     ----------
     ensemble : LockstepEnsemble
-        Takes them.
+        Ensemble that takes the steps.
     one : Simulation
-        Of any one trajectory, shape (1, d).
+        Simulation of any one trajectory, shape (1, d).
     q, p : np.ndarray, shape (m, d)
         Initial states.
     samples : sequence of int
-        Numbers of steps, rising, at which to take samples.
+        Numbers of steps at which to take samples, in increasing order.
 
     Returns
     -------
     tuple of (Recorded, dict of int to list of Alarm)
-        The samples, and the alarms about the steps of those trajectories that have any.
+        The samples, and the alarms about steps by number of trajectory.
 
     """
     found = ensemble.record(q, p, samples)
@@ -54,7 +54,7 @@ def record_on(ensemble: LockstepEnsemble, one: Simulation, q: np.ndarray, p: np.
 
 @contextmanager
 def one_thread_each(device: str) -> Iterator[None]:
-    """Keep torch from starting threads besides the calling ones."""
+    """Limit torch to one thread per calling thread on the CPU."""
     before = torch.get_num_threads()
     if open_device(device).type == 'cpu':
         torch.set_num_threads(1)
@@ -65,13 +65,13 @@ def one_thread_each(device: str) -> Iterator[None]:
 
 
 def _noteworthy(one: Simulation, counts: Counts) -> list[int]:
-    """Return the trajectories that may raise an alarm of a guard."""
+    """Return the numbers of the trajectories that may raise an alarm."""
     slow = counts.costliest > one.usual_gradients
     return np.flatnonzero((counts.rescued > 0) | (counts.several_solutions > 0) | slow).tolist()
 
 
 def _told(one: Simulation, counts: Counts, k: int, steps: int) -> list[Alarm]:
-    """Return what the guards of steps say of a trajectory at its end."""
+    """Return the alarms of the guards of steps for a trajectory at its end."""
     one.steps = steps
     one.rescued, one.several_solutions = int(counts.rescued[k]), int(counts.several_solutions[k])
     one.costliest = int(counts.costliest[k]), int(counts.at[k])

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of trajectories: series over time, phase portraits, animations of mechanisms."""
+"""Figures of trajectories: time series, phase portraits, animations of mechanisms."""
 
 from collections.abc import Callable, Sequence
 import math
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# P. Tol, Colour Schemes (2021), "high contrast", and black: told apart by colour-blind readers,
-# and in grey, where their lightness L* is 29, 73, 50 and 0. A dash each besides.
+# P. Tol, Colour Schemes (2021), "high contrast", and black: distinguishable for colour-blind
+# readers and in grey, with lightness L* of 29, 73, 50 and 0. Each has its own dash pattern.
 COLOURS = ('#004488', '#ddaa33', '#bb5566', '#000000')
 DASHES = ('-', (0, (5, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.2)))
 EVENT, ALARM, CONTOUR = '0.55', '#bb5566', '0.82'
-# More curves than this in one panel are not told apart one by one: they are shaded by number.
+# More curves than this in one panel are shaded by number instead of named one by one.
 MOST_NAMED = 8
 _SUPERSCRIPTS = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
 
 
 def new_figure(width: float, height: float) -> 'Figure':
     """
-    Return an empty figure of this size [inch], which a window shows if the user has any.
+    Return an empty figure of this size [inch], shown in a window if there is a display.
 
-    Where there are no windows, as in a notebook or a script without a screen, pyplot keeps no
-    hold of it: it would be shown twice, or never freed.
+    Without windows, in a notebook or a script without a display, the figure is closed in pyplot,
+    which would otherwise show it twice or never free it.
     """
     with optional('matplotlib', 'drawing a trajectory'):
         from matplotlib import get_backend, pyplot
@@ -46,7 +46,7 @@ def new_figure(width: float, height: float) -> 'Figure':
 
 
 def label(name: str, unit: str) -> str:
-    """Return a name with its unit, whose powers are superscripts; that of a number is left out."""
+    """Return a name with its unit, with powers as superscripts; the unit '1' is omitted."""
     if unit == '1':
         return name
     raised = re.sub(r'(?<=[A-Za-z])-?\d+', lambda power: power[0].translate(_SUPERSCRIPTS), unit)
@@ -55,9 +55,9 @@ def label(name: str, unit: str) -> str:
 
 def draw_curves(axes: 'Axes', curves: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> None:
     """
-    Draw curves, each a name, x and y.
+    Draw curves, given as tuples (name, x, y).
 
-    More than MOST_NAMED are shaded from dark to light, and the first and the last are named.
+    More than MOST_NAMED curves are shaded from dark to light; only the first and last are named.
     """
     from matplotlib import colormaps
     shades = colormaps['cividis']
@@ -74,7 +74,7 @@ def draw_curves(axes: 'Axes', curves: Sequence[tuple[str, np.ndarray, np.ndarray
 
 
 def name_curves(axes: 'Axes') -> None:
-    """Name the marks of a panel in a legend to its right; its axis names a single one."""
+    """Add a legend to the right of a panel; a single curve is named by its axis instead."""
     if len(axes.get_legend_handles_labels()[1]) > 1:
         axes.legend(loc='center left', bbox_to_anchor=(1.01, 0.5), frameon=False,
                     fontsize='small', handlelength=2.6)
@@ -85,7 +85,7 @@ _WIDTH, _HEIGHT, _AROUND = 8.0, 1.7, 0.8
 
 
 class _Panel(NamedTuple):
-    """Curves that share an axis, each a name, x and y, and its label."""
+    """Label of an axis and its curves, as tuples (name, x, y)."""
 
     label: str
     curves: list[tuple[str, np.ndarray, np.ndarray]]
@@ -112,14 +112,14 @@ def draw_series(trajectory: Trajectory) -> 'Figure':
 
 
 def _write_title(figure: 'Figure', text: str) -> None:
-    """Write the title of a figure, in several lines where one would leave it."""
-    # A letter is some 8 points wide; lines end at commas.
+    """Write the title of a figure, wrapped to its width."""
+    # A letter is about 8 points wide; lines break at commas.
     parts = [part.replace(' ', '\N{NO-BREAK SPACE}') for part in text.split(', ')]
     figure.suptitle(fill(', '.join(parts), int(9.0 * figure.get_figwidth())))
 
 
 def _panels(trajectory: Trajectory, half: int) -> list[_Panel]:
-    """Return a panel for each unit of q (half 0) or p (half 1), of many for each column."""
+    """Return a panel per unit of q (half 0) or p (half 1); per column for many trajectories."""
     values, units = (trajectory.q, trajectory.p)[half], trajectory.units
     names = trajectory.names[half]
     if values.ndim == 3:
@@ -135,7 +135,7 @@ def _panels(trajectory: Trajectory, half: int) -> list[_Panel]:
 
 
 def _energy_panels(trajectory: Trajectory) -> list[_Panel]:
-    """Return the change of H, whose digits H itself would hide, and less the work of effects."""
+    """Return panels of the change of H, and of that change minus the work of effects."""
     t, change, work = trajectory.t, trajectory.energy - trajectory.energy[:1], trajectory.work
     if change.ndim == 2:
         return [_Panel('H - H(0) [J]', [
@@ -148,12 +148,12 @@ def _energy_panels(trajectory: Trajectory) -> list[_Panel]:
     return panels
 
 
-# Alarms of a run differ by their dashes [points].
+# Dash patterns of the alarms of a run [points].
 _DASHES = (1, 2), (5, 2), (9, 2, 1, 2)
 
 
 def _draw_instants(rows: np.ndarray, trajectory: Trajectory) -> None:
-    """Draw a line at each event, in every panel, and at each alarm that tells its step."""
+    """Draw vertical lines at events and alarms in every panel; no alarms for many trajectories."""
     for number, axes in enumerate(rows):
         named = set()
         for event in trajectory.events:
@@ -168,20 +168,20 @@ def _draw_instants(rows: np.ndarray, trajectory: Trajectory) -> None:
                          label=f'alarm: {alarm.kind}' if number == len(rows) - 1 else None)
 
 
-# Side of a panel [inch], and the most panels in a row.
+# Side of a panel [inch], and maximum number of panels per row.
 _SIDE, _MOST_IN_A_ROW = 3.6, 3
-# Room around the path, in shares of its extent.
+# Margin around the path, as a share of its extent.
 _MARGIN = 0.08
 
 
 def portrayed(trajectory: Trajectory) -> list[tuple[Coordinate, int, int]]:
     """
-    Return the coordinates that have a plane with their momentum, with their columns of q and p.
+    Return the coordinates that have a phase plane, with their column indices in q and p.
 
     Raises
     ------
     ValueError
-        There is none: all of them are rotations or poses.
+        There is none: all coordinates are rotations or poses.
 
     """
     q, p = (list(names) for names in trajectory.names)
@@ -195,7 +195,7 @@ def portrayed(trajectory: Trajectory) -> list[tuple[Coordinate, int, int]]:
 
 
 def draw_portrait(trajectory: Trajectory, contours: bool) -> 'Figure':
-    """Draw what ``Trajectory.phase_portrait`` tells; contours: level sets of H, too."""
+    """Draw the figure of ``Trajectory.phase_portrait``; contours adds level sets of H."""
     shown = portrayed(trajectory)
     across = min(len(shown), _MOST_IN_A_ROW)
     down = math.ceil(len(shown) / across)
@@ -208,21 +208,21 @@ def draw_portrait(trajectory: Trajectory, contours: bool) -> 'Figure':
         axes.set(xlabel=label(own.name, own.q_unit),
                  ylabel=label(momentum_name(own.name), own.p_unit))
         axes.margins(_MARGIN)
-        # Few ticks, whose labels are short: neighbours would overlap.
+        # Use few ticks with short labels, to avoid overlaps with neighbouring panels.
         axes.ticklabel_format(scilimits=(-2, 4))
         axes.locator_params('x', nbins=7)
         _draw_paths(axes, q, p)
         if contours and trajectory.scene is not None:
             draw_contours(axes, trajectory)
         axes.grid(alpha=0.3)
-    # The marks are the same in every panel.
+    # The legend is the same for every panel.
     name_curves(grid[0, across - 1])
     _write_title(figure, trajectory.title)
     return figure
 
 
 def _draw_paths(axes: 'Axes', q: np.ndarray, p: np.ndarray) -> None:
-    """Draw paths of shape (N,) or (N, m), where each begins, and where it ends."""
+    """Draw paths of shape (N,) or (N, m), with marks at their starts and ends."""
     paths = [('path', q, p)] if q.ndim == 1 else [
         (f'trajectory {k}', q[:, k], p[:, k]) for k in range(q.shape[1])]
     draw_curves(axes, paths)
@@ -234,7 +234,7 @@ def _draw_paths(axes: 'Axes', q: np.ndarray, p: np.ndarray) -> None:
 
 
 def draw_contours(axes: 'Axes', trajectory: Trajectory) -> None:
-    """Draw level sets of H behind the path of a single coordinate, over what the axes show."""
+    """Draw level sets of H behind the path of a single coordinate, within the axes' limits."""
     from matplotlib.collections import LineCollection
     q, p = trajectory.q.reshape(-1, 1), trajectory.p.reshape(-1, 1)
     frame = Frame(0, axes.get_xlim(), axes.get_ylim())
@@ -245,21 +245,21 @@ def draw_contours(axes: 'Axes', trajectory: Trajectory) -> None:
     axes.set(xlim=frame.q, ylim=frame.p)
 
 
-# More pictures than this would take minutes and gigabytes to draw.
+# Maximum number of frames: more would take minutes and gigabytes.
 MOST_FRAMES = 10_000
-# Side of a picture of a mechanism [inch], and width of its lines on paper [points].
+# Side of a frame with a mechanism [inch], and width of its lines [points].
 _FRAME_SIDE, _LINE_WIDTH = 5.0, 3.0
-# Room around a mechanism, in shares of its extent.
+# Margin around a mechanism, as a share of its extent.
 _FRAME_MARGIN = 0.06
 _GROUND = '#0d1117'
 _AXES = ('x [m]', 'y [m]', 'z [m]')
 
-# Moves what is drawn to the sample of a number.
+# Function that updates a drawing to the sample with a given number.
 _Show = Callable[[int], None]
 
 
 def animate(trajectory: Trajectory, speed: float, rate: float) -> 'FuncAnimation':
-    """Return what ``Trajectory.animate`` tells."""
+    """Return the animation of ``Trajectory.animate``."""
     run = trajectory.single()
     for name, value in (('speed', speed), ('rate', rate)):
         if not value > 0.0:
@@ -268,7 +268,7 @@ def animate(trajectory: Trajectory, speed: float, rate: float) -> 'FuncAnimation
     if len(times) > MOST_FRAMES:
         raise ValueError(f'{len(times)} pictures are more than {MOST_FRAMES}: take a larger speed '
                          'or a smaller rate')
-    # The newest sample that is not later; half a rounding error of time does not matter.
+    # Take the newest sample that is not later, with a tolerance for rounding of times.
     samples = np.searchsorted(run.t, times + 1e-9 * speed / rate, side='right') - 1
     mechanism = run.mechanism()
     figure, show = _mechanism(run, mechanism) if mechanism else _portrait(run)
@@ -279,7 +279,7 @@ def animate(trajectory: Trajectory, speed: float, rate: float) -> 'FuncAnimation
         clock.set_text(f't = {run.t[k]:.3f} s')
         show(k)
 
-    # Laid out once, which takes as long as drawing: nothing changes its size from then on.
+    # Compute the layout once: it takes as long as drawing, and sizes do not change afterwards.
     update(int(samples[0]))
     figure.draw_without_rendering()
     figure.set_layout_engine('none')
@@ -288,7 +288,7 @@ def animate(trajectory: Trajectory, speed: float, rate: float) -> 'FuncAnimation
 
 
 def _portrait(run: Trajectory) -> tuple['Figure', _Show]:
-    """Return a figure of the phase portraits, in which a point follows each path."""
+    """Return a figure of phase portraits with a point moving along each path."""
     shown = portrayed(run)
     figure = draw_portrait(run, contours=len(run.coordinates) == 1)
     points = [axes.plot([], [], 'o', color=COLOURS[2], markersize=9.0, zorder=4)[0]
@@ -301,11 +301,11 @@ def _portrait(run: Trajectory) -> tuple['Figure', _Show]:
 
 
 def _mechanism(run: Trajectory, mechanism: Mechanism) -> tuple['Figure', _Show]:
-    """Return a figure of the mechanism, seen along the axis in which it extends least."""
+    """Return a figure of the mechanism, viewed along the axis of its smallest extent."""
     parts = mechanism(run.q, float(np.abs(run.q).max()) or 1.0)
     bounds = bounds_of(parts)
     moved = bounds_of({name: part for name, part in parts.items() if part.moves})
-    # A tie hides y, so that x is to the right and z up; see REP 103.
+    # In case of a tie view along y, so that x is to the right and z up; see REP 103.
     extents = np.ptp(moved, axis=0)
     hidden = 1 if extents[1] <= extents.min() * (1.0 + 1e-9) else int(extents.argmin())
     across, up = (axis for axis in range(3) if axis != hidden)
@@ -316,7 +316,7 @@ def _mechanism(run: Trajectory, mechanism: Mechanism) -> tuple['Figure', _Show]:
     low, high = bounds - _FRAME_MARGIN * size.max() * np.array([[1.0], [-1.0]])
     axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect='equal',
              xlabel=_AXES[across], ylabel=_AXES[up])
-    # Parts have the viewer's colours, on its dark ground.
+    # Parts have the viewer's colours, on its dark background.
     axes.set_facecolor(_GROUND)
     drawn = [_draw(axes, part, across, up) for part in parts.values()]
 
@@ -327,7 +327,7 @@ def _mechanism(run: Trajectory, mechanism: Mechanism) -> tuple['Figure', _Show]:
 
 
 def _draw(axes: 'Axes', part: Part, across: int, up: int) -> _Show:
-    """Draw a part, and return what moves it to the place of a sample."""
+    """Draw a part, and return the function that moves it to a sample."""
     colour = tuple(value / 255.0 for value in part.color)
     if isinstance(part, Line):
         line, = axes.plot([], [], color=colour, linewidth=_LINE_WIDTH, solid_capstyle='round',

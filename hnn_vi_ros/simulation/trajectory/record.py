@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of simulations: of one trajectory, or of many in blocks that several threads take."""
+"""Recording of samples: of one trajectory, or of many in blocks on several threads."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
@@ -16,30 +16,30 @@ from hnn_vi_ros.simulation.processors import in_threads, usable_processors
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
-# Trajectories that step together: a network's weights are read once for all of them. Larger
-# blocks gain no more, and each waits for its slowest trajectory.
+# Number of trajectories that step together, for which a network's weights are read only once.
+# Larger blocks are no faster, because each waits for its slowest trajectory.
 BLOCK = 32
-# Coordinates that the samples of a run may have in all; with as many momenta: 4 GiB.
+# Maximum number of coordinates in all samples of a run; with their momenta 4 GiB.
 MOST_NUMBERS = 2**28
-# Compiled code counts no further.
+# Largest step counter of compiled code.
 _MOST_STEPS = 2**63 - 1
 
-# Commands over time: a function of time [s], or values at each sample.
+# Commands over time: a function of time [s], or one row per sample.
 Commands = Callable[[float], Command] | Sequence[Sequence[float]] | np.ndarray
-# Samples of q and of p, shape (n, d) or (n, m, d).
+# Samples of q and p, shape (n, d) or (n, m, d).
 Samples = tuple[np.ndarray, np.ndarray]
 
 
 class Schedule(NamedTuple):
     """
-    Samples after the initial state: some whole steps apart, then others anywhere.
+    Schedule of the samples after the initial state: first at whole steps, then at any times.
 
     Parameters
     ----------
     samples, every : int
-        How many, each so many steps after the one before.
+        Number of samples at whole steps, and number of steps between them.
     rest : np.ndarray, shape (k,)
-        Times of the others, rising [s].
+        Times of the other samples, in increasing order [s].
 
     """
 
@@ -49,7 +49,7 @@ class Schedule(NamedTuple):
 
     @classmethod
     def until(cls, duration: float, every: int, step_size: float, width: int) -> 'Schedule':
-        """Return samples of so many coordinates, or raise ValueError; the last is at the end."""
+        """Return equidistant samples, the last one at the end; ValueError if they are too many."""
         every = min(every, _MOST_STEPS)
         check_memory(duration, step_size * every, width)
         steps, part = whole_steps(duration, step_size)
@@ -59,7 +59,7 @@ class Schedule(NamedTuple):
 
     @classmethod
     def at(cls, times: Sequence[float] | np.ndarray, duration: float) -> 'Schedule':
-        """Return samples at given times [s], or raise."""
+        """Return samples at given times [s], or raise ValueError."""
         t = check_numbers('times', times)
         if t.ndim != 1 or t.size == 0:
             raise ValueError(
@@ -82,9 +82,9 @@ def check_memory(duration: float, interval: float, dimension: int) -> None:
     Parameters
     ----------
     duration, interval : float
-        Of the run, and from one sample to the next [s].
+        Duration of the run, and time between samples [s].
     dimension : int
-        Coordinates of each, of all trajectories.
+        Coordinates per sample, summed over all trajectories.
 
     """
     samples = duration / interval
@@ -96,36 +96,36 @@ def check_memory(duration: float, interval: float, dimension: int) -> None:
 def record(simulation: Simulation, schedule: Schedule, watch: Watch,
            commands: Commands | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Take samples of one trajectory, or of several that step together.
+    Record samples of one trajectory, or of several that step together.
 
     Parameters
     ----------
     simulation : Simulation
-        In its initial state, of shape (d,) or (m, d).
+        Simulation in its initial state, of shape (d,) or (m, d).
     schedule : Schedule
-        When.
+        Schedule of the samples.
     watch : Watch
-        The guards, which look on meanwhile where work is done.
+        Guards, updated during the run if there are commands or effects that do work.
     commands : callable or np.ndarray, shape (N, c), optional
         See ``simulate``.
 
     Returns
     -------
     tuple of np.ndarray, shape (n,), (n, ...), (n, ...)
-        Times [s], q and p, of the initial state as well; where an event ends the run it is the
-        last one.
+        Times [s], q and p, starting with the initial state; if an event ends the run, its state
+        is the last sample.
 
     Raises
     ------
     StepFailure
-        A step did not converge or is not finite.
+        A step did not converge, or its result is not finite.
 
     """
     t = schedule.times(simulation.step_size)
     parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
     try:
         for part in _parts(simulation, schedule, watch, commands):
-            parts.append(part)  # noqa: PERF402  what was taken before it stops is kept
+            parts.append(part)  # noqa: PERF402  keeps the samples taken before a stop
     except StoppedByEvent as stop:
         parts += [(stop.q, stop.p), (stop.event.q[None], stop.event.p[None])]
         t = np.append(t[:sum(len(q) for q, _ in parts) - 1], stop.event.t)
@@ -135,7 +135,7 @@ def record(simulation: Simulation, schedule: Schedule, watch: Watch,
 
 def _parts(simulation: Simulation, schedule: Schedule, watch: Watch, commands: Commands | None
            ) -> Iterator[Samples]:
-    """Yield the samples, some at a time; look on between them where work is done."""
+    """Yield samples in batches; update the guards between them if work is done."""
     (samples, every, rest), looks = schedule, commands is not None or not simulation.conservative
 
     def show() -> None:
@@ -159,7 +159,7 @@ def _parts(simulation: Simulation, schedule: Schedule, watch: Watch, commands: C
 
 
 def check_commands(commands: Commands, schedule: Schedule) -> Commands:
-    """Return rows of commands as an array, or raise if there are too few."""
+    """Return commands, with rows as an array; ValueError if there are too few rows."""
     if callable(commands):
         return commands
     rows, samples = check_numbers('commands', commands), schedule.samples + schedule.rest.size
@@ -170,38 +170,38 @@ def check_commands(commands: Commands, schedule: Schedule) -> Commands:
 
 
 def _advance(simulation: Simulation, steps: int, commands: Commands, sample: int) -> None:
-    """Take steps after a sample, with a command before each: none ends by the time-out."""
+    """Take steps after a sample, setting the command before each, so that none times out."""
     for _ in range(steps):
         simulation.set_command(_command(commands, simulation.time, sample))
         simulation.advance(1)
 
 
 def _command(commands: Commands, time: float, sample: int) -> Command:
-    """Return the command at a time, which lies after a sample."""
+    """Return the command at a time after the sample with this index."""
     return commands(time) if callable(commands) else commands[sample]
 
 
 def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
                  schedule: Schedule) -> tuple[np.ndarray, np.ndarray, list[Alarm]]:
     """
-    Take the samples of trajectories that step together.
+    Record samples of trajectories that step together.
 
     Parameters
     ----------
     simulation : Simulation
-        Of as many trajectories; it is restarted.
+        Simulation of m trajectories; it is restarted.
     q, p : np.ndarray, shape (m, d)
         Initial states.
     stream : int
-        Of noise.
+        Number of the noise stream.
     schedule : Schedule
-        When.
+        Schedule of the samples.
 
     Returns
     -------
     tuple of (np.ndarray, np.ndarray, list of Alarm)
-        q and p, shape (n, m, d), and the alarms about the steps of all; without work those about
-        energies are left to ``show_many``.
+        q and p, shape (n, m, d), and the alarms about steps of the block; if no work is done,
+        ``show_many`` provides the alarms about energies.
 
     Raises
     ------
@@ -219,23 +219,23 @@ def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: i
 def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
                 commands: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[Alarm]]:
     """
-    Take the samples of trajectories each of which has commands of its own.
+    Record samples of trajectories with individual commands.
 
     Parameters
     ----------
     simulation : Simulation
-        Of one of them; it is restarted.
+        Simulation of one of the trajectories; it is restarted.
     q, p : np.ndarray, shape (m, d)
         Initial states.
     stream : int
-        Of the noise of the first; the others have those that follow.
+        Number of the noise stream of the first trajectory; the others use the following numbers.
     commands : iterable of np.ndarray, shape (m, every, c)
-        Before each step, from one sample to the next.
+        For each interval between samples, the commands before each step.
 
     Returns
     -------
     tuple of (np.ndarray, np.ndarray, list of Alarm)
-        q and p, shape (n, m, d), and the alarms about the steps of all.
+        q and p, shape (n, m, d), and the alarms about steps of all trajectories.
 
     Raises
     ------
@@ -260,16 +260,16 @@ def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: in
 def in_blocks(count: int, size: int, threads: int | None,
               start: Callable[[slice], Callable[[slice], None]]) -> None:
     """
-    Take trajectories, block by block, in several threads.
+    Process trajectories in blocks on several threads.
 
     Parameters
     ----------
     count, size : int
-        How many there are, and how many make a block.
+        Number of trajectories, and number per block.
     threads : int or None
-        By default as many as there are processors.
+        Maximum number of threads; None for the number of usable processors.
     start : callable
-        Takes the first block of a thread, and returns what takes all blocks of it.
+        Called in each thread with its first block; returns the function that processes a block.
 
     """
     workers = min(threads or usable_processors(), -(-count // size))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories of a scene without ROS: one, or many in lock-step blocks on several threads."""
+"""Simulation of a scene without ROS: one trajectory, or many in lockstep blocks on threads."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -31,31 +31,32 @@ from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Of m trajectories: to be held from sample to sample, or a function of the time [s].
+# Commands of m trajectories: rows held from sample to sample, or a function of time [s].
 ManyCommands = ArrayLike | Callable[[float], ArrayLike]
 _FIRST = slice(0, 1)
-# Share of the gradients that a run of a calibration may take: tenths of a second.
+# Limit of gradients for `name_step`, as a share of the limit of a calibration run: some tenths of
+# a second.
 _SHARE = 0.1
 
 
 def name_step(alarms: Sequence[Alarm], simulation: Simulation,
               repeat: Callable[[float], Sequence[Alarm]]) -> list[Alarm]:
     """
-    Return the alarms of a run, that of ResolutionGuard with a step size that raises none.
+    Return the alarms of a run, with a sufficient step size added to that of ResolutionGuard.
 
-    How far an energy has gone says little of the step that would keep it: where steps do not
-    resolve a motion its error is as large as the energies in play, at any of them. So the run is
-    repeated with a half of its step, a quarter and so on; none is named where that takes more
-    gradients than some tenths of a second hold.
+    The energy error does not predict this step size: at any step size that does not resolve the
+    motion, the error is as large as the energy scale. The run is therefore repeated with a half
+    of its step size, a quarter and so on; no step size is added if this takes more gradients than
+    can be evaluated in some tenths of a second.
 
     Parameters
     ----------
     alarms : sequence of Alarm
-        Of the run.
+        Alarms of the run.
     simulation : Simulation
-        That took it.
+        Simulation at the end of the run.
     repeat : callable
-        Repeats it at another step size [s], and returns its alarms.
+        Function that repeats the run at another step size [s] and returns its alarms.
 
     """
     told = list(alarms)
@@ -72,13 +73,13 @@ def _resolving_step(simulation: Simulation, repeat: Callable[[float], Sequence[A
                     ) -> float | None:
     h, cost = simulation.step_size, simulation.gradients
     if simulation.usual_gradients:
-        # Steps that are hard to solve take more, which shorter ones do not.
+        # Ignore extra gradients of steps that are hard to solve: shorter ones do not need them.
         cost = min(cost, simulation.steps * simulation.usual_gradients)
     most = _SHARE * InitialValueProblem(
         simulation.hamiltonian, (), simulation.q, simulation.p).gradients
     while (cost := 2 * cost) <= most:
         h *= 0.5
-        # Rounded down, to two digits.
+        # Round down to two significant digits.
         digit = 10.0 ** (math.floor(math.log10(h)) - 1)
         h = float(f'{math.floor(h / digit * (1.0 + 1e-12)) * digit:.2g}')
         with warnings.catch_warnings(), np.errstate(all='ignore'):
@@ -103,47 +104,47 @@ def simulate(scene: Scene | Parts | str | Path, duration: float, *, step_size: f
     Parameters
     ----------
     scene : Scene, Parts, str or Path
-        From ``load_scene``, or what that takes: the name of a shipped scene, or a YAML file.
+        A scene from ``load_scene``, the name of a shipped scene, or the path of a YAML file.
     duration : float
-        Simulated time [s], which the last sample is at; see DenseStep for a time between steps.
+        Simulated time [s] of the last sample; see DenseStep for a time between steps.
     step_size : float, optional
-        h [s], in place of the scene's.
+        Step size h [s]; overrides the scene's.
     integrator : str, optional
-        A name from INTEGRATORS, in place of the scene's.
+        Key of INTEGRATORS; overrides the scene's integrator.
     initial_state : tuple of (q, p), shape (d,) each, optional
-        In place of the scene's.
+        Initial state; overrides the scene's.
     effects : sequence of mapping, optional
-        In place of the scene's, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
+        Effects, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``; overrides the scene's.
     commands : callable or array, shape (N, c), optional
-        Of external_force: a function of the time [s] that is asked before each step, or a row for
-        each sample, which holds until the next. For a servo, a function that returns JointCommand.
+        Commands for external_force: a function of time [s], called before each step, or one row
+        per sample, held until the next. For a servo, a function that returns JointCommand.
     every : int, optional
-        Steps from one sample to the next.
+        Number of steps between samples.
     times : sequence of float, optional
-        Of the samples in place of every, rising, from 0 to the duration [s]; they need not be
-        whole steps. Not with commands, which are held from sample to sample.
+        Times of the samples, instead of `every`, in increasing order from 0 to the duration [s];
+        they may lie between steps. Cannot be combined with commands, which are held per sample.
 
     Returns
     -------
     Trajectory
-        The first sample is the initial state, unless times says otherwise; the last one is where
-        an event ended the run, if one did.
+        The samples. The first is the initial state, unless `times` is given; if an event ended
+        the run, the last is the state at the event.
 
     Warns
     -----
     AlarmWarning
-        A guard says that the run is not to be trusted; ``alarms`` of the trajectory holds it. Of
-        a run that is under-resolved the warning names a step size that resolves it, where one is
-        found in some tenths of a second.
+        A guard found the run unreliable; ``alarms`` of the trajectory contains the alarm. For an
+        under-resolved run the warning recommends a step size, if one is found within some tenths
+        of a second.
 
     Raises
     ------
     HnnViRosError
-        An unknown scene or integrator, a model that cannot be loaded, or a StepFailure.
+        Unknown scene or integrator, a model that cannot be loaded, or a StepFailure.
     ValueError
-        An argument that is not usable, or more samples than fit into memory.
+        Invalid argument, or more samples than fit into memory.
     TypeError
-        An argument of another type.
+        Argument of a wrong type.
 
     """
     check_seconds('duration', duration)
@@ -154,7 +155,7 @@ def simulate(scene: Scene | Parts | str | Path, duration: float, *, step_size: f
     recorded = record_one(simulation, duration, int(every), times, commands)
 
     def repeat(h: float) -> tuple[Alarm, ...]:
-        # At whole steps alone, where that is as good: states between them take time.
+        # Sample at whole steps only, which suffices: states between steps are expensive.
         other = build(parts._replace(scene=scene.with_overrides(h)))
         return record_one(other, float(recorded.t[-1]), int(every) if times is None else 1).alarms
 
@@ -166,7 +167,7 @@ def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = N
                   integrator: str | None = None,
                   initial_state: tuple[ArrayLike, ArrayLike] | None = None,
                   effects: Sequence[Mapping[str, Any]] | None = None) -> Parts:
-    """Return the parts of a resolved scene, with others where given; see ``simulate``."""
+    """Return the parts of a resolved scene with overrides applied; see ``simulate``."""
     own = scene.scene if isinstance(scene, Parts) else _scene(scene)
     changed = _resolved(own.with_overrides(
         step_size, integrator, _state(initial_state), _listed(effects)))
@@ -177,19 +178,19 @@ def record_one(simulation: Simulation, duration: float, every: int,
                times: Sequence[float] | np.ndarray | None = None,
                commands: Commands | None = None) -> Trajectory:
     """
-    Take the samples of one trajectory, and warn of nothing.
+    Simulate one trajectory without emitting warnings.
 
     Parameters
     ----------
     simulation : Simulation
-        In its initial state, of shape (d,).
+        Simulation in its initial state, of shape (d,).
     duration, every, times, commands
         See ``simulate``.
 
     Returns
     -------
     Trajectory
-        With the alarms.
+        The samples, with alarms.
 
     Raises
     ------
@@ -201,7 +202,7 @@ def record_one(simulation: Simulation, duration: float, every: int,
     if times is not None:
         if commands is not None:
             raise ValueError('times and commands cannot both be given: use every with commands')
-        # They need not begin with the initial state.
+        # Given times need not include the initial state.
         schedule, first = Schedule.at(times, duration), 1
     else:
         schedule, first = Schedule.until(
@@ -211,7 +212,7 @@ def record_one(simulation: Simulation, duration: float, every: int,
     energies, work = energies_of(simulation, q, p), None
     if not simulation.conservative:
         steps = [whole_steps(time, simulation.step_size) for time in t.tolist()]
-        # Of a state between two steps the work is not known.
+        # The work at states between steps is unknown.
         work = np.array([math.nan if share else watch.works.get(step, math.nan)
                          for step, share in steps])
     else:
@@ -223,16 +224,16 @@ def record_one(simulation: Simulation, duration: float, every: int,
 
 
 def _resolved(scene: Scene) -> Scene:
-    """Return a scene that names its method and its step size."""
+    """Return the scene with `integrator: auto`, if it has that, resolved."""
     if not isinstance(scene.integrator, AutoChoice):
         return scene
-    # Imported here: few scenes ask for a choice.
+    # Imported lazily: few scenes use `integrator: auto`.
     from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
     return resolve(scene)[0]
 
 
 def _scene(scene: Scene | str | Path) -> Scene:
-    """Return the scene of a name."""
+    """Return a scene, loaded if given by name or path."""
     if isinstance(scene, str | Path):
         return load_scene(scene)
     if not isinstance(scene, Scene):
@@ -242,7 +243,7 @@ def _scene(scene: Scene | str | Path) -> Scene:
 
 
 def _state(state: tuple[ArrayLike, ArrayLike] | None) -> dict[str, list[float]] | None:
-    """Return a pair (q, p) by name."""
+    """Return a pair (q, p) as a mapping with the keys q and p."""
     if state is None:
         return None
     if not isinstance(state, Sequence | np.ndarray) or isinstance(state, str) or len(state) != 2:
@@ -254,7 +255,7 @@ def _state(state: tuple[ArrayLike, ArrayLike] | None) -> dict[str, list[float]] 
 
 def _initial_states(q: ArrayLike, p: ArrayLike,
                     hamiltonian: Hamiltonian) -> list[np.ndarray]:
-    """Return q and p of initial states, of shape (m, d), or raise an error about them."""
+    """Return q and p of initial states, shape (m, d), or raise an error if they are invalid."""
     states, d, turning = (
         (check_numbers('q', q), check_numbers('p', p)), hamiltonian.dimension,
         hamiltonian.rotations)
@@ -271,12 +272,12 @@ def _initial_states(q: ArrayLike, p: ArrayLike,
 
 
 def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
-    """Return a sequence of effects as the list that a scene holds; leave anything else alone."""
+    """Return a tuple of effects as a list, and anything else unchanged."""
     return list(effects) if isinstance(effects, tuple) else effects
 
 
 def _numbers(commands: Any, time: float, sample: int, shape: tuple[int, int]) -> np.ndarray:
-    """Return the commands of all trajectories, (m, c), at a time after a sample."""
+    """Return the commands of all trajectories, (m, c), at a time after sample `sample`."""
     if not callable(commands):
         return np.asarray(commands[:, sample])
     return np.broadcast_to(_checked_numbers(
@@ -284,7 +285,7 @@ def _numbers(commands: Any, time: float, sample: int, shape: tuple[int, int]) ->
 
 
 def _checked_numbers(name: str, values: Any, shapes: list[tuple[int, ...]]) -> np.ndarray:
-    """Return numbers of one of the shapes, or raise ValueError."""
+    """Return finite numbers of one of the shapes, or raise ValueError."""
     found = check_numbers(name, values)
     if found.shape not in shapes:
         raise ValueError(f'{name} has shape {found.shape}, expected '
@@ -300,39 +301,39 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     """
     Simulate one scene from many initial states.
 
-    Trajectories do not depend on each other: a block of them is one system, the sum of their
-    Hamiltonians, so the formula of a step is the same code. The implicit equations of a block
-    are solved until each of its trajectories has converged. With a thermostat, an impact or a
-    constraint each trajectory steps alone, and meets its own noise.
+    Trajectories are independent: a block of them is one system whose H is the sum of their
+    Hamiltonians, stepped by the same code. The implicit equations of a block are solved until
+    each of its trajectories has converged. With a thermostat, an impact or a constraint each
+    trajectory is stepped separately, with its own noise.
 
     Parameters
     ----------
     scene : Scene, str or Path
-        See ``simulate``; its own initial state is not used.
+        See ``simulate``; the scene's initial state is not used.
     q, p : sequence, shape (m, d)
         Initial states.
     duration : float
         Simulated time [s].
     samples : int, optional
-        Samples after the initial one, evenly spaced; see DenseStep for times between steps.
+        Number of equidistant samples after the initial one; see DenseStep for times between steps.
     commands : array or callable, optional
-        Of external_force, plain numbers: an array of shape (m, samples, c), which each trajectory
-        holds from sample to sample, or a function of the time [s] that returns (m, c) or (c,)
-        before each step. Each trajectory then steps alone, bit by bit as in ``simulate``, and
-        samples lie whole steps apart.
+        Commands for external_force as plain numbers: an array of shape (m, samples, c), held from
+        sample to sample, or a function of time [s] that returns (m, c) or (c,), called before
+        each step. Each trajectory is then stepped separately, with results bit-identical to
+        ``simulate``, and the interval between samples must be a whole number of steps.
     threads : int, optional
-        By default as many as there are processors; of no meaning on a GPU.
+        Number of threads; by default the number of usable processors. Ignored on a GPU.
     device : str, optional
-        ``'cuda'``, ``'cuda:N'`` or ``'cpu'``: take the steps in torch, with each trajectory solved
-        by itself, in place of compiled loops; see docs/scale.md. For an H of perceptrons, without
-        effects, and some of the methods.
+        torch device, ``'cuda'``, ``'cuda:N'`` or ``'cpu'``: take the steps in torch instead of
+        compiled loops, solving each trajectory separately; see docs/scale.md. Requires an H of
+        perceptrons without effects, and supports some of the methods.
 
     Returns
     -------
     Trajectory
         t of shape (samples + 1,), q and p of shape (samples + 1, m, d), energy of shape
-        (samples + 1, m). Alarms about steps, and about energies where work is done, go to all
-        trajectories that step together.
+        (samples + 1, m). Alarms about steps, and about energies if work is done, are assigned to
+        all trajectories of a block.
 
     Warns
     -----
@@ -342,13 +343,13 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     Raises
     ------
     HnnViRosError
-        The scene cannot be built, or a step of some trajectory fails.
+        The scene cannot be built, or a step of any trajectory fails.
     MissingPackage
-        A device takes the extra ``train``.
+        `device` is given, but the extra ``train`` is not installed.
     ValueError
-        An argument that is not usable, or more samples than fit into memory.
+        Invalid argument, or more samples than fit into memory.
     TypeError
-        An argument of another type.
+        Argument of a wrong type.
 
     """
     check_seconds('duration', duration)
@@ -376,23 +377,23 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
 
 class _Many:
     """
-    Trajectories of one scene from many initial states.
+    Run of many trajectories of one scene.
 
     Parameters
     ----------
     parts : Parts
-        Of the scene.
+        Parts of the scene.
     q, p, duration, samples
         See ``simulate_many``.
 
     Attributes
     ----------
     t : np.ndarray, shape (samples + 1,)
-        Times [s].
+        Times of the samples [s].
     q, p : np.ndarray, shape (samples + 1, m, d)
-        The samples, once steps are taken by one of the methods below.
+        Samples, filled in by step, follow or step_on.
     alarms : list of list of Alarm
-        About the steps of each.
+        Alarms about the steps of each trajectory.
 
     """
 
@@ -411,11 +412,11 @@ class _Many:
         self.alarms: list[list[Alarm]] = [[] for _ in q0]
 
     def simulation(self, block: slice = _FIRST) -> Simulation:
-        """Return a simulation of some of the trajectories, in their initial states."""
+        """Return a simulation of a block of trajectories in their initial states."""
         return build_at(self.parts, self.q[0, block], self.p[0, block])
 
     def step(self, threads: int | None) -> None:
-        """Take the steps in compiled loops; those of a block together where they can be."""
+        """Take the steps in compiled loops, in lockstep blocks if the system supports it."""
         _, hamiltonian, integrator, effects = self.parts
         size = BLOCK if System(hamiltonian, effects, integrator).lockstep else 1
         schedule = Schedule(0, 1, self.t[1:]) if self._share or not self._every else \
@@ -428,7 +429,7 @@ class _Many:
         in_blocks(self.count, size, threads, start)
 
     def follow(self, commands: ManyCommands, threads: int | None, device: str | None) -> None:
-        """Take the steps of each with commands of its own, or raise ValueError."""
+        """Take the steps with individual commands, or raise ValueError."""
         one = self.simulation()
         if not one.takes_commands:
             raise ValueError('no effect of the scene takes commands: add external_force, with its '
@@ -437,7 +438,7 @@ class _Many:
             raise ValueError('with commands samples lie whole steps apart, and no device takes '
                              'the steps; take another duration or samples, and leave device out')
         if callable(commands):
-            # It need not be one that several threads can call.
+            # The function may not be thread-safe.
             threads = 1
         else:
             commands = _checked_numbers(
@@ -451,14 +452,14 @@ class _Many:
         in_blocks(self.count, BLOCK, threads, start)
 
     def _held(self, commands: Any, c: int) -> Iterator[np.ndarray]:
-        """Yield the commands before each step from one sample to the next, (m, every, c)."""
+        """Yield, for each interval between samples, the commands of its steps, (m, every, c)."""
         for sample in range(self.t.size - 1):
             yield np.stack([
                 _numbers(commands, k * self.step_size, sample, (self.count, c))
                 for k in range(sample * self._every, (sample + 1) * self._every)], axis=1)
 
     def step_on(self, device: str, threads: int | None) -> None:
-        """Take the steps in torch, or raise ValueError, or the failure of the first that fails."""
+        """Take the steps in torch; raise ValueError, or the failure of the first failed row."""
         if self._share:
             raise ValueError(f'device = {device}: samples lie {self._interval:g} s apart, '
                              f'{self._interval / self.step_size:g} steps: on a device these are '

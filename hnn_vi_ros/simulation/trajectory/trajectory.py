@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The samples of a run, which can be drawn, shown, and handed to other libraries."""
+"""Samples of a run, with plots, animations and export to other libraries."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,27 +28,27 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """
-    The samples of one run, or of m trajectories that were simulated together.
+    Samples of one run, or of m trajectories simulated together.
 
     Parameters
     ----------
     t : np.ndarray, shape (N,)
         Simulated time [s].
     q, p : np.ndarray, shape (N, d) or (N, m, d)
-        Generalised coordinates and conjugate momenta; of p one column less for each rotation.
+        Generalised coordinates and conjugate momenta; p has one column less for each rotation.
     energy : np.ndarray, shape (N,) or (N, m)
         H(q, p) [J].
     coordinates : tuple of Coordinate
         Names, units and kinds of the coordinates; see ``names`` and ``units``.
     alarms : tuple
-        What guards found, the first Alarm of each kind; see guards. Of m trajectories, m tuples.
+        First Alarm of each kind raised by guards; for m trajectories a tuple of m tuples.
     events : tuple of Event
-        Occurrences of the scene's ``events``, in the order of time.
+        Occurrences of the scene's ``events``, in chronological order.
     scene : Scene or None
-        The simulated scene, with the method and the step size that were taken.
+        The simulated scene, with the method and the step size used.
     work : np.ndarray, shape (N,), or None
-        W that effects have done on the system since the start [J]: NaN between two steps, and in
-        runs of more than 10 000 samples at some. None where no effect does work.
+        Work W done on the system by effects since the start [J]: NaN at times between steps, and
+        at some samples of runs with more than 10 000. None if no effect does work.
 
     """
 
@@ -64,20 +64,20 @@ class Trajectory:
 
     @property
     def names(self) -> tuple[list[str], list[str]]:
-        """Return a name for each column of q and of p."""
+        """Return the names of the columns of q and of p."""
         q, p = columns(self.coordinates)
         return q, [momentum_name(name) for name in p]
 
     @property
     def units(self) -> dict[str, str]:
-        """Return the units of the named columns, of time ``t`` and of ``H``."""
+        """Return the units by column name, including ``t`` and ``H``."""
         pairs = zip((*self.names[0], *self.names[1]),
                     (unit for own in column_units(self.coordinates) for unit in own), strict=True)
         return {'t': 's', **dict(pairs), 'H': 'J'}
 
     @property
     def title(self) -> str:
-        """Return the name of the scene, the method and the step size, as far as known."""
+        """Return the name of the scene, the method and the step size, if known."""
         if self.scene is None:
             return 'trajectory'
         return (f'{self.scene.name}, {self.scene.integrator.kind}, '
@@ -90,12 +90,12 @@ class Trajectory:
         Parameters
         ----------
         index : int
-            Which, from 0; -1 for the last.
+            Zero-based index; -1 is the last.
 
         Raises
         ------
         IndexError
-            There are not so many.
+            Index out of range.
 
         """
         count = self.q.shape[1] if self.q.ndim == 3 else 1
@@ -108,7 +108,7 @@ class Trajectory:
                        energy=self.energy[:, index], alarms=self.alarms[index])
 
     def of(self, names: Sequence[str] | None) -> Self:
-        """Return it with some coordinates alone; ValueError if there is none of a name."""
+        """Return the trajectory restricted to some coordinates; ValueError for unknown names."""
         if names is None:
             return self
         known = [coordinate.name for coordinate in self.coordinates]
@@ -117,7 +117,7 @@ class Trajectory:
             if name not in known:
                 raise ValueError(f'no coordinate {name!r}; valid: {listed(known)}')
         kept = [known.index(name) for name in wanted]
-        # Columns of q and of p that belong to each coordinate.
+        # Number of the coordinate that each column of q and of p belongs to.
         q, p = (np.repeat(np.arange(len(known)), [
             len(columns([own])[half]) for own in self.coordinates]) for half in (0, 1))
         return replace(
@@ -126,18 +126,18 @@ class Trajectory:
             p=self.p[..., np.concatenate([np.flatnonzero(p == k) for k in kept])])
 
     def single(self) -> Self:
-        """Return it, or raise ValueError if it is several."""
+        """Return the trajectory itself, or raise ValueError if there are several."""
         if self.q.ndim == 3:
             raise ValueError(f'{self.q.shape[1]} trajectories cannot be shown as one: choose one, '
                              'as in trajectory.select(0)')
         return self
 
     def hamiltonian(self) -> Hamiltonian:
-        """Return H with the potentials among the effects of the scene."""
+        """Return the scene's H including the potentials among its effects."""
         return self.simulation().hamiltonian
 
     def mechanism(self) -> Mechanism | None:
-        """Return what draws the mechanism of the scene, or the skeleton of its robot, if any."""
+        """Return the mechanism of the scene, or the skeleton of its robot; None if neither."""
         if self.scene is None:
             return None
         if self.scene.mechanism is not None:
@@ -146,14 +146,14 @@ class Trajectory:
         return None if robot is None else skeleton(robot, self.names[0])
 
     def simulation(self) -> Simulation:
-        """Return a simulation of the scene, in its initial state."""
+        """Return a simulation of the scene in its initial state."""
         if self.scene is None:
             raise ValueError('this trajectory knows no scene, by whose H it could be shown: take '
                              'one of simulate or simulate_many')
         return build(self.scene)
 
     def facts(self) -> list[str]:
-        """Return in short what it holds."""
+        """Return a short summary: samples, time span, energy."""
         many = f' of {self.q.shape[1]} trajectories' if self.q.ndim == 3 else ''
         change = float(np.abs(self.energy - self.energy[:1]).max(initial=0.0))
         first = np.ravel(self.energy[:1])
@@ -167,40 +167,41 @@ class Trajectory:
                 + f' J, changed by {change:.2g} J at most{by_effects}']
 
     def balance(self) -> np.ndarray | None:
-        """Return H - H(0) - W [J], shape (n,), where W is known; None where no effect works."""
+        """Return H - H(0) - W [J], shape (n,), where W is known; None if no effect does work."""
         if self.work is None or self.energy.ndim == 2:
             return None
         return (self.energy - self.energy[:1] - self.work)[np.isfinite(self.work)]
 
     def alarm_kinds(self) -> list[str]:
-        """Return what alarms there were, each kind once."""
+        """Return the kinds of the alarms, without duplicates."""
         own = self.alarms if self.q.ndim == 2 else [one for each in self.alarms for one in each]
         return list(dict.fromkeys(getattr(alarm, 'kind', str(alarm)) for alarm in own))
 
     def plot(self, coordinates: Sequence[str] | None = None) -> 'Figure':
         """
-        Draw coordinates, momenta and the change of H over time; a panel for each unit.
+        Draw coordinates, momenta and the change of H over time, with one panel per unit.
 
-        Where effects do work W, the last panel is H - H(0) - W, the error of the energy.
+        If effects do work W, the last panel shows the energy error H - H(0) - W.
 
-        Events and alarms are vertical lines. Of m trajectories each column has a panel.
+        Events and alarms are vertical lines. For m trajectories there is one panel per column.
 
         Parameters
         ----------
         coordinates : sequence of str, optional
-            Names of those to draw, with their momenta; by default all.
+            Names of the coordinates to draw, with their momenta; by default all.
 
         Returns
         -------
         matplotlib.figure.Figure
-            ``.savefig('plot.png')`` writes it; ``matplotlib.pyplot.show()`` opens a window.
+            The figure: ``.savefig('plot.png')`` writes it to a file, and
+            ``matplotlib.pyplot.show()`` opens a window.
 
         Raises
         ------
         MissingPackage
             matplotlib is not installed.
         ValueError
-            No such coordinate.
+            Unknown coordinate.
 
         """
         from hnn_vi_ros.simulation.trajectory.figures import draw_series
@@ -213,7 +214,8 @@ class Trajectory:
         Parameters
         ----------
         coordinates : sequence of str, optional
-            Names of those to draw; by default all but rotations, which have no such plane.
+            Names of the coordinates to draw; by default all except rotations and poses, which
+            have no phase plane.
 
         Returns
         -------
@@ -225,7 +227,7 @@ class Trajectory:
         MissingPackage
             matplotlib is not installed.
         ValueError
-            No such coordinate, or none that has a plane with its momentum.
+            Unknown coordinate, or no coordinate with a phase plane.
 
         """
         from hnn_vi_ros.simulation.trajectory.figures import draw_portrait
@@ -233,26 +235,27 @@ class Trajectory:
 
     def animate(self, speed: float = 1.0, rate: float = 25.0) -> 'FuncAnimation':
         """
-        Move the mechanism of the scene, or without one the states in their phase portraits.
+        Animate the mechanism of the scene, or the states in phase portraits if there is none.
 
         Parameters
         ----------
         speed : float, optional
-            Simulated seconds for each second of the picture.
+            Simulated seconds per second of the animation.
         rate : float, optional
-            Pictures a second [Hz].
+            Frame rate [Hz].
 
         Returns
         -------
         matplotlib.animation.FuncAnimation
-            ``.save('run.gif', writer='pillow')`` writes it; ``.to_jshtml()`` is for notebooks.
+            The animation: ``.save('run.gif', writer='pillow')`` writes a file, ``.to_jshtml()``
+            is for notebooks.
 
         Raises
         ------
         MissingPackage
             matplotlib is not installed.
         ValueError
-            Several trajectories (see ``select``), or speed or rate not above 0.
+            There are several trajectories (see ``select``), or speed or rate is not positive.
 
         """
         from hnn_vi_ros.simulation.trajectory.figures import animate
@@ -265,8 +268,8 @@ class Trajectory:
         Returns
         -------
         pandas.DataFrame
-            The index is t [s], of m trajectories their number and t; a column for each coordinate
-            and momentum, and H; ``attrs`` holds the units by column, and the title.
+            Columns are the coordinates, the momenta and H. The index is t [s], or (trajectory, t)
+            for m trajectories; ``attrs`` contains the units by column, and the title.
 
         Raises
         ------
@@ -294,8 +297,8 @@ class Trajectory:
         Returns
         -------
         xarray.Dataset
-            A variable for each coordinate and momentum, and H, over ``t``, of m trajectories over
-            ``trajectory`` too; each carries its unit in ``attrs['units']``.
+            Variables are the coordinates, the momenta and H, with dimension ``t`` and, for m
+            trajectories, ``trajectory``; ``attrs['units']`` of each is its unit.
 
         Raises
         ------
@@ -321,20 +324,20 @@ class Trajectory:
         Parameters
         ----------
         target : str, Path or int
-            A file to write, such as ``'run.rrd'``, which must not exist; the URL of a viewer to
-            connect to (``rerun+http://127.0.0.1:9876/proxy``); or the port to serve viewers on.
+            Path of a new file, such as ``'run.rrd'``; URL of a viewer to connect to
+            (``rerun+http://127.0.0.1:9876/proxy``); or port on which to serve viewers.
 
         Raises
         ------
         MissingPackage
             rerun is not installed.
         RecordingError
-            The file exists or cannot be written, no viewer listens, or the port is taken.
+            The file exists or cannot be written, no viewer listens, or the port is in use.
         ValueError
-            Several trajectories (see ``select``), or one that knows no scene.
+            There are several trajectories (see ``select``), or no scene is known.
 
         """
-        # Tables need no rerun.
+        # Imported here, since the other exports do not need rerun.
         with optional('rerun', 'to_rerun'):
             from hnn_vi_ros.recording import box_of, RerunSink
         run, simulation = self.single(), self.simulation()
@@ -367,7 +370,7 @@ class Trajectory:
             sink.close()
 
     def _columns(self) -> dict[str, np.ndarray]:
-        """Return all columns by name, each of shape (N,) or (N, m)."""
+        """Return the columns of q, p and H by name, each of shape (N,) or (N, m)."""
         (q_names, p_names), (q, p) = self.names, (self.q, self.p)
         return {**{name: q[..., i] for i, name in enumerate(q_names)},
                 **{name: p[..., i] for i, name in enumerate(p_names)}, 'H': self.energy}
@@ -377,7 +380,7 @@ class Trajectory:
         return f'Trajectory({"; ".join([self.title, ", ".join(self.facts()), *alarms])})'
 
     def _repr_html_(self) -> str:
-        """Return a table for notebooks."""
+        """Return an HTML table for notebooks."""
         (q, p), units = self.names, self.units
         shown = [f'{name} [{units[name]}]' for name in (*q[:8], *p[:8])]
         rows = {'scene': self.title, 'samples': ', '.join(self.facts()),
