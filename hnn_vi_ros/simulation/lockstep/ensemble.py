@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""An ensemble of trajectories of one scene that takes its steps in torch, on a given device."""
+"""Ensemble of trajectories of one scene, stepped in torch on a given device."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, NoReturn
@@ -23,19 +23,19 @@ VALID = 'cpu, cuda, cuda:N'
 
 def open_device(name: str) -> torch.device:
     """
-    Return a device that is there.
+    Return an available torch device.
 
     Parameters
     ----------
     name : str
-        ``'cpu'``, ``'cuda'``, or ``'cuda:N'`` for the N-th GPU, counted from 0.
+        ``'cpu'``, ``'cuda'``, or ``'cuda:N'`` for GPU N, counted from 0.
 
     Raises
     ------
     ValueError
-        Another name.
+        Unknown name.
     ParameterError
-        There is no such GPU.
+        The GPU is not available.
 
     """
     kind, _, number = name.partition(':')
@@ -52,7 +52,7 @@ def open_device(name: str) -> torch.device:
 
 
 def description(name: str) -> dict[str, str]:
-    """Return what the last digits of results depend on: the device and the libraries."""
+    """Return the device and the library versions, which affect the last digits of results."""
     device = open_device(name)
     found = {'kind': device.type, 'torch': torch.__version__}
     if device.type == 'cuda':
@@ -62,14 +62,14 @@ def description(name: str) -> dict[str, str]:
 
 class Counts(NamedTuple):
     """
-    Counts of each of m trajectories, as of ``Simulation``.
+    Counters of each of m trajectories, as in ``Simulation``.
 
     Parameters
     ----------
     rescued, several_solutions : np.ndarray of int, shape (m,)
-        Steps that were taken otherwise, and those with another solution.
+        Number of rescued steps, and of steps with several solutions.
     costliest, at : np.ndarray of int, shape (m,)
-        The most gradients of a step, and the number of steps at its end.
+        Maximum number of gradients of a step, and the number of steps at its end.
 
     """
 
@@ -86,11 +86,11 @@ class Recorded(NamedTuple):
     Parameters
     ----------
     q, p : np.ndarray, shape (n, m, d)
-        Samples; NaN from the failure of a trajectory on.
+        Samples; NaN after the failure of a trajectory.
     failures : dict of int to StepFailure
-        Of those that failed, by number.
+        Failures by number of trajectory.
     counts : Counts
-        Of all steps.
+        Counters over all steps.
 
     """
 
@@ -102,11 +102,11 @@ class Recorded(NamedTuple):
 
 class LockstepEnsemble:
     """
-    Many trajectories of one scene, each solved by itself.
+    Many trajectories of one scene, each solved separately.
 
-    A step that the method's own solver does not take is taken by ``Simulation``, for that
-    trajectory alone, with all its fallbacks: by Newton's method, by continuation, in sub-steps.
-    What these do not take either fails, with the same reason.
+    If the method's own solver fails at a step of a trajectory, ``Simulation`` takes this step,
+    with all its fallbacks: Newton's method, continuation, sub-steps. If these fail too, the
+    trajectory fails, with the same reason as in ``Simulation``.
 
     Parameters
     ----------
@@ -118,9 +118,9 @@ class LockstepEnsemble:
     Raises
     ------
     UnsupportedSystem
-        An effect, H or the method has no step on a device.
+        An effect, H or the method is not supported on a device.
     ValueError, ParameterError
-        There is no such device.
+        See ``open_device``.
 
     """
 
@@ -143,21 +143,21 @@ class LockstepEnsemble:
             hamiltonian.kernel.gradient_scale, step_size, options)
 
     def __reduce__(self) -> NoReturn:
-        """Refuse to be copied or pickled."""
+        """Raise TypeError: the ensemble cannot be copied or pickled."""
         raise TypeError('an ensemble on a device cannot be copied: build another one')
 
     _alone: Simulation | None
 
     def record(self, q: np.ndarray, p: np.ndarray, samples: Sequence[int]) -> Recorded:
         """
-        Take steps from initial states, and samples.
+        Simulate from initial states, and return samples.
 
         Parameters
         ----------
         q, p : np.ndarray, shape (m, d)
             Initial states.
         samples : sequence of int
-            The numbers of steps, rising, at which to take samples.
+            Numbers of steps at which to take samples, in increasing order.
 
         """
         m, d = q.shape
@@ -181,7 +181,7 @@ class LockstepEnsemble:
 
     def _advanced(self, state: State, steps: int, rows: np.ndarray, counts: Counts,
                   failures: dict[int, StepFailure]) -> State:
-        """Return the state after so many steps: the last step may be one that Simulation took."""
+        """Return the state after step number `steps`, taken by Simulation where necessary."""
         heed()
         state, outcome, gradients = self._take_one(state)
         more = gradients > counts.costliest[rows]
@@ -195,12 +195,12 @@ class LockstepEnsemble:
                 continue
             state.z[:, k], state.slope[:, k] = (
                 torch.from_numpy(part).to(self._device) for part in (z, slope))
-            # What came before is no guide to the next start.
+            # Discard the history: it does not fit the next initial guess.
             state.carry[:, k], state.counts[:, k] = 0.0, 0
         return state
 
     def _take_one(self, state: State) -> tuple[State, torch.Tensor, np.ndarray]:
-        """Return the states after a step, or before one not solved; outcomes and gradients."""
+        """Return states after a step, or before it if it failed; outcomes; gradient counts."""
         after, outcome, gradients = self._step(self._system, state)
         finite = (after.z.isfinite() & after.slope.isfinite()).all(dim=0)
         outcome = torch.where((outcome == OK) & ~finite, NOT_FINITE, outcome)
@@ -209,7 +209,7 @@ class LockstepEnsemble:
 
     def _take_alone(self, z: np.ndarray, row: int, steps: int, counts: Counts
                     ) -> tuple[np.ndarray, np.ndarray]:
-        """Take the step of that number by compiled loops; return z and (H_q, H_p) after it."""
+        """Take step number `steps` in compiled loops; return z and (H_q, H_p) after it."""
         q, p = np.split(z, 2)
         if self._alone is None:
             self._alone = Simulation(self._hamiltonian, self._integrator, self._h, q, p,

@@ -1,15 +1,15 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Gradients of learned Hamiltonians at many states, as matrix products that are written out.
+Gradients of learned Hamiltonians at many states, as explicit matrix products.
 
-With the columns of A_0 the states, Z_l = W_l A_(l-1) + b_l, A_l = f(Z_l), the gradient of
-H = w . a_K + b is propagated back by D_K = w f'(Z_K), D_l = (W_(l+1)^T D_(l+1)) f'(Z_l), and is
-W_1^T D_1: two products with each matrix, and nothing recorded.
+The columns of A_0 are the states, Z_l = W_l A_(l-1) + b_l and A_l = f(Z_l). The gradient of
+H = w . a_K + b is W_1^T D_1, by backpropagation with D_K = w f'(Z_K) and
+D_l = (W_(l+1)^T D_(l+1)) f'(Z_l): two products with each matrix, without an autograd graph.
 
-States go through in batches of a few sizes, filled up with zeros. On the processor there is one
-size for each network, so that each product is the same call, whatever the number of states, and
-what comes of a state does not depend on which others there are.
+States are evaluated in batches of a few sizes, padded with zeros. On the CPU there is one size
+per network, so each product is the same call for any number of states, and the result of a state
+does not depend on the other states.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,13 +24,13 @@ from hnn_vi_ros.models import (
 import numpy as np
 import torch
 
-# Numbers in an array of activations on the processor, which stays in a second-level cache; and the
-# states of a batch there at most, and at least. The last is a multiple of the blocks of 8, 12, 24
-# or 64 columns that BLAS multiplies at once: in the remainder it adds in another order.
+# Size of an array of activations on the CPU, which fits the L2 cache; maximum and minimum batch
+# size on the CPU. The latter is a multiple of the blocks of 8, 12, 24 or 64 columns that BLAS
+# multiplies at once: remainders are summed in another order.
 _NUMBERS, _MOST, _LEAST = 80_000, 960, 192
-# Sizes of batches on a GPU; each has a graph of its own.
+# Batch sizes on a GPU; each has its own CUDA graph.
 _BUCKETS = tuple(2**k for k in range(8, 18))
-# Runs before the capture: libraries allocate in the first ones.
+# Number of runs before the capture: libraries allocate memory in the first ones.
 _WARM_UP = 3
 FAMILIES = 'hnn, dissipative_hnn (its energy), dgnet, separable_hnn, vin'
 # (H_q, H_p), shape (2 d, m), at states (q, p) of that shape.
@@ -40,9 +40,9 @@ _Slope = Callable[[torch.Tensor, torch.Tensor], None]
 
 def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """
-    Return the sum of the products of rows, added one after another.
+    Return the sum of products of rows, in sequential order.
 
-    ``torch.sum`` adds in an order that depends on how many trajectories there are.
+    The order of summation of ``torch.sum`` depends on the number of trajectories.
     """
     total = a[0] * b[0]
     for k in range(1, len(a)):
@@ -57,14 +57,14 @@ def make_gradient(hamiltonian: Hamiltonian, device: torch.device) -> Gradient:
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        Whose energy is that of perceptrons of (q, p), of q, or of p.
+        Hamiltonian made of perceptrons of (q, p), of q, or of p.
     device : torch.device
-        Where states are.
+        Device of the states.
 
     Raises
     ------
     UnsupportedSystem
-        Another H; names those that can.
+        Any other H; the message names the supported families.
 
     """
     def of(layers: Layers) -> PerceptronGradient:
@@ -81,7 +81,7 @@ def make_gradient(hamiltonian: Hamiltonian, device: torch.device) -> Gradient:
             return _sum(of(networks['potential']), of(networks['kinetic']))
         case VariationalHamiltonian():
             inverse = torch.from_numpy(hamiltonian.mass_inverse).to(device)
-            # It is symmetric: its rows are its columns.
+            # The inverse mass matrix is symmetric, so its rows are its columns.
             return _sum(of(hamiltonian.checkpoint.networks['potential']),
                         lambda p: dot(inverse[..., None], p[:, None]))
     if isinstance(hamiltonian, MeanHamiltonian):
@@ -102,7 +102,7 @@ def _sum(of_q: Gradient, of_p: Gradient) -> Gradient:
 
 
 def _confined(base: Gradient, hamiltonian: ConfinedHamiltonian, device: torch.device) -> Gradient:
-    """Return the gradient with the walls of ConfinedHamiltonian, which has the formula."""
+    """Return the gradient with walls added; see ConfinedHamiltonian for the formula."""
     low, high = torch.from_numpy(np.concatenate(hamiltonian.box)).to(device).T[:, :, None]
     energy = torch.from_numpy(np.tile(hamiltonian.energies, 2)).to(device)[:, None]
     half = 0.5 * (high - low)
@@ -117,16 +117,16 @@ def _confined(base: Gradient, hamiltonian: ConfinedHamiltonian, device: torch.de
 
 class PerceptronGradient:
     """
-    The gradient of a network by its inputs.
+    Gradient of a network with respect to its inputs.
 
     Parameters
     ----------
     layers : Layers
-        The network, of one output.
+        Layers of the network, with one output.
     activation : str
-        What stands between its layers.
+        Name of the activation function.
     device : torch.device
-        Where states are.
+        Device of the states.
 
     """
 
@@ -156,7 +156,7 @@ class PerceptronGradient:
         return out
 
     def _parts(self, m: int) -> Iterator[tuple[int, int, int]]:
-        """Cut m states into batches; yield where each begins and ends, and its size."""
+        """Split m states into batches; yield start, end and padded size of each."""
         first = 0
         while first < m:
             size = next((s for s in self._buckets if s >= m - first), self._buckets[-1])
@@ -165,7 +165,7 @@ class PerceptronGradient:
 
 
 class _Batch:
-    """The passes of a fixed number of states, in arrays that stay where they are."""
+    """Forward and backward pass of a fixed number of states, in preallocated arrays."""
 
     def __init__(self, layers: list[tuple[torch.Tensor, torch.Tensor]], last: torch.Tensor,
                  activation: str, size: int):
@@ -182,7 +182,7 @@ class _Batch:
         self.run = captured(self._propagate, device)
 
     def _propagate(self) -> None:
-        """Fill the gradient."""
+        """Compute the gradient in place."""
         (first, bias), rest = self._layers[0], list(zip(
             self._layers, self._values, self._slopes, strict=True))
         torch.addmm(bias, first, self.inputs, out=self._values[0])
@@ -191,7 +191,7 @@ class _Batch:
             torch.addmm(bias, weight, before, out=value)
             self._activate(value, slope)
         torch.mul(self._slopes[-1], self._last, out=self._slopes[-1])
-        # The values are not needed again: in their place what is propagated back.
+        # Reuse the arrays of values, which are no longer needed, for backpropagation.
         for ((weight, _), _, slope), (_, value, before) in pairwise(reversed(rest)):
             torch.mm(weight.T, slope, out=value)
             torch.mul(before, value, out=before)
@@ -207,26 +207,26 @@ class _Batch:
 
     def _softplus(self, z: torch.Tensor, slope: torch.Tensor) -> None:
         torch.sigmoid(z, out=slope)
-        # max(z, 0) + log(1 + exp(-abs(z))), which holds all digits.
+        # Use max(z, 0) + log(1 + exp(-abs(z))), which is accurate to all digits.
         positive = z.clamp_min(0.0)
         torch.add(positive, z.abs_().neg_().exp_().log1p_(), out=z)
 
     def _relu(self, z: torch.Tensor, slope: torch.Tensor) -> None:
-        # NaN stays NaN.
+        # Propagate NaN.
         torch.where(z > 0.0, self._one, torch.where(z <= 0.0, 0.0 * self._one, z), out=slope)
         torch.clamp_min(z, 0.0, out=z)
 
 
 def captured(run: Callable[[], None], device: torch.device) -> Callable[[], Any]:
     """
-    Return what repeats a run on the same arrays: on a GPU a CUDA graph, launched as a whole.
+    Return a function that repeats a run on the same arrays: on a GPU by one CUDA graph launch.
 
     Parameters
     ----------
     run : callable
-        Works on arrays that stay where they are, and waits for nothing.
+        Function that uses fixed arrays and does not synchronise.
     device : torch.device
-        Of the arrays.
+        Device of the arrays.
 
     """
     if device.type != 'cuda':
@@ -238,7 +238,7 @@ def captured(run: Callable[[], None], device: torch.device) -> Callable[[], Any]
             run()
     torch.cuda.current_stream(device).wait_stream(stream)
     graph = torch.cuda.CUDAGraph()
-    # On a stream of this device: the default one is of whichever device captured first.
+    # Use a stream of this device: the default one belongs to the device that captured first.
     with torch.cuda.device(device), torch.cuda.graph(graph, stream=stream):
         run()
     return graph.replay

@@ -3,10 +3,10 @@
 """
 Steps of variational methods for many trajectories, and the solvers of their equations.
 
-The equations x = G(x) of each trajectory are solved by itself and carried to round-off: by the
-fixed-point iteration or Anderson's method of ``integrators.solvers``, which has what is accepted,
-and why. A trajectory whose equation is solved, or is not to be solved so, leaves the
-iteration: the others go on in arrays that have become as much shorter.
+The equations x = G(x) of each trajectory are solved separately to round-off, by the fixed-point
+iteration or Anderson's method; ``integrators.solvers`` explains the acceptance criteria. A
+trajectory leaves the iteration when its equation is solved or has failed; the iteration of the
+others continues in shorter arrays.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,11 +23,11 @@ import numpy as np
 import torch
 
 EPS = float(np.finfo(np.float64).eps)
-# As in integrators.solvers: residuals that are not rounding alone; residuals above which, after so
-# many iterations, there is no contraction to speak of.
+# As in integrators.solvers: residual that exceeds rounding; residual above which, after PATIENCE
+# iterations, insufficient contraction counts as failure.
 NOISE, HOPELESS, PATIENCE = 1e-11, 1e-8, 5
-# Known quantities of an equation's trajectories, each of shape (..., m); G(x), shape (N, m), and
-# by-products of its evaluation.
+# Known quantities of the equations, each of shape (..., m). An equation returns G(x), shape
+# (N, m), and by-products of its evaluation.
 Known = tuple[torch.Tensor, ...]
 Equation = Callable[[Known, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
 
@@ -39,7 +39,7 @@ class Scales(NamedTuple):
     Parameters
     ----------
     common, own : torch.Tensor
-        The scale of the largest unknown of its kind, and each one's own.
+        Scale of the largest unknown of the same kind, and individual scale of each unknown.
 
     """
 
@@ -56,11 +56,11 @@ class Solved(NamedTuple):
     outcome : torch.Tensor, shape (m,)
         OK, NO_CONVERGENCE or NOT_FINITE.
     x, found : torch.Tensor, shape (N, m), (..., m)
-        The solutions, and what G found on the way at these.
+        Solutions, and the by-products of G at them.
     iterations : torch.Tensor, shape (m,)
-        Evaluations of G.
+        Number of evaluations of G.
     slow_start : torch.Tensor of bool, shape (m,)
-        Whether the first iteration did not halve the residual.
+        True where the first iteration did not halve the residual.
 
     """
 
@@ -73,21 +73,21 @@ class Solved(NamedTuple):
 
 class Anderson:
     """
-    Anderson's method, with a least-squares problem for each trajectory that is left.
+    Anderson's method, with a separate least-squares problem for each unsolved trajectory.
 
-    Of one unknown it is the secant method.
+    With one unknown it is the secant method.
 
     Parameters
     ----------
     depth : int
-        Earlier evaluations that are combined; with 0 it is x = G(x), as the paper does, which may
-        go on where it hardly contracts.
+        Number of earlier evaluations to combine; 0 is the fixed-point iteration x = G(x), as in
+        the paper, which is not stopped early for slow contraction.
 
     """
 
     def __init__(self, depth: int = DEPTH) -> None:
         self._depth, self.patient = depth, not depth
-        # The last evaluations, the newest first; and from which iteration on they may be combined.
+        # Last evaluations, newest first; first iteration from which they may be combined.
         self._old: list[tuple[torch.Tensor, torch.Tensor]] = []
         self._origin: torch.Tensor | None = None
 
@@ -99,11 +99,11 @@ class Anderson:
         Parameters
         ----------
         k : int
-            Iterations so far.
+            Number of iterations so far.
         value, defect : torch.Tensor, shape (N, m)
             G(x), and the residual relative to the scale.
         changed : torch.Tensor of bool, shape (m,)
-            Where residuals have become relative to something else.
+            True where the scale of the residuals has changed.
 
         """
         if self._origin is None:
@@ -118,7 +118,7 @@ class Anderson:
 
     def _projected(self, defect: torch.Tensor, depth: torch.Tensor
                    ) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
-        """Return the weights of the earlier evaluations, shape (m,) each, and where they count."""
+        """Return the weights of earlier evaluations, shape (m,) each, and masks of their use."""
         basis: list[torch.Tensor] = []
         triangle: list[list[torch.Tensor]] = []
         right: list[torch.Tensor] = []
@@ -147,14 +147,14 @@ class Anderson:
         return weights, used
 
     def keep(self, chosen: torch.Tensor) -> None:
-        """Forget all trajectories but those chosen, by their places."""
+        """Discard all trajectories except the chosen ones, given by index."""
         self._old = [(value[:, chosen], defect[:, chosen]) for value, defect in self._old]
         if self._origin is not None:
             self._origin = self._origin[chosen]
 
 
 class _Judged(NamedTuple):
-    """Judgement of iterates: outcomes, or GO_ON with the ingredients of the next ones."""
+    """Assessment of iterates: outcome, or GO_ON with the data for the next iterate."""
 
     outcome: torch.Tensor
     value: torch.Tensor
@@ -172,17 +172,17 @@ def solve(iteration: Anderson, equation: Equation, known: Known, x: torch.Tensor
     Parameters
     ----------
     iteration : Anderson
-        How.
+        Iteration method.
     equation : callable
-        Returns G(x), shape (N, m), and what it found on the way, shape (..., m).
+        Function of known and x that returns G(x), shape (N, m), and by-products, shape (..., m).
     known : tuple of torch.Tensor, each (..., m)
-        Its first argument.
+        Known quantities of the equations.
     x : torch.Tensor, shape (N, m)
-        First guesses.
+        Initial guesses.
     scales : Scales
-        Of the unknowns.
+        Scales of the unknowns.
     max_iterations : int
-        After which an equation counts as not solved.
+        Number of iterations after which an equation counts as unsolved.
 
     """
     m, device = x.shape[1], x.device
@@ -228,9 +228,9 @@ def solve(iteration: Anderson, equation: Equation, known: Known, x: torch.Tensor
 
 def _residual(value: torch.Tensor, x: torch.Tensor, scale: torch.Tensor
               ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return G(x) - x relative to a scale, shape (N, m), and its largest entries, NaN as such."""
+    """Return G(x) - x relative to a scale, shape (N, m), and its largest entries, NaN included."""
     difference = value - x
-    # A state and slope of zero say nothing about the size of the solution.
+    # If state and slope are zero, take the scale from the iterates.
     size = torch.where(scale > 0.0, scale, torch.maximum(value.abs(), x.abs()))
     defect = torch.where(difference == 0.0, difference, difference / size)
     return defect, defect.abs().amax(dim=0)
@@ -238,7 +238,7 @@ def _residual(value: torch.Tensor, x: torch.Tensor, scale: torch.Tensor
 
 def _judge(value: torch.Tensor, x: torch.Tensor, scales: Scales, previous: torch.Tensor,
            stage: torch.Tensor, accepted: torch.Tensor, is_last: bool) -> _Judged:
-    """Say of each iterate whether it is good enough; see ``judge`` of integrators.solvers."""
+    """Assess the convergence of each iterate; see ``judge`` of integrators.solvers."""
     bound = max(8, len(x)) * EPS
     defect, residual = _residual(value, x, scales.common)
     own_defect, own = _residual(value, x, scales.own)
@@ -247,7 +247,7 @@ def _judge(value: torch.Tensor, x: torch.Tensor, scales: Scales, previous: torch
     on = (stage == COMMON) & ~((residual <= EPS)
                                | ((residual <= bound) & ((residual >= previous) | last)))
     enough = (stage == BACK) | (own <= bound) | last | ((stage == OWN) & (own > 0.5 * previous))
-    # In this order: what is not finite is nothing else, and so on.
+    # Precedence: not finite, then return to an accepted iterate or continue, then accept.
     outcome = torch.where(back | on, GO_ON, torch.where(enough, OK, GO_ON))
     refined = finite & ~back & ~on & ~enough
     return _Judged(
@@ -264,17 +264,17 @@ _Pair = tuple[torch.Tensor, torch.Tensor]
 
 class State(NamedTuple):
     """
-    States of m trajectories, and what their next steps start from.
+    States of m trajectories, and data for their next steps.
 
     Parameters
     ----------
     z, carry, slope : torch.Tensor, shape (2 d, m)
-        q and p; what compensated summation has rounded off them; and (H_q, H_p) at z, or what
-        scales the next solve in its place.
+        q and p; their rounding errors in compensated summation; and (H_q, H_p) at z, or an
+        approximation that scales the next solve.
     counts : torch.Tensor, shape (K, m)
-        How many earlier solutions of each of K equations there are.
+        Number of stored earlier solutions of each of K equations.
     earlier : tuple of torch.Tensor, each (..., m)
-        Their values.
+        Earlier solutions of each equation.
 
     """
 
@@ -285,7 +285,7 @@ class State(NamedTuple):
     earlier: tuple[torch.Tensor, ...]
 
     def of(self, chosen: torch.Tensor) -> 'State':
-        """Return the states of some trajectories."""
+        """Return the states of the chosen trajectories."""
         return State(self.z[:, chosen], self.carry[:, chosen], self.slope[:, chosen],
                      self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
 
@@ -297,11 +297,11 @@ class Stepped(NamedTuple):
     Parameters
     ----------
     state : State
-        After it; of no meaning where it was not taken.
+        State after the step; undefined where the step failed.
     outcome : torch.Tensor, shape (m,)
-        OK, or why the step was not taken.
+        OK, or the reason of failure.
     gradients : torch.Tensor, shape (m,)
-        How many were evaluated.
+        Number of gradients evaluated.
 
     """
 
@@ -312,20 +312,20 @@ class Stepped(NamedTuple):
 
 class System(NamedTuple):
     """
-    System that is simulated, and its method.
+    Simulated system and its method.
 
     Parameters
     ----------
     gradient : callable
-        Of H.
+        Gradient of H.
     d : int
-        Its degrees of freedom.
+        Number of degrees of freedom.
     rounding : tuple of float
         See ``Kernel.gradient_scale``.
     h : float
         Step size [s].
     options : SolverOptions
-        Of the method.
+        Solver options of the method.
 
     """
 
@@ -336,7 +336,7 @@ class System(NamedTuple):
     options: SolverOptions
 
     def solve(self, equation: Equation, known: Known, x: torch.Tensor, scales: Scales) -> Solved:
-        """Solve an equation; one that may have another solution is in doubt."""
+        """Solve an equation; the outcome is IN_DOUBT if it may have other solutions."""
         solved = solve(Anderson(0) if self.options.solve is fixed_point else Anderson(), equation,
                        known, x, scales, self.options.max_iterations)
         if not self.options.connected or self.d > FAST_MATRIX:
@@ -358,7 +358,7 @@ Step = Callable[[System, State], Stepped]
 
 
 def plus(x: torch.Tensor, carry: torch.Tensor, increment: torch.Tensor) -> _Pair:
-    """Add an increment by compensated summation; see ``arithmetic.plus``."""
+    """Return the compensated sum of x and an increment, and its carry; see ``arithmetic.plus``."""
     addend = increment + carry
     total = x + addend
     virtual = total - x
@@ -367,7 +367,7 @@ def plus(x: torch.Tensor, carry: torch.Tensor, increment: torch.Tensor) -> _Pair
 
 def extrapolated(counts: torch.Tensor, earlier: torch.Tensor, base: torch.Tensor, x: torch.Tensor
                  ) -> torch.Tensor:
-    """Start from up to three earlier solutions, shape (3, N, m), if there are any; else from x."""
+    """Return a guess from up to three earlier solutions, shape (3, N, m); x if there are none."""
     first, second, third = earlier
     x = torch.where(counts == 1, base + first, x)
     x = torch.where(counts == 2, base + (2.0 * first - second), x)
@@ -375,12 +375,12 @@ def extrapolated(counts: torch.Tensor, earlier: torch.Tensor, base: torch.Tensor
 
 
 def remembered(counts: torch.Tensor, earlier: torch.Tensor, increment: torch.Tensor) -> _Pair:
-    """Keep a solution relative to its base, for the next start."""
+    """Return the history with a solution, relative to its base, added for the next guess."""
     return (counts + 1).clamp_max(3), torch.cat([increment[None], earlier[:2]])
 
 
 def _turned(gradient: torch.Tensor, dim: int = 0) -> torch.Tensor:
-    """Return (H_p, -H_q) of (H_q, H_p)."""
+    """Return (H_p, -H_q) for a gradient (H_q, H_p)."""
     H_q, H_p = gradient.chunk(2, dim=dim)
     return torch.cat([H_p, -H_q], dim=dim)
 
@@ -400,12 +400,12 @@ def _scales(system: System, h: float, state: State, own: Sequence[int]) -> Scale
 def _solve_node(system: System, h: float, own: Sequence[int], state: State, history: _Pair
                 ) -> tuple[Solved, torch.Tensor, _Pair]:
     """
-    Solve p1 = p - h H_q(q, p1), q1 = q + h H_p(q1, p), or both at once, for own as in ``_halves``.
+    Solve p1 = p - h H_q(q, p1), q1 = q + h H_p(q1, p), or both at once; own as in ``_halves``.
 
     Returns
     -------
     tuple
-        The solution, with the gradient there; its carry; and its history.
+        The solution with the gradient at it; its carry; its history.
 
     """
     counts, earlier = history
@@ -425,13 +425,13 @@ def _solve_node(system: System, h: float, own: Sequence[int], state: State, hist
 
 
 def _with_halves(z: torch.Tensor, own: Sequence[int], x: torch.Tensor) -> torch.Tensor:
-    """Return (q, p) with other ones in the place of some."""
+    """Return (q, p) with q, p or both replaced by x."""
     halves = dict(zip(own, x.chunk(len(own)), strict=True))
     return torch.cat([halves.get(half, part) for half, part in enumerate(z.chunk(2))])
 
 
 def _one_by_one(system: System, state: State, nodes: Sequence[Node]) -> Stepped:
-    """Take a step of a method whose nodes are solved one after another."""
+    """Take a step of a method whose nodes are solved sequentially."""
     now, kept = state, list[_Pair]()
     outcome, iterations = torch.full_like(state.counts[0], OK), torch.zeros_like(state.counts[0])
     for a, b, u, w in nodes:
@@ -455,7 +455,7 @@ def _one_by_one(system: System, state: State, nodes: Sequence[Node]) -> Stepped:
 
 
 def _gauss(system: System, state: State, stages: int) -> Stepped:
-    """Take a step; the unknowns are the stages' z one after another, shape (s 2 d, m)."""
+    """Take a Gauss step; the unknowns are the concatenated stages z, shape (s 2 d, m)."""
     h, n, m = system.h, 2 * system.d, state.z.shape[1]
     matrix, weights, start = (torch.from_numpy(a.T.copy()).to(state.z.device)[..., None, None]
                               for a in gauss_tableau(stages))
@@ -481,7 +481,7 @@ def _gauss(system: System, state: State, stages: int) -> Stepped:
                    solved.outcome, stages * solved.iterations)
 
 
-# The methods whose nodes are solved one after another.
+# Methods whose nodes are solved sequentially.
 _ONE_BY_ONE = 'variational_euler', 'generalized_leapfrog', 'implicit_midpoint'
 
 
@@ -492,7 +492,7 @@ def step_of(integrator: Integrator, hamiltonian: Hamiltonian) -> Step:
     Raises
     ------
     UnsupportedSystem
-        It has none; names the methods for H that do.
+        The method is not supported; the message names supported methods for H.
 
     """
     if isinstance(integrator, Gauss):
@@ -509,7 +509,7 @@ def step_of(integrator: Integrator, hamiltonian: Hamiltonian) -> Step:
 
 
 def first_state(system: System, integrator: ImplicitIntegrator, z: torch.Tensor) -> State:
-    """Return the states before the first step, shape (2 d, m), as the step takes them."""
+    """Return the State before the first step for z of shape (2 d, m)."""
     m, d = z.shape[1], system.d
 
     def zeros(*shape: int) -> torch.Tensor:
