@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects that do work in runs whose derivatives are known: forces, commands and damping."""
+"""Effects that do work in differentiable runs: forces, commands and damping."""
 
 from collections.abc import Sequence
 
@@ -16,23 +16,23 @@ import numpy as np
 
 class ActingEffects:
     """
-    The effects of a system that do work, in its steps and around them.
+    Effects of a system that do work, inside its steps and around them.
 
     Parameters
     ----------
     system : System
-        Of H with all effects.
+        System of H with all effects.
     hamiltonian : Hamiltonian
-        H of d coordinates.
+        Hamiltonian of d coordinates.
     effects : sequence of Effect
-        All of them.
+        All effects.
     h : float
         Step size [s].
 
     Raises
     ------
     UnsupportedSystem
-        They are not differentiable together.
+        The combination of effects is not differentiable.
 
     """
 
@@ -47,13 +47,13 @@ class ActingEffects:
             np.ones(len(self.rates)), np.zeros(self._channels),
             np.exp(-0.5 * h * self.rates), np.zeros(self._channels)])
         self.any = self._channels > 0 or bool(self.rates.any())
-        # Whether commands are more than forces on coordinates, which add up.
+        # True if commands do more than add forces on coordinates.
         self.feels = any(getattr(effect, 'feels_command', False) for effect in effects)
         timeouts = [effect.timeout for effect in effects if hasattr(effect, 'timeout')]
         self._timeout = min(timeouts, default=np.inf)
 
     def check_commands(self, commands: np.ndarray, every: int) -> None:
-        """Raise unless rows of c commands, shape (..., c), can each hold for so many steps."""
+        """Check that `commands`, shape (..., c), fit the effects and can hold `every` steps."""
         if NUMBERS not in self._system.motors.takes:
             raise UnsupportedSystem('no effect of the scene takes commands; add external_force, '
                                     'with its coordinates')
@@ -65,7 +65,7 @@ class ActingEffects:
                              f'for timeout = {self._timeout:g} s; give a longer one')
 
     def acting(self, times: np.ndarray, commands: np.ndarray) -> Acting:
-        """Return what effects do in steps at times, (K, m), under commands, (K, m, c)."""
+        """Return the inputs of effects in steps at times, (K, m), under commands, (K, m, c)."""
         state = self._system.effect_state
         rows = np.zeros((*times.shape, state.command.size))
         if commands.shape[-1]:
@@ -77,7 +77,7 @@ class ActingEffects:
         return Acting(state.clock, state.command, times, rows, self._flow)
 
     def padded(self, states: np.ndarray) -> np.ndarray:
-        """Return states, shape (..., 2 d), with a channel for each force, shape (..., 2 D)."""
+        """Return states, shape (..., 2 d), extended by the channels of forces to (..., 2 D)."""
         if not self._channels:
             return states
         q, p = np.split(states, 2, axis=-1)
@@ -92,14 +92,14 @@ class ActingEffects:
 
     def flowed(self, states: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """
-        Return how states around steps change with rates of damping, shape (K, 2, m, 2 D).
+        Return the change of states around steps with damping rates, shape (K, 2, m, 2 D).
 
         Parameters
         ----------
         states : np.ndarray, shape (K + 1, m, 2 D)
-            Before and after each of K steps.
+            States before and after each of K steps.
         rates : np.ndarray, shape (d,)
-            How each rate changes.
+            Change of each rate.
 
         """
         channels = np.zeros(self._channels)
@@ -110,7 +110,7 @@ class ActingEffects:
 
 def flow_rates(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect]
                ) -> np.ndarray:
-    """Return the rates at which damping around the steps takes momenta, shape (d,) [1/s]."""
+    """Return the damping rates of the momenta, applied around steps, shape (d,) [1/s]."""
     rates = np.zeros(hamiltonian.dimension)
     for effect in effects:
         if effect.place(integrator) is Place.AROUND and hasattr(effect, 'rate'):
@@ -119,7 +119,7 @@ def flow_rates(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequen
 
 
 def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
-    """Raise UnsupportedSystem, which names those that are, if one is not differentiable."""
+    """Raise UnsupportedSystem, naming differentiable effects, if an effect is not one of them."""
     for effect in effects:
         place = effect.place(integrator)
         if place is Place.ENERGY or (place is Place.NODES and _is_known(type(effect))):
@@ -132,5 +132,5 @@ def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
 
 
 def _is_known(kind: type) -> bool:
-    """Return whether a force is a function of time, state and a command of numbers alone."""
+    """Return whether a force depends only on time, state and numeric commands."""
     return issubclass(kind, Force) and kind is not EFFECTS['servo'] and kind.knots == 0

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Dependences of runs on more than their states: how H' changes, by differences of H'."""
+"""Dependences of runs on parameters: derivatives of H', by finite differences of H'."""
 
 from collections.abc import Callable, Sequence
 import operator
@@ -10,9 +10,9 @@ from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
-# Differences of order 6, in the middle of a range and at its ends, by offsets in spacings, and of
-# order 4 at some of the same places. With this share of a number as the spacing what is cut off
-# is some 1e-15 for powers of the number, and rounding 1e-13, at the ends ten times that.
+# Finite differences, central and one-sided: weights of order 6 and of order 4, by offset in
+# spacings. With _SPACING times the number as the spacing, the truncation error is about 1e-15 for
+# powers of the number, and the rounding error 1e-13, or ten times that if one-sided.
 _SPACING = 2e-3
 MIDDLE = {sign * (k + 1): (sign * weight, sign * lower) for k, (weight, lower) in enumerate((
     (3.0 / 4.0, 2.0 / 3.0), (-3.0 / 20.0, -1.0 / 12.0), (1.0 / 60.0, 0.0))) for sign in (1, -1)}
@@ -20,24 +20,24 @@ _ABOVE = dict(enumerate((
     (-49.0 / 20.0, -25.0 / 12.0), (6.0, 4.0), (-15.0 / 2.0, -3.0), (20.0 / 3.0, 4.0 / 3.0),
     (-15.0 / 4.0, -1.0 / 4.0), (6.0 / 5.0, 0.0), (-1.0 / 6.0, 0.0))))
 _BELOW = {-offset: (-weight, -lower) for offset, (weight, lower) in _ABOVE.items()}
-# Where both agree to this share, what order 6 cuts off is 1e-13 or less of a sine: by a
-# frequency after many turns they do not.
+# If both orders agree to this share, the truncation error of order 6 is at most 1e-13 for a sine.
+# They disagree for derivatives with respect to a frequency after many turns.
 _AGREEMENT = 1e-9
 _NARROWER, _TRIALS = 1.0 / 8.0, 7
-# Their difference by rounding, as a share of H' over the spacing.
+# Rounding error of the difference of both orders, relative to H' over the spacing.
 _ROUNDING = 1e-14
 
 
 class States(NamedTuple):
     """
-    States of one step after another, at which H' is asked for.
+    Concatenated states of consecutive steps, at which H' is evaluated.
 
     Parameters
     ----------
     q, p : np.ndarray, shape (N,)
-        Of all states.
+        Coordinates and momenta of all states.
     gradient : callable
-        Returns (H_q, H_p) of a kernel there, under the command of each step, shape (2, N).
+        Returns (H_q, H_p) of a kernel at the states, under the command of each step, (2, N).
 
     """
 
@@ -47,30 +47,30 @@ class States(NamedTuple):
 
     @classmethod
     def at(cls, q: np.ndarray, p: np.ndarray) -> 'States':
-        """Return states where no command is felt."""
+        """Return states for kernels that do not depend on commands."""
         return cls(q, p, lambda kernel: kernel.slopes(q, p))
 
 
 class Dependence(Protocol):
-    """Dependence of H' on something that is no state."""
+    """Dependence of H' on a parameter, a number or an array."""
 
     def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
-        """Return the gradient by it of the sum of weights, shape (2, N), times (H_q, H_p)."""
+        """Return the gradient of the sum of weights, shape (2, N), times (H_q, H_p)."""
 
     def changed(self, at: States, change: np.ndarray) -> np.ndarray:
-        """Return how (H_q, H_p) change, shape (2, N), where it changes so."""
+        """Return the change of (H_q, H_p), shape (2, N), for a change of the parameter."""
 
 
 class OnNumber:
     """
-    A dependence on a number, by the derivatives of (H_q, H_p) and of rates of damping.
+    Dependence on a number, given by the derivatives of (H_q, H_p) and of damping rates.
 
     Parameters
     ----------
     slope : callable
         Returns the derivative of (H_q, H_p) at States, shape (2, N).
     rates : np.ndarray, shape (d,), optional
-        How rates of damping around the steps change with it.
+        Derivatives of the damping rates applied around steps.
 
     """
 
@@ -89,24 +89,24 @@ class OnNumber:
 
 class OnDifferences(OnNumber):
     """
-    The dependence on a number of H, by differences of H' of order 6.
+    Dependence on a number of H, by finite differences of H' of order 6.
 
-    They are one-sided where the number is at an end of its range, such as a rate of zero, and
-    narrower where differences of order 4 disagree: a frequency turns forces the faster the later.
+    They are one-sided if the number is at an end of its range, such as a rate of zero, and their
+    spacing is reduced if differences of order 4 disagree, as for a frequency at late times.
 
     Parameters
     ----------
     changed : callable
-        Returns the kernel of H with another value of the number, and the rates of damping around
-        the steps then, None where they do not depend on it (see ``flow_rates``); of the value,
-        and of how many spacings it is away.
+        Function of another value of the number, and of its offset in spacings. Returns the kernel
+        of H with this value, and the damping rates applied around steps, or None if they do not
+        depend on the number (see ``flow_rates``).
     value : float
-        The number.
+        Value of the number.
 
     Raises
     ------
     SceneError
-        There is no room for differences on either side.
+        The range of the number leaves no room for differences on either side.
 
     """
 
@@ -117,7 +117,7 @@ class OnDifferences(OnNumber):
         super().__init__(self._derivative, sum(rates, np.zeros(())) if rates else None)
 
     def _take(self, spacing: float) -> list[np.ndarray]:
-        """Take a spacing, and return the parts of the derivative of rates."""
+        """Set the spacing, and return the summands of the derivative of damping rates."""
         problem: SceneError | None = None
         for stencil in (MIDDLE, _ABOVE, _BELOW):
             try:
@@ -134,7 +134,7 @@ class OnDifferences(OnNumber):
         raise problem
 
     def _derivative(self, at: States) -> np.ndarray:
-        """Return that of (H_q, H_p) at states one after another, shape (2, N)."""
+        """Return the derivative of (H_q, H_p) at concatenated states, shape (2, N)."""
         slope, apart, rounding = self._differences(at)
         if apart <= max(_AGREEMENT, rounding):
             return slope
@@ -145,14 +145,14 @@ class OnDifferences(OnNumber):
             if apart <= max(_AGREEMENT, rounding):
                 return slope
             tried.append((apart, self._spacing))
-        # They differ by rounding, which is more than was thought.
+        # The orders differ by rounding, which is larger than estimated: raise the estimate.
         apart, spacing = min(tried)
         self._take(spacing)
         self._rounding *= 10.0 * apart / self._differences(at)[2]
         return self._differences(at)[0]
 
     def _differences(self, at: States) -> tuple[np.ndarray, float, float]:
-        """Return that of order 6, by which share that of order 4 differs, and by rounding."""
+        """Return the derivative of order 6, its relative difference to order 4, and rounding."""
         slope, other, size = np.zeros((2, at.q.size)), np.zeros((2, at.q.size)), 0.0
         for (weight, lower), kernel in self._kernels:
             both = at.gradient(kernel)
@@ -165,7 +165,7 @@ class OnDifferences(OnNumber):
 
 
 def derivative(function: Callable[[float], np.ndarray], size: float) -> np.ndarray:
-    """Return that of a function of a number at 0, by differences narrower than its size."""
+    """Return the derivative of a function at 0, by differences narrower than `size`."""
     found = []
     for k in range(_TRIALS):
         spacing = _SPACING * size * _NARROWER**k
@@ -179,7 +179,7 @@ def derivative(function: Callable[[float], np.ndarray], size: float) -> np.ndarr
 
 
 def sum_of(kernels: Sequence[tuple[float, Kernel]], at: States) -> np.ndarray:
-    """Return the sum of weights times (H_q, H_p) of kernels, shape (2, N)."""
+    """Return the weighted sum of (H_q, H_p) of kernels, shape (2, N)."""
     total = np.zeros((2, at.q.size))
     for weight, kernel in kernels:
         total += weight * at.gradient(kernel)
@@ -189,9 +189,9 @@ def sum_of(kernels: Sequence[tuple[float, Kernel]], at: States) -> np.ndarray:
 def difference(value: float, spacing: float, low: float, high: float
                ) -> list[tuple[float, float]]:
     """
-    Return values of a number and their weights, of a difference of order 2 within its range.
+    Return values of a number and their weights for a difference of order 2 within its range.
 
-    Central where a spacing fits on both sides, else one-sided, to the side with more room.
+    It is central if a spacing fits on both sides, otherwise one-sided on the side with more room.
     """
     below, above = value - low, high - value
     if min(below, above) >= spacing:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs whose derivatives are known: the exact ones of the steps that were taken."""
+"""Differentiable runs, with the exact derivatives of the discrete steps."""
 
 from collections.abc import Callable, Sequence
 import math
@@ -35,7 +35,7 @@ def differentiable_tableau(hamiltonian: Hamiltonian, integrator: Integrator) -> 
 
 
 def check_unknowns(integrator: Integrator, tableau: PartitionedTableau, d: int) -> None:
-    """Raise UnsupportedSystem if a step of d coordinates has too many unknowns in its stages."""
+    """Raise UnsupportedSystem if the stages of d coordinates have too many unknowns."""
     unknowns = 2 * tableau.stages * d
     if unknowns > LARGEST_MATRIX:
         raise UnsupportedSystem(
@@ -44,21 +44,22 @@ def check_unknowns(integrator: Integrator, tableau: PartitionedTableau, d: int) 
             'method of fewer stages')
 
 
-# Spacing of differences by commands, and the least one, as shares of a command and of all.
+# Relative spacing of differences with respect to commands; smallest command size to be relative
+# to, as a share of the largest command.
 _SPACING, _LEAST = 2e-3, 1e-3
-# Steps that are differentiated at a time, at least.
+# Minimum number of steps differentiated at a time.
 _PIECE = 64
 
 
 class Segment(NamedTuple):
-    """Steps that follow one another."""
+    """Range of consecutive steps."""
 
     first: int
     length: int
 
     @property
     def steps(self) -> np.ndarray:
-        """Return them, each by the number of steps before it, shape (K,)."""
+        """Return the zero-based indices of the steps, shape (K,)."""
         return self.first + np.arange(self.length)
 
 
@@ -69,19 +70,19 @@ class Recorded(NamedTuple):
     Parameters
     ----------
     z : np.ndarray, shape (m, 2 d)
-        The initial states.
+        Initial states.
     every : int
-        Steps from one sample to the next.
+        Number of steps between samples.
     first : np.ndarray of int, shape (m,)
-        The step at which each trajectory begins.
+        Index of the first step of each trajectory.
     commands : np.ndarray or None
         See ``DifferentiableRun.record``.
     segments : list of Segment
-        All steps.
+        Segments of all steps.
     starts : list of np.ndarray, shape (m, R)
-        Rows at the start of each; see ``Simulation.follow``.
+        Rows at the start of each segment; see ``Simulation.follow``.
     last : np.ndarray, shape (K + 1, m, 2 d)
-        The states before and after the steps of the last segment, which may have no step.
+        States before and after the steps of the last segment; K is 0 without steps.
 
     """
 
@@ -95,17 +96,17 @@ class Recorded(NamedTuple):
 
     @property
     def samples(self) -> int:
-        """Return how many there are after the initial states."""
+        """Return the number of samples after the initial states."""
         return sum(segment.length for segment in self.segments) // self.every
 
     def samples_in(self, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
-        """Return which of the states of a segment are samples after it, and which samples."""
+        """Return the indices of a segment's states that are samples, and of these samples."""
         after = segment.steps + 1
         inside = np.flatnonzero(after % self.every == 0)
         return 1 + inside, after[inside] // self.every
 
     def commands_in(self, segment: Segment) -> np.ndarray:
-        """Return the commands in the steps of a segment, shape (K, m, c), c = 0 without any."""
+        """Return the commands of the steps of a segment, shape (K, m, c); c = 0 without any."""
         if self.commands is None:
             return np.zeros((segment.length, len(self.z), 0))
         rows = self.commands[segment.steps // self.every]
@@ -113,23 +114,23 @@ class Recorded(NamedTuple):
 
 
 def segments_of(steps: int) -> list[Segment]:
-    """Return steps in pieces of sqrt(steps), at least of 64."""
+    """Return steps split into segments of sqrt(steps), at least 64."""
     stride = max(_PIECE, math.isqrt(steps))
     return [Segment(a, min(stride, steps - a)) for a in range(0, steps, stride)]
 
 
 class Change(NamedTuple):
     """
-    A direction in which all that a run of m trajectories depends on changes at once.
+    Direction of differentiation: joint change of the inputs of a run of m trajectories.
 
     Parameters
     ----------
     tangents : np.ndarray, shape (m, 2 d)
-        How the initial states change.
+        Changes of the initial states.
     others : sequence of (Dependence, np.ndarray)
-        What else changes, and by how much; see ``pull_back``.
+        Dependences on other parameters, with their changes; see ``pull_back``.
     commands : np.ndarray, of the shape of the commands, optional
-        How these change.
+        Changes of the commands.
 
     """
 
@@ -140,33 +141,33 @@ class Change(NamedTuple):
 
 class DifferentiableRun:
     """
-    A run of some trajectories, and products of its derivatives with vectors.
+    Run of several trajectories, with vector-Jacobian and Jacobian-vector products.
 
-    The states of each trajectory equal a Simulation's bit by bit. Each step is differentiated as
-    taken, by the implicit function theorem (see stages): what comes out is the derivative of the
-    discrete trajectory, to round-off, not an approximation of that of the flow.
+    The states are bit-identical to the results of Simulation. Each step is differentiated by the
+    implicit function theorem (see stages): the result is the derivative of the discrete
+    trajectory, exact to round-off, not an approximation of the derivative of the flow.
 
-    Of N steps only sqrt(N) snapshots are kept, and the states between the last one and the end. A
-    product takes the other steps between two of them once more, bit by bit.
+    For N steps only sqrt(N) snapshots are stored, and the states from the last one to the end
+    (checkpointing). Products recompute the steps between snapshots bit-identically.
 
     Parameters
     ----------
     hamiltonian, integrator, step_size, effects
-        As of Simulation. A step that fails ends the run: one taken in parts would be another map.
-        The effects may join H, be forces that depend on time and state, take commands of plain
-        numbers, or be damping.
+        See Simulation. A failed step ends the run, because sub-steps would be a different map.
+        Effects may be potentials added to H, forces that depend on time and state or take
+        commands of plain numbers, or damping.
 
     Attributes
     ----------
     kernel : Kernel
-        H with its effects, by address, as it is now.
+        Current kernel of H with its effects, by address.
     recorded : Recorded
-        The record of the last run, which an earlier one, of the same numbers, can replace.
+        Record of the last run; may be replaced by that of an earlier run with the same numbers.
 
     Raises
     ------
     UnsupportedSystem
-        The method or an effect is not differentiable yet; names those that are.
+        The method or an effect is not differentiable yet; the message names supported ones.
 
     References
     ----------
@@ -198,14 +199,14 @@ class DifferentiableRun:
     def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect], step_size: float
                      ) -> None:
         """
-        Take other numbers of the same H, effects and step size, for runs from now on.
+        Replace the numbers of H and effects, and the step size, for subsequent runs.
 
-        The compiled functions, and as a rule their memory, are shared with the runs before.
+        The compiled functions, and usually their memory, are reused.
 
         Parameters
         ----------
         hamiltonian, effects, step_size
-            As of the constructor, of the same kinds.
+            Arguments as in the constructor, of the same types.
 
         """
         self._h = float(step_size)
@@ -222,19 +223,19 @@ class DifferentiableRun:
     def record(self, z: np.ndarray, samples: int, every: int = 1,
                commands: np.ndarray | None = None, first: np.ndarray | None = None) -> np.ndarray:
         """
-        Take samples every so many steps, from initial states on.
+        Simulate from initial states, record the run, and return samples.
 
         Parameters
         ----------
         z : np.ndarray, shape (m, 2 d)
-            (q, p) of m trajectories.
+            Initial states (q, p) of m trajectories.
         samples, every : int
-            How many, and steps from one to the next.
+            Number of samples, and number of steps between them.
         commands : np.ndarray, shape (samples, c) or (samples, m, c), optional
-            Of an effect that takes them, each held until the next sample; for all trajectories,
-            or for each.
+            Commands of effects, each held until the next sample, shared by all trajectories or
+            individual.
         first : np.ndarray of int, shape (m,), optional
-            The step at which each trajectory begins, for forces that depend on time.
+            Index of the first step of each trajectory, for time-dependent forces; 0 by default.
 
         Returns
         -------
@@ -244,14 +245,14 @@ class DifferentiableRun:
         Raises
         ------
         StepFailure
-            A step did not converge or is not finite.
+            A step did not converge, or its result is not finite.
         ValueError
-            The states are not usable.
+            Invalid initial states or commands.
 
         """
         if commands is not None:
             self._acting.check_commands(commands, every)
-            # A copy, with which the way back goes whatever becomes of the caller's.
+            # Copy the commands, since pull_back needs them and the caller may change them.
             commands = commands.copy()
         q, p = np.split(z, 2, axis=1)
         self._system.check_state(q, p)
@@ -272,22 +273,22 @@ class DifferentiableRun:
     def pull_back(self, cotangents: np.ndarray, dependences: Sequence[Dependence] = (),
                   by_commands: np.ndarray | None = None) -> tuple[np.ndarray, list[np.ndarray]]:
         """
-        Return the gradient of what depends on the samples of the last run.
+        Return the gradient of a function of the samples of the last run.
 
         Parameters
         ----------
         cotangents : np.ndarray, shape (samples + 1, m, 2 d)
-            Its gradient by each of them.
+            Gradient of the function with respect to each sample.
         dependences : sequence of Dependence
-            On what else its gradient is asked for; see ``on_step_size`` and
+            Parameters to differentiate with respect to; see ``on_step_size`` and
             ``OnDifferences``.
         by_commands : np.ndarray, of the shape of the commands, optional
-            Filled with the gradient by them.
+            Output: gradient with respect to commands.
 
         Returns
         -------
         tuple of (np.ndarray, list of np.ndarray)
-            The gradient by the initial states, shape (m, 2 d), and by each of those.
+            Gradients with respect to initial states, shape (m, 2 d), and to each parameter.
 
         """
         others = [np.zeros(()) for _ in dependences]
@@ -319,12 +320,12 @@ class DifferentiableRun:
 
     def push_forward(self, changes: Sequence[Change]) -> np.ndarray:
         """
-        Return how the samples of the last run change in directions, (r, samples + 1, m, 2 d).
+        Return the directional derivatives of the last samples, (r, samples + 1, m, 2 d).
 
         Parameters
         ----------
         changes : sequence of Change
-            r of them, for which the steps are taken and differentiated together.
+            The r directions, for which each step is taken and factorised only once.
 
         """
         recorded = self.recorded
@@ -352,21 +353,21 @@ class DifferentiableRun:
     def jacobians(self, states: np.ndarray, times: np.ndarray, commands: np.ndarray
                   ) -> np.ndarray:
         """
-        Return the derivatives of the last states by the first ones and by held commands.
+        Return the Jacobians of the last states by the first states and by constant commands.
 
         Parameters
         ----------
         states : np.ndarray, shape (K + 1, m, 2 d)
-            Before and after each step of m trajectories.
+            States before and after each step of m trajectories.
         times : np.ndarray, shape (K, m)
-            At which the steps begin [s].
+            Start times of the steps [s].
         commands : np.ndarray, shape (m, c)
-            In all of them.
+            Commands, held during all steps.
 
         Returns
         -------
         np.ndarray, shape (m, 2 d, 2 d + c)
-            NaN where a step has none.
+            The Jacobians; NaN for trajectories with a step that has no derivative.
 
         """
         m, n, c = *states.shape[1:], commands.shape[1]
@@ -381,7 +382,7 @@ class DifferentiableRun:
         return self._acting.cut(local[-1]).transpose(1, 2, 0)
 
     def _states(self, segment: Segment) -> np.ndarray:
-        """Return the states around a segment's steps, shape (K + 1, m, 2 d)."""
+        """Return the states before and after a segment's steps, shape (K + 1, m, 2 d)."""
         recorded = self.recorded
         if segment is recorded.segments[-1]:
             return recorded.last
@@ -389,13 +390,13 @@ class DifferentiableRun:
         return self._advance(recorded, start.copy(), segment)
 
     def _advance(self, recorded: Recorded, rows: np.ndarray, segment: Segment) -> np.ndarray:
-        """Take a segment's steps from rows on; return the states, shape (K + 1, m, 2 d)."""
+        """Take a segment's steps, starting at rows; return the states, (K + 1, m, 2 d)."""
         commands = recorded.commands_in(segment).swapaxes(0, 1)
         path = self._stepper(recorded.z).follow_on(rows, np.ascontiguousarray(commands))
         return np.ascontiguousarray(path.swapaxes(0, 1))
 
     def _stepper(self, z: np.ndarray) -> Simulation:
-        """Return what takes steps; its own state, one of z at first, does not matter."""
+        """Return the simulation used for stepping rows; its own state is irrelevant."""
         if self._simulation is None:
             q, p = np.split(z[0], 2)
             self._simulation = Simulation(
@@ -404,7 +405,7 @@ class DifferentiableRun:
 
     def _add_sources(self, sources: np.ndarray, added: np.ndarray, change: Change,
                      stages: np.ndarray, states: np.ndarray, acting: Acting) -> None:
-        """Add what changes of all but states do in a segment; see stages.push_forward."""
+        """Add the sources from changes of parameters in a segment; see stages.push_forward."""
         for dependence, much in change.others:
             both = dependence.changed(self._states_at(stages, acting), much)
             sources += both.reshape(2, *sources.shape[:2], -1).transpose(1, 2, 0, 3).reshape(
@@ -415,16 +416,16 @@ class DifferentiableRun:
 
     @property
     def on_step_size(self) -> Dependence:
-        """Return the dependence on h: of so many steps, so the time at their end changes too."""
+        """Return the dependence on h for a fixed number of steps; the final time changes too."""
         if self._acting.any:
             raise UnsupportedSystem('the step size is not differentiable yet together with forces '
                                     'or damping; leave one of them out')
-        # In a step h occurs only as a factor of H'.
+        # In a step, h only occurs as a factor of H'.
         return OnNumber(lambda at: at.gradient(self.kernel) / self._h)
 
     def _stages(self, segment: Segment, states: np.ndarray
                 ) -> tuple[Acting, np.ndarray, np.ndarray]:
-        """Return what acts, the stages of steps, (K, m, 2 s d), and states as kernels do."""
+        """Return effect inputs, stages of steps, (K, m, 2 s d), and states with channels."""
         recorded = self.recorded
         times = (recorded.first + segment.steps[:, None]) * self._h
         acting = self._acting.acting(times, recorded.commands_in(segment))
@@ -434,22 +435,22 @@ class DifferentiableRun:
         return acting, stages, states
 
     def _found(self, acting: Acting, states: np.ndarray) -> tuple[np.ndarray, int]:
-        """Return the stages of steps, and which step has none; see ``find_stages``."""
+        """Return the stages of steps, and the first step without; see ``find_stages``."""
         stages = np.empty((*states[1:].shape[:2], 2 * self._tableau.stages * self._d))
         return stages, self._run(find_stages, acting, states, stages)
 
     def _by_rates(self, dependence: Dependence, states: np.ndarray, felt: np.ndarray
                   ) -> np.ndarray:
-        """Return the gradient by what changes rates of damping, shape ()."""
+        """Return the contribution of damping rates to a gradient, shape ()."""
         rates = getattr(dependence, 'rates', None)
         return np.zeros(()) if rates is None else np.array(float(
             (felt * self._acting.flowed(states, rates)).sum()))
 
     def _by_commands(self, acting: Acting, stages: np.ndarray) -> np.ndarray:
-        """Return how H' at stages changes with each command of the step, (c, K, m, 2 s d)."""
+        """Return the derivatives of H' at stages by each command, shape (c, K, m, 2 s d)."""
         places, s = self._system.places, self._tableau.stages
         if not self._acting.feels:
-            # A force lessens H_q.
+            # A force is subtracted from H_q.
             found = np.zeros((len(places), 2, s, self._d))
             found[:, 0, :, :places.shape[1]] = -places[:, None]
             return np.broadcast_to(found.reshape(len(places), 1, 1, stages.shape[2]),
@@ -457,7 +458,7 @@ class DifferentiableRun:
         found = np.zeros((len(places), *stages.shape))
         for slopes, place in zip(found, places, strict=True):
             size = np.abs(acting.commands[..., :-1] @ place)
-            # Narrower than the command, at whose change of sign friction under load has a kink.
+            # Stay on one side of zero: friction under load has a kink at a sign change.
             spacing = _SPACING * np.maximum(size, _LEAST * (size.max(initial=0.0) or 1.0))
             for offset, (weight, _) in MIDDLE.items():
                 commands = acting.commands.copy()
@@ -490,7 +491,7 @@ class DifferentiableRun:
                 'smaller step_size or another integrator')
 
     def _states_at(self, stages: np.ndarray, acting: Acting) -> States:
-        """Return the stages, for kernels whose clock is at the start of the run."""
+        """Return the stages as States, with the time in channels; kernel clocks are at 0."""
         channels = self.kernel.channels
         if channels:
             stages = stages.copy()
@@ -507,13 +508,13 @@ class DifferentiableRun:
         return at._replace(gradient=gradient)
 
     def beside(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> System:
-        """Return the system of other numbers, which is under the same commands."""
+        """Return a system with other numbers that shares the command array."""
         state = EffectState.empty(len(effects), hamiltonian.dimension)
         return System(hamiltonian, effects, self._integrator, state._replace(
             command=self._system.effect_state.command))
 
     def _halves(self, stages: np.ndarray) -> np.ndarray:
-        """Return the q parts, then the p parts, of all stages one after another: (2, N)."""
+        """Return the concatenated q parts and p parts of all stages, shape (2, N)."""
         s = self._tableau.stages
         return np.ascontiguousarray(
             stages.reshape(-1, 2, s * self._d).swapaxes(0, 1)).reshape(2, -1)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Dependences of runs on what is inside of H, where forces and Lagrangians see its velocities."""
+"""Dependences of runs on parameters of H, via its velocities in forces and Lagrangians."""
 
 from typing import NamedTuple
 
@@ -11,37 +11,37 @@ from hnn_vi_ros.kernels import (
 from hnn_vi_ros.simulation.gradients.dependences import Dependence, MIDDLE, States
 import numpy as np
 
-# Spacing of differences by velocities, as a share of the largest one.
+# Spacing of differences with respect to velocities, relative to the largest velocity.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 
 
 def base_of(kernel: Kernel) -> Kernel:
-    """Return the kernel of H of a kernel of H with forces."""
+    """Return the kernel of H without forces, given that of H with forces."""
     return kernel if not kernel.channels else kernel._replace(
         parameters=original(kernel).parameters[0], channels=0,
         dimension=kernel.dimension - kernel.channels)
 
 
 def _cut(states: np.ndarray, kernel: Kernel) -> np.ndarray:
-    """Return states one after another as rows without channels, shape (..., N, d)."""
+    """Return concatenated states as rows without channels, shape (..., N, d)."""
     rows = states.reshape(*states.shape[:-1], -1, kernel.dimension)
     return rows[..., :kernel.dimension - kernel.channels]
 
 
 class OnHamiltonian:
     """
-    The dependence of a run on something that H alone depends on.
+    Dependence of a run on a parameter of H, but not of the forces.
 
-    With forces f(t, q, p, v) the steps solve for G = (H_q - f_p, H_p + f_q), where v = H_p: as H
-    changes, its own G changes, and forces change with v. The slopes G_v are differences of
-    order 6.
+    With forces f(t, q, p, v) the steps use G = (H_q - f_p, H_p + f_q) with v = H_p: the parameter
+    changes G through H' directly, and through the dependence of forces on v. The derivatives G_v
+    are finite differences of order 6.
 
     Parameters
     ----------
     own : Dependence
-        Of H' without forces.
+        Dependence of H' without forces.
     kernel : Kernel
-        Of H with forces, by address.
+        Kernel of H with forces, by address.
 
     """
 
@@ -73,7 +73,7 @@ class OnHamiltonian:
         return States.at(_cut(at.q, self._kernel).ravel(), _cut(at.p, self._kernel).ravel())
 
     def _slopes(self, at: States) -> np.ndarray:
-        """Return the derivatives of both halves of G by each velocity, shape (d, 2, N, d)."""
+        """Return the derivatives of G with respect to each velocity, shape (d, 2, N, d)."""
         total = original(self._kernel)
         shifted = _Shifted(total.parameters[0], np.zeros(self._d))
         base = by_address(compiled_kernel(
@@ -93,18 +93,18 @@ class OnHamiltonian:
 
 class OnLagrangian:
     """
-    The dependence of H' on something, of that of -L(q, v), the negative Lagrangian.
+    Dependence of H' on a parameter w, from that of the negative Lagrangian -L(q, v).
 
-    As both depend on it, H_w(q, p) = -L_w(q, v) at the velocity v = H_p of p. No prior and no
-    mass matrix has to be inverted for it: a change of v is a product with H''. A force -f(q, v)
-    that depends on it joins -L_q.
+    It uses H_w(q, p) = -L_w(q, v) at the velocity v = H_p(q, p), so that neither a prior nor a
+    mass matrix is inverted: the derivative of v is a product with H''. A force -f(q, v) that
+    depends on w is included in -L_q.
 
     Parameters
     ----------
     own : Dependence
-        Of (-L_q + f, -L_v), at q and v.
+        Dependence of (-L_q + f, -L_v), at q and v.
     kernel : Kernel
-        Of H without forces.
+        Kernel of H without forces.
 
     """
 
@@ -124,12 +124,12 @@ class OnLagrangian:
         return found
 
     def _moving(self, at: States) -> States:
-        """Return the coordinates with velocities in place of momenta."""
+        """Return the states with velocities in place of momenta."""
         return States.at(at.q, self._kernel.slopes(at.q, at.p)[1])
 
 
 class _Shifted(NamedTuple):
-    """Parameters of H + c . p, whose velocities are c more: H, and c, shape (d,)."""
+    """Parameters of H + c . p, which adds c to velocities: H, and c of shape (d,)."""
 
     base: Target
     shift: np.ndarray

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Differentiable runs of one scene, each with its own values of some of the scene's numbers."""
+"""Differentiable runs of a scene with varying values of its numbers."""
 
 from collections.abc import Iterable, Mapping
 from copy import copy
@@ -19,22 +19,22 @@ import numpy as np
 from pydantic import ValidationError
 
 _EFFECTS, _MODEL, _URDF = 'effects.', 'model.', 'urdf.'
-# What of the card of a machine's model its motions depend on.
+# Fields of the model card of a machine that affect its motion.
 _IN_CARD = 'friction', 'prior', 'input_map', 'fade'
 
 
 class Numbers(NamedTuple):
     """
-    Values that a run is made with.
+    Parameter values of a run.
 
     Parameters
     ----------
     values : mapping of str to float
-        By names of ``numbers_of``, of ``numbers_of_model`` and of links, that were checked.
+        Values by name; checked names of ``numbers_of``, ``numbers_of_model`` and links.
     step_size : float
-        h [s].
+        Step size h [s].
     model : Checkpoint or None
-        In place of that of H: with other weights.
+        Model with other weights that replaces that of H.
 
     """
 
@@ -45,17 +45,17 @@ class Numbers(NamedTuple):
 
 class SceneRun:
     """
-    A differentiable run of a scene, and its dependences on numbers; for one thread at a time.
+    Differentiable run of a scene, and its dependences on numbers; not thread-safe.
 
     Parameters
     ----------
     parts : Parts
-        Of the scene; others can run with them at the same time.
+        Parts of the scene; they are copied, so other runs can use them at the same time.
 
     Attributes
     ----------
     run : DifferentiableRun
-        With the values that it was last told to hold.
+        Run with the values of the last call of ``hold``.
 
     Raises
     ------
@@ -65,7 +65,7 @@ class SceneRun:
     """
 
     def __init__(self, parts: Parts):
-        # Kernels have working memory, which another run may be using.
+        # Copy the parts: kernels have working memory, which another run may be using.
         self._own = self._now = parts = parts.copy()
         h = parts.scene.known_step_size
         self.run = DifferentiableRun(parts.hamiltonian, parts.integrator, h, parts.effects)
@@ -74,7 +74,7 @@ class SceneRun:
         self._beside: dict[tuple[str, int], System] = {}
 
     def hold(self, numbers: Numbers) -> None:
-        """Let what runs from now on have these values, or raise SceneError."""
+        """Set the values of subsequent runs, or raise SceneError."""
         held = self._held
         if numbers is held or (held is not None and numbers.model is held.model
                                and numbers[:2] == held[:2] and not numbers.values):
@@ -89,7 +89,7 @@ class SceneRun:
         self._now, self._held = made, numbers
 
     def on_number(self, name: str) -> Dependence:
-        """Return the dependence on a number of the scene where it is now, or raise ValueError."""
+        """Return the dependence on a number of the scene at its current value, or ValueError."""
         assert self._held is not None
         value = self._held.values[name]
         try:
@@ -101,7 +101,7 @@ class SceneRun:
 
     def _beside_now(self, name: str, value: float, offset: int
                     ) -> tuple[Kernel, np.ndarray | None]:
-        """Return the kernel with another value, and the rates of damping that depend on it."""
+        """Return the kernel with another value, and the damping rates if they depend on it."""
         model = self._model
         if name.startswith(_MODEL):
             model = _with_card(model or model_of(self._now), {name: value})
@@ -117,13 +117,13 @@ class SceneRun:
 
 
 def _changed(parts: Parts, values: Mapping[str, float], model: Checkpoint | None) -> Parts:
-    """Return parts with other numbers; of H or of effects alone, where the others stay."""
+    """Return parts with other numbers; H and effects are rebuilt only if theirs change."""
     own = {name: value for name, value in values.items()
            if not name.startswith((_MODEL, _URDF))}
     links = {name.removeprefix(_URDF): value for name, value in values.items()
              if name.startswith(_URDF)}
     scene = with_known_numbers(parts.scene, own)
-    # Numbers of H have no influence on effects, nor these on H.
+    # Numbers of H do not influence effects, nor the reverse.
     if not all(name.startswith(_EFFECTS) for name in own):
         parts = parts._replace(hamiltonian=scene.create_hamiltonian())
     if links:
@@ -141,14 +141,14 @@ def _changed(parts: Parts, values: Mapping[str, float], model: Checkpoint | None
     before, effects = H.checkpoint, [copy(effect) for effect in parts.effects]
     for effect in effects:
         held = getattr(effect, '_model', None)
-        # Friction and input map of the same file, not those of another one.
+        # Update friction and input map only in effects that use the same model file.
         if held is not None and held.sha256 == before.sha256:
             effect.__dict__['_model'] = model
     return parts._replace(hamiltonian=type(H)(model), effects=effects)
 
 
 def check_in_files(parts: Parts, names: Iterable[str]) -> list[str]:
-    """Return which names are of a model or a URDF; raise ValueError for those it does not have."""
+    """Return the names that belong to a model or URDF; raise ValueError for unknown ones."""
     inside = [name for name in names if name.startswith((_MODEL, _URDF))]
     known: dict[str, float] = {}
     if any(name.startswith(_MODEL) for name in inside):
@@ -161,7 +161,7 @@ def check_in_files(parts: Parts, names: Iterable[str]) -> list[str]:
 
 
 def robot_of(parts: Parts) -> Any:
-    """Return H, or raise ValueError unless it is that of a URDF."""
+    """Return H, or raise ValueError unless it is built from a URDF."""
     if parts.scene.hamiltonian.kind != 'urdf':
         raise ValueError(f'{_URDF}... are numbers of the links of a URDF, which '
                          f'{parts.scene.name} does not have')
@@ -169,7 +169,7 @@ def robot_of(parts: Parts) -> Any:
 
 
 def model_of(parts: Parts) -> Checkpoint:
-    """Return the model of H, or raise ValueError unless it is one of a machine."""
+    """Return the model of H, or raise ValueError unless it is a single model of a machine."""
     checkpoint = getattr(parts.hamiltonian, 'checkpoint', None)
     if checkpoint is None or checkpoint.card.mechanical is None or checkpoint.members:
         raise ValueError(f'{_MODEL}... are numbers of one model of the family mechanical or '
@@ -179,7 +179,7 @@ def model_of(parts: Parts) -> Checkpoint:
 
 
 def numbers_of_model(model: Checkpoint) -> dict[str, float]:
-    """Return the numbers of a machine's card by name, such as ``model.friction.viscous.0``."""
+    """Return the numbers of a machine's model card by name, as ``model.friction.viscous.0``."""
     assert model.card.mechanical is not None, 'checked by model_of'
     values = model.card.mechanical.model_dump(include={*_IN_CARD})
     prior = values['prior']
@@ -190,7 +190,7 @@ def numbers_of_model(model: Checkpoint) -> dict[str, float]:
 
 
 def _with_card(model: Checkpoint, values: Mapping[str, float]) -> Checkpoint:
-    """Return a model with other numbers on its card, or raise SceneError."""
+    """Return a model with other numbers in its card, or raise SceneError."""
     assert model.card.mechanical is not None, 'checked by model_of'
     data = model.card.mechanical.model_dump()
     for name, value in values.items():

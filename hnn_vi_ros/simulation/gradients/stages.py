@@ -1,16 +1,16 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Derivatives of the steps of a partitioned Runge-Kutta method, compiled; see PartitionedTableau.
+Compiled derivatives of steps of partitioned Runge-Kutta methods; see PartitionedTableau.
 
-The stages Z of a step solve Z = G(Z; z). With the slopes F = (H_q, H_p) at them, the matrix
-I - G_Z and the second derivatives H'' there, a tangent of z goes through the step by one solve
-with that matrix, and a cotangent goes back by one with its transpose (the implicit function
-theorem). What else a step depends on enters by F alone: a change of F at the stages is a source
-of the tangent, and the cotangent of F is given for each stage.
+The stages Z of a step solve Z = G(Z; z). By the implicit function theorem, a tangent of z is
+propagated by one solve with the matrix I - G_Z, and a cotangent by one with its transpose, using
+the second derivatives H'' at the stages. Parameters enter a step only through the slopes
+F = (H_q, H_p) at the stages: a change of F is a source of the tangent, and the cotangent of F is
+returned for each stage.
 
-Steps are taken from a trajectory that is known. States are (q, p), 2 d numbers; stages are q of
-the s stages one after another, then p.
+The trajectory is given. States are (q, p), 2 d numbers; stages are the concatenated q of all s
+stages, then p.
 """
 
 from typing import NamedTuple
@@ -24,26 +24,26 @@ import numpy as np
 
 class StageWork(NamedTuple):
     """
-    Workspace of one step's derivatives, of s stages of d coordinates.
+    Workspace of the derivatives of one step with s stages of d coordinates.
 
     Parameters
     ----------
     solver : SolverWork
-        Of the equation for the stages.
+        Workspace of the solver of the stages.
     change : np.ndarray, shape (2 d,)
-        The mean rate of change in the step.
+        Mean rate of change in the step.
     v_q, v_p, product_q, product_p : np.ndarray, shape (s d,)
-        A direction, and H'' times it or H' itself, at each stage.
+        Direction, and its product with H'' or H' itself, at each stage.
     slopes : np.ndarray, shape (s, 2 d, 2 d)
         H'' at each stage.
     matrix : np.ndarray, shape (2 s d, 2 s d)
-        I - G_Z, or its transpose; or its factors.
+        I - G_Z or its transpose, or the LU factors of it.
     pivots : np.ndarray of int, shape (2 s d,)
-        The exchanges of rows of these factors.
+        Row exchanges of the factorisation.
     right : np.ndarray, shape (2 s d,)
-        The right-hand side, then the solution.
+        Right-hand side, overwritten with the solution.
     start, end : np.ndarray, shape (2 d,)
-        A state, a tangent or a cotangent between the flows around a step.
+        State, tangent or cotangent before and after a step, inside the flows around it.
 
     """
 
@@ -62,7 +62,7 @@ class StageWork(NamedTuple):
 
     @classmethod
     def empty(cls, s: int, d: int) -> 'StageWork':
-        """Return the working space."""
+        """Return an empty workspace."""
         n = 2 * s * d
         v_q, v_p, product_q, product_p = np.zeros((4, s * d))
         return cls(SolverWork.empty(n), np.zeros(2 * d), v_q, v_p, product_q, product_p,
@@ -72,19 +72,18 @@ class StageWork(NamedTuple):
 
 class Acting(NamedTuple):
     """
-    Input of effects that do work in K steps, and what they do around each.
+    Inputs in K steps of effects that do work, and damping factors around steps.
 
     Parameters
     ----------
     clock, command : np.ndarray
         Arrays of the kernel's EffectState, restored for each step.
     times : np.ndarray, shape (K, m)
-        At the starts of the steps of m trajectories [s].
+        Start times of the steps of m trajectories [s].
     commands : np.ndarray, shape (K, m, size of command)
-        In the steps.
+        Commands during the steps.
     flow : np.ndarray, shape (2 d,)
-        Factors of friction on a state before a step, and after it; 0 for channels, which start
-        over.
+        Damping factors on a state before and after each step; 0 for channels, which are reset.
 
     """
 
@@ -96,12 +95,12 @@ class Acting(NamedTuple):
 
 
 _MOST = 20
-# Relative to a state: a step that ends further from the next one was not taken by the tableau.
+# Largest distance from the next state, relative to the scale, of a step taken by the tableau.
 _SAME = 1e-9
 
 
 class _Problem(NamedTuple):
-    """The equation for the stages of a step from z, and H' at them."""
+    """Equation for the stages of a step from z, with H' at the stages."""
 
     kernel: Kernel
     h: float
@@ -114,29 +113,29 @@ class _Problem(NamedTuple):
 def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
                 states: np.ndarray, stages: np.ndarray, work: StageWork) -> int:
     """
-    Fill the stages of steps.
+    Compute the stages of steps.
 
     Parameters
     ----------
     kernel : Kernel
-        Of H.
+        Kernel of H.
     h : float
         Step size [s].
     tableau : PartitionedTableau
-        Of the method.
+        Tableau of the method.
     acting : Acting
-        What effects do.
+        Inputs of effects.
     states : np.ndarray, shape (K + 1, m, 2 d)
-        Of m trajectories, before and after each of K steps.
+        States of m trajectories before and after each of K steps.
     stages : np.ndarray, shape (K, m, 2 s d)
-        Filled.
+        Output: stages; NaN if they are not found.
     work : StageWork
-        Filled again.
+        Workspace, overwritten.
 
     Returns
     -------
     int
-        -1, or the first step whose stages are not found, K m in all; they are NaN.
+        Flat index in (K, m) of the first step whose stages are not found, or -1.
 
     """
     kernel, tableau, acting, states, stages, work = bare(
@@ -158,19 +157,19 @@ def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: A
 def fill_gradients(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
                    stages: np.ndarray, found: np.ndarray, work: StageWork) -> int:
     """
-    Fill (H_q, H_p) at stages whose channels hold the time, under the command of each step.
+    Compute (H_q, H_p) at stages whose channels hold the time, under the command of each step.
 
     Parameters
     ----------
     kernel, h, tableau, acting, stages, work
-        See ``find_stages``; the kernel may be another one of the same commands.
+        See ``find_stages``; the kernel may be another one that shares the command array.
     found : np.ndarray, shape (2, K, m, s d)
-        Filled.
+        Output: (H_q, H_p).
 
     Returns
     -------
     int
-        -1.
+        Always -1.
 
     """
     kernel, acting, stages, found = bare((kernel, acting, stages, found))
@@ -189,23 +188,23 @@ def pull_back(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Act
               stages: np.ndarray, cotangents: np.ndarray, directions: np.ndarray,
               felt: np.ndarray, work: StageWork) -> int:
     """
-    Take cotangents back through steps.
+    Propagate cotangents back through steps.
 
     Parameters
     ----------
     kernel, h, tableau, acting, stages, work
         See ``find_stages``.
     cotangents : np.ndarray, shape (K + 1, m, 2 d)
-        Of each state by itself; of it and of all that follows from it afterwards.
+        Input: cotangents of each state alone. Output: including all later states.
     directions : np.ndarray, shape (K, m, 2 s d)
-        Filled with the cotangents of H_q at the stages, then of H_p.
+        Output: cotangents of H_q at the stages, then of H_p.
     felt : np.ndarray, shape (K, 2, m, 2 d)
-        Filled with the cotangents after the flow before each step, and after that behind it.
+        Output: cotangents after the flow that precedes each step, and after that which follows.
 
     Returns
     -------
     int
-        -1, or a step whose matrix is singular.
+        Flat index in (K, m) of a step whose matrix is singular, or -1.
 
     """
     kernel, tableau, acting, stages, cotangents, directions, felt, work = bare(
@@ -230,23 +229,23 @@ def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: 
                  stages: np.ndarray, sources: np.ndarray, added: np.ndarray,
                  tangents: np.ndarray, work: StageWork) -> int:
     """
-    Take tangents through steps, r of each trajectory, for which a step is factorised once.
+    Propagate r tangents of each trajectory through steps, each factorised once.
 
     Parameters
     ----------
     kernel, h, tableau, acting, stages, work
         See ``find_stages``.
     sources : np.ndarray, shape (K, r, m, 2 s d)
-        Changes of H_q at the stages, then of H_p, for other reasons than the state.
+        Changes of H_q at the stages, then of H_p, due to parameters.
     added : np.ndarray, shape (K, 2, r, m, 2 d)
-        Changes of the state after the flow before each step, and after that behind it, likewise.
+        Changes due to parameters of the states after the flows before and after each step.
     tangents : np.ndarray, shape (K + 1, r, m, 2 d)
-        Of the first state; of all states afterwards.
+        Input: tangents of the first state. Output: tangents of all states.
 
     Returns
     -------
     int
-        -1, or the first step whose matrix is singular; tangents after such are NaN.
+        Flat index in (K, m) of the first singular step, or -1; tangents after it are NaN.
 
     """
     kernel, tableau, acting, stages, sources, added, tangents, work = bare(
@@ -272,7 +271,7 @@ def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: 
 
 @inlined
 def _enter(acting: Acting, n: int, m: int) -> None:
-    """Restore the time and command of a step for the forces."""
+    """Set the time and the command of a step for the forces."""
     acting.clock[0], acting.clock[1] = acting.times[n, m], 0.0
     for i in range(acting.command.size):
         acting.command[i] = acting.commands[n, m, i]
@@ -281,7 +280,7 @@ def _enter(acting: Acting, n: int, m: int) -> None:
 @inlined
 def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, z1: np.ndarray,
           x: np.ndarray, work: StageWork) -> bool:
-    """Fill the stages of a step from z to z1; False if none are found."""
+    """Compute the stages of a step from z to z1; return False if none are found."""
     s, d = tableau.q_weights.size, kernel.dimension
     scale, own = work.solver.iterates.scale, work.solver.iterates.own_scale
     for k in range(2 * d):
@@ -295,7 +294,7 @@ def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, 
     if _is_explicit(tableau):
         _walk(problem, x)
         outcome = OK
-    # Newton's method takes a matrix more, so it comes second, after a failure of the other.
+    # Try Newton's method after Anderson's fails, since it needs a matrix in addition.
     for attempt in range(0 if outcome == OK else 2):
         for i in range(s):
             node_q, node_p = 0.0, 0.0
@@ -326,7 +325,7 @@ def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, 
 
 @inlined
 def _is_explicit(tableau: PartitionedTableau) -> bool:
-    """Return whether each stage depends on those before it alone."""
+    """Return whether each stage depends on earlier stages only."""
     s = tableau.q_weights.size
     for i in range(s):
         for j in range(i, s):
@@ -337,7 +336,7 @@ def _is_explicit(tableau: PartitionedTableau) -> bool:
 
 @inlined
 def _walk(problem: _Problem, x: np.ndarray) -> None:
-    """Fill the stages of an explicit step, one after another, and H' at them."""
+    """Compute the stages of an explicit step in sequence, and H' at them."""
     s, d, z = problem.tableau.q_weights.size, problem.kernel.dimension, problem.z
     for i in range(s):
         a, b = i * d, (s + i) * d
@@ -351,7 +350,7 @@ def _walk(problem: _Problem, x: np.ndarray) -> None:
 @inlined
 def _combine(tableau: PartitionedTableau, dH_dq: np.ndarray, dH_dp: np.ndarray, i: int, k: int,
              stages: int) -> tuple[float, float]:
-    """Return the sums over the first stages j of a_ij H_p and of -A_ij H_q, component k."""
+    """Return component k of the sums over the first stages j of a_ij H_p and of -A_ij H_q."""
     d = dH_dq.size // tableau.q_weights.size
     dq, dp = 0.0, 0.0
     for j in range(stages):
@@ -375,7 +374,7 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
 @inlined
 def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
     s, d = problem.tableau.q_weights.size, problem.kernel.dimension
-    # Not needed before the next evaluation of the equation fills them again.
+    # Reuse these arrays: the next evaluation of the equation overwrites them anyway.
     at_q, at_p = problem.dH_dq, problem.dH_dp
     problem.kernel.hessian_vector(problem.kernel.parameters, x[:s * d], x[s * d:],
                                   v[:s * d], v[s * d:], at_q, at_p)
@@ -387,7 +386,7 @@ def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarra
 
 @inlined
 def _fill_slopes(kernel: Kernel, x: np.ndarray, work: StageWork) -> None:
-    """Fill H'' at each stage, column by column."""
+    """Compute H'' at each stage, column by column."""
     n, d, own = work.v_q.size, kernel.dimension, _own(kernel)
     # Columns of channels are zero.
     for c in range(2 * own):
@@ -407,7 +406,7 @@ def _fill_slopes(kernel: Kernel, x: np.ndarray, work: StageWork) -> None:
 @inlined
 def _fill_matrix(h: float, tableau: PartitionedTableau, work: StageWork, transposed: bool
                  ) -> None:
-    """Fill the matrix I - G_Z, or its transpose, from H'' at the stages."""
+    """Assemble the matrix I - G_Z, or its transpose, from H'' at the stages."""
     s, d = tableau.q_weights.size, work.slopes.shape[1] // 2
     matrix, slopes = work.matrix, work.slopes
     for i in range(s):
@@ -428,7 +427,7 @@ def _fill_matrix(h: float, tableau: PartitionedTableau, work: StageWork, transpo
 
 @inlined
 def _factorise(h: float, tableau: PartitionedTableau, work: StageWork) -> bool:
-    """Factorise I - G_Z from H'' at the stages; False if it is singular."""
+    """Factorise I - G_Z from H'' at the stages; return False if it is singular."""
     _fill_matrix(h, tableau, work, False)
     return factorise_rows(work.matrix, work.pivots)
 
@@ -436,7 +435,7 @@ def _factorise(h: float, tableau: PartitionedTableau, work: StageWork) -> bool:
 @inlined
 def _pull(kernel: Kernel, h: float, tableau: PartitionedTableau, x: np.ndarray,
           before: np.ndarray, after: np.ndarray, direction: np.ndarray, work: StageWork) -> bool:
-    """Add to the cotangent before a step what comes of that after it; False if singular."""
+    """Propagate the cotangent after a step, added to that before it; return False if singular."""
     s, d, right, slopes = tableau.q_weights.size, kernel.dimension, work.right, work.slopes
     n = s * d
     _fill_slopes(kernel, x, work)
@@ -471,7 +470,7 @@ def _pull(kernel: Kernel, h: float, tableau: PartitionedTableau, x: np.ndarray,
 @inlined
 def _push(kernel: Kernel, h: float, tableau: PartitionedTableau, source: np.ndarray,
           before: np.ndarray, after: np.ndarray, explicit: bool, work: StageWork) -> None:
-    """Fill the tangent after a step from that before it; its matrix is factorised if implicit."""
+    """Propagate a tangent through a step, whose matrix is already factorised if implicit."""
     s, d, right, own = tableau.q_weights.size, kernel.dimension, work.right, _own(kernel)
     n, changed_q, changed_p = s * d, work.v_q, work.v_p
     if not explicit:
@@ -497,13 +496,13 @@ def _push(kernel: Kernel, h: float, tableau: PartitionedTableau, source: np.ndar
 
 @inlined
 def _own(kernel: Kernel) -> int:
-    """Return the number of coordinates that are no channels, on which alone states depend."""
+    """Return the number of coordinates without channels; states depend on these only."""
     return kernel.dimension - kernel.channels
 
 
 @inlined
 def _change(source: np.ndarray, j: int, d: int, own: int, work: StageWork) -> None:
-    """Fill how H' changes at a stage, into v_q and v_p, for a change of the stage, in right."""
+    """Compute the change of H' at a stage, in v_q and v_p, for a change of stages in `right`."""
     n, right, slopes = work.v_q.size, work.right, work.slopes
     for k in range(own):
         at_q, at_p = source[j * d + k], source[n + j * d + k]

@@ -324,8 +324,7 @@ class InvariantGuard(BandGuard):
 
 # Minimum number of blocks, and of samples per block, to detect a lasting change.
 _BLOCKS, _BLOCK = 50, 20
-# A change is lasting if it persists until the run is this many times longer; a slow oscillation
-# does not.
+# Factor by which the run must grow while a change persists; a slow oscillation does not.
 _LASTING = 5
 # A sudden change beyond this multiple of the energy scale is not an oscillation.
 _JUMP = 10.0

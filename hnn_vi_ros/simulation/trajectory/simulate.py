@@ -34,8 +34,7 @@ from numpy.typing import ArrayLike
 # Commands of m trajectories: rows held from sample to sample, or a function of time [s].
 ManyCommands = ArrayLike | Callable[[float], ArrayLike]
 _FIRST = slice(0, 1)
-# Limit of gradients for `name_step`, as a share of the limit of a calibration run: some tenths of
-# a second.
+# Maximum gradients of `name_step`, as a share of those of a calibration run: tenths of a second.
 _SHARE = 0.1
 
 

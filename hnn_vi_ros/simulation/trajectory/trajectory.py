@@ -193,8 +193,7 @@ class Trajectory:
         Returns
         -------
         matplotlib.figure.Figure
-            The figure: ``.savefig('plot.png')`` writes it to a file, and
-            ``matplotlib.pyplot.show()`` opens a window.
+            ``.savefig('plot.png')`` writes a file; ``matplotlib.pyplot.show()`` opens a window.
 
         Raises
         ------
@@ -214,8 +213,7 @@ class Trajectory:
         Parameters
         ----------
         coordinates : sequence of str, optional
-            Names of the coordinates to draw; by default all except rotations and poses, which
-            have no phase plane.
+            Names of the coordinates to draw; by default all except rotations, without a plane.
 
         Returns
         -------
@@ -247,8 +245,7 @@ class Trajectory:
         Returns
         -------
         matplotlib.animation.FuncAnimation
-            The animation: ``.save('run.gif', writer='pillow')`` writes a file, ``.to_jshtml()``
-            is for notebooks.
+            ``.save('run.gif', writer='pillow')`` writes a file; ``.to_jshtml()`` is for notebooks.
 
         Raises
         ------
