@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small pieces of arithmetic that every step uses; compiled where they are called."""
+"""Elementary arithmetic that every step uses; inlined by the compiler where it is called."""
 
 import math
 
@@ -12,12 +12,12 @@ import numpy as np
 @inlined
 def plus(x: float, carry: float, increment: float) -> tuple[float, float]:
     """
-    Add an increment to a number that is kept as a sum x + carry, by compensated summation.
+    Add an increment to a number stored as a sum x + carry, by compensated summation.
 
     Returns
     -------
     tuple of (float, float)
-        The rounded sum, and the rounding error that it left: the next carry.
+        The rounded sum and its rounding error, which is the next carry.
 
     References
     ----------
@@ -33,10 +33,10 @@ def plus(x: float, carry: float, increment: float) -> tuple[float, float]:
 
 @inlined
 def largest(x: np.ndarray) -> float:
-    """Return the largest absolute value in x of shape (n,); NaN if x holds one."""
+    """Return the largest absolute value in x of shape (n,), NaN if x contains one."""
     result = 0.0
     for i in range(x.size):
-        # A comparison with NaN is false: written so, NaN is kept.
+        # A comparison with NaN is false, so this form of the test keeps a NaN.
         if not abs(x[i]) <= result:
             result = abs(x[i])
         if math.isnan(result):
@@ -46,8 +46,8 @@ def largest(x: np.ndarray) -> float:
 
 @inlined
 def all_finite(x: np.ndarray) -> bool:
-    """Return whether x of shape (n,) holds finite numbers only."""
-    for i in range(x.size):  # noqa: SIM110  compiled, a loop is faster
+    """Return True if all entries of x of shape (n,) are finite."""
+    for i in range(x.size):  # noqa: SIM110  a loop is faster when compiled
         if not math.isfinite(x[i]):
             return False
     return True
@@ -55,7 +55,7 @@ def all_finite(x: np.ndarray) -> bool:
 
 @inlined
 def is_finite(z: Point) -> bool:
-    """Return whether a state and its gradient hold finite numbers only."""
+    """Return True if a state and its gradient are finite."""
     return (all_finite(z.q) and all_finite(z.p)
             and all_finite(z.dH_dq) and all_finite(z.dH_dp))
 
@@ -65,8 +65,8 @@ def copy_array(source: np.ndarray, target: np.ndarray) -> None:
     """
     Copy an array of shape (n,) into another.
 
-    For ``target[:] = source`` numba compiles the text of an error of shapes as well, which takes
-    longer than a whole step.
+    For ``target[:] = source`` numba also compiles the error message for mismatched shapes, which
+    takes longer than a whole step.
     """
     for i in range(target.size):
         target[i] = source[i]
@@ -74,7 +74,7 @@ def copy_array(source: np.ndarray, target: np.ndarray) -> None:
 
 @inlined
 def copy_point(source: Point, target: Point) -> None:
-    """Copy every array of a point into another point's."""
+    """Copy every array of one point into another point."""
     for i in range(source.q.size):
         target.q[i], target.p[i] = source.q[i], source.p[i]
         target.q_carry[i], target.p_carry[i] = source.q_carry[i], source.p_carry[i]

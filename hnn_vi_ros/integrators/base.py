@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base of integrators: what a method declares of itself, and the work space of a step."""
+"""Base class of integrators: properties that a method declares, and the workspace of a step."""
 
 from abc import ABC
 from collections.abc import Callable, Sequence
@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 
 class Node(NamedTuple):
     """
-    A stage that begins where those before it have ended, by shares of the step size.
+    A stage that starts from the end of the stages before it, in fractions of the step size.
 
-    From (x, c), which are q and p before the first node, it finds Q and P, and advances:
+    From (x, c), which are q and p before the first node, it computes Q and P, and advances:
 
         Q = x + a h H_p(Q, P),  P = c - b h H_q(Q, P)
         x <- x + u h H_p(Q, P),  c <- c - w h H_q(Q, P)
@@ -33,7 +33,7 @@ class Node(NamedTuple):
 
 class PartitionedTableau(NamedTuple):
     """
-    The coefficients of a step of s stages Z_i = (Q_i, P_i), one set for q and one for p.
+    Coefficients of a step of s stages Z_i = (Q_i, P_i), one set for q and one for p.
 
         Q_i = q + h sum_j a_ij H_p(Z_j),  P_i = p - h sum_j A_ij H_q(Z_j)
         q_(n+1) = q + h sum_j b_j H_p(Z_j),  p_(n+1) = p - h sum_j B_j H_q(Z_j)
@@ -63,12 +63,12 @@ class PartitionedTableau(NamedTuple):
 
     def nodes(self) -> list[Node]:
         """
-        Return the stages one after another.
+        Return the stages as nodes that can be solved in sequence.
 
         Raises
         ------
         ValueError
-            A stage does not begin where those before it have ended, or depends on later ones.
+            A stage does not start from the end of the stages before it, or depends on later ones.
 
         """
         for matrix, weights in ((self.q_matrix, self.q_weights), (self.p_matrix, self.p_weights)):
@@ -82,7 +82,7 @@ class PartitionedTableau(NamedTuple):
 
 def tableau(q_matrix: ArrayLike, p_matrix: ArrayLike, q_weights: ArrayLike,
             p_weights: ArrayLike) -> PartitionedTableau:
-    """Return a tableau of numbers in lists; see PartitionedTableau."""
+    """Return the PartitionedTableau of coefficients given as lists."""
     return PartitionedTableau(*(np.array(part, dtype=np.float64) for part in (
         q_matrix, p_matrix, q_weights, p_weights)))
 
@@ -92,7 +92,7 @@ LEAPFROG = tableau([[0.0, 0.0], [0.5, 0.5]], [[0.5, 0.0], [0.5, 0.0]], [0.5, 0.5
 
 
 def in_sequence(base: PartitionedTableau, fractions: Sequence[float]) -> PartitionedTableau:
-    """Return the tableau of one step made of steps of a base, of these fractions of h."""
+    """Return the tableau of a step composed of steps of a base method, of fractions of h."""
     s, count = base.stages, len(fractions)
     matrices, weights = np.zeros((2, count * s, count * s)), np.zeros((2, count * s))
     for k, fraction in enumerate(fractions):
@@ -100,7 +100,7 @@ def in_sequence(base: PartitionedTableau, fractions: Sequence[float]) -> Partiti
         for matrix, weight, base_matrix, base_weight in zip(
                 matrices, weights, base[:2], base[2:], strict=True):
             matrix[own, own] = fraction * base_matrix
-            # Stages of later parts start from where this part has ended.
+            # Stages of later parts start from the end of this part.
             matrix[later, own] = fraction * base_weight
             weight[own] = fraction * base_weight
     return PartitionedTableau(*matrices, *weights)
@@ -109,27 +109,26 @@ def in_sequence(base: PartitionedTableau, fractions: Sequence[float]) -> Partiti
 @dataclass(frozen=True)
 class Requirements:
     """
-    Needs and claims of a method; every refusal of a system or an effect derives from it.
+    Requirements and conservation properties of a method; every refusal follows from them.
 
     Parameters
     ----------
     symmetric, symplectic : bool
         Properties of the map; symplectic in the 2-form that the method's docstring names.
     separable : bool
-        Whether it needs H = T(p) + V(q), and forces that do not depend on p.
+        True if the method needs H = T(p) + V(q), and forces that do not depend on p.
     coordinates : str
-        ``'canonical'`` if it needs (q, p) that are; ``'any'`` if it is as good for a field
-        u' = f(u) in any coordinates; ``'other'`` if it is made for those that are not canonical,
-        on which no effect acts; ``'group'`` if it is made for those that turn. No other method
-        takes such.
+        ``'canonical'``: the method needs canonical (q, p). ``'any'``: it integrates any u' = f(u).
+        ``'other'``: it is made for non-canonical coordinates, on which no effect acts.
+        ``'group'``: it is made for rotations, which only such methods integrate.
     hamiltonian : bool
-        False if the map is made of something else than the kernel's H, which no effect can join.
+        False if the map is not derived from the kernel's H, so that no effect can be added to it.
     forces : bool or str
-        Whether the map stays right where the kernel's gradient holds forces as well; ``'held'``
-        if it does for forces that are the same all through a step, and for one of them.
+        True if the map remains valid when forces are added to the kernel's gradient; ``'held'`` if
+        it does for one force that is constant in each step.
     from_state : bool
-        False if the next step starts elsewhere than at the state that the last one ended in:
-        nothing may change that state between them.
+        False if the next step does not continue from the state at the end of the last one; nothing
+        may then change that state between steps.
 
     """
 
@@ -142,12 +141,12 @@ class Requirements:
     from_state: bool = True
 
     def take_force(self, depends_on_momentum: bool, held: bool = False) -> bool:
-        """Return whether the method takes a force at its nodes."""
+        """Return True if the method can evaluate a force at its nodes."""
         takes = held if self.forces == 'held' else self.forces
         return self.hamiltonian and takes and not (depends_on_momentum and self.separable)
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
-        """Return why a Hamiltonian cannot be integrated, to follow the method's name, or ''."""
+        """Return the reason for refusing `hamiltonian`, to follow the method's name, or ''."""
         turning = listed(coordinate.name for coordinate in hamiltonian.coordinates
                          if coordinate.kind != 'scalar')
         if turning and self.coordinates != 'group':
@@ -181,30 +180,30 @@ REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
            NOT_HELD: 'no impulses hold the constraints over the step',
            NO_IMPACT: 'its impacts cannot be followed',
            ENDLESS: 'the steps of its own that it takes become too many, or too short'}
-# Remedies for the user where another step size or method is no cure.
+# Advice for the user in cases that another step size or method does not solve.
 REMEDIES = {NO_MASS: 'start elsewhere, or take another model', REDUNDANT: 'leave it out',
             ENDLESS: 'start elsewhere, or use another integrator; time_transformed takes fewer '
                      'with a larger force'}
-# What may be done about a step that fails; see Rescue.
+# Policies for a step that fails; see Rescue.
 ON_FAILURE = ('substep', 'implicit', 'stop')
 
 
-# The step of a method, with the outcome, the residual and the evaluations; see Integrator.step.
+# A step function returns the outcome, the residual and the evaluations; see Integrator.step.
 Step = Callable[..., tuple[int, float, int]]
 
 
 class Point(NamedTuple):
     """
-    A state, of one trajectory or of several one after another, each array of shape (n,).
+    A state of one trajectory, or of several in sequence; each array has shape (n,).
 
     Parameters
     ----------
     q, p : np.ndarray
         Coordinates and momenta.
     q_carry, p_carry : np.ndarray
-        What compensated summation has rounded off them so far.
+        The rounding errors of q and p, kept by compensated summation.
     dH_dq, dH_dp : np.ndarray
-        The gradient of H at (q, p), where the method keeps it.
+        The gradient of H at (q, p), if the method stores it.
 
     """
 
@@ -223,12 +222,12 @@ class Point(NamedTuple):
 
 class PointWork(NamedTuple):
     """
-    The workspace of what takes steps from one point to another.
+    Workspace of a step that consists of several steps.
 
     Parameters
     ----------
     point : Point
-        Between two of them.
+        An intermediate point.
 
     """
 
@@ -237,8 +236,8 @@ class PointWork(NamedTuple):
 
 def step_failure(outcome: int, t: float, h: float, residual: float, evaluations: int,
                  reason: str = '') -> StepFailure:
-    """Return the error of a step with an outcome, whose reason may be told more closely."""
-    # For any other outcome it is not the residual of an unsolved equation.
+    """Return the exception for a failed step, with a more specific reason if one is given."""
+    # For other outcomes it is not the residual of an unsolved equation.
     unsolved = residual if outcome == NO_CONVERGENCE else math.nan
     return StepFailure(reason or REASONS[outcome], t, h, unsolved, evaluations,
                        REMEDIES.get(outcome, ADVICE))
@@ -253,27 +252,27 @@ class Integrator(ABC):
     order : int
         Order of convergence on smooth problems.
     requirements : Requirements
-        The method's demands on a system, and its conservation properties.
+        Requirements on a system, and conservation properties.
     explicit : bool
-        Whether a step solves no equation.
+        True if a step solves no equation.
     keeps_gradient : bool
-        True if a step leaves the gradient at the new state, for nothing more.
+        True if a step leaves the gradient at the new state at no extra cost.
     halves : tuple of callable or None
-        Two steps of h / 2 that make up the step, if it has a middle to put something in.
+        Two steps of h / 2 that compose the step, if something can be inserted between them.
     equations : tuple of int
-        For each implicit equation, how many unknowns it has for each coordinate.
+        For each implicit equation, its number of unknowns per coordinate.
     no_solution : str
-        Meaning of a step's equation without a solution connected to h = 0; '' where the
-        one that solvers find is taken.
+        Message when a step's equation has no solution connected to h = 0; '' if any solution that
+        the solvers find is accepted.
     fallback : str
-        Name of the method whose sub-steps redo a failed step, where this one is not symmetric
-        and does so itself; '' for none.
+        Name of the method whose sub-steps redo a failed step, if this method is not symmetric and
+        cannot do so itself; '' for none.
     compiled : bool
-        False if a step calls what numba cannot compile.
+        False if a step calls functions that numba cannot compile.
     step : callable
-        ``step(kernel, h, options, z, z1, memory)`` maps the point z to z1 and returns
-        ``(outcome, residual, gradients)``; it never changes z. The method ``memory`` returns the
-        argument of this name. It is plain Python in numba's subset, run compiled or interpreted.
+        ``step(kernel, h, options, z, z1, memory)`` maps the point z to z1 and returns ``(outcome,
+        residual, gradients)``; it never changes z. The method ``memory`` allocates its last
+        argument. It is plain Python in numba's subset, run compiled or interpreted.
 
     """
 
@@ -289,7 +288,7 @@ class Integrator(ABC):
     step: Callable
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
-        """Return why it takes no such Hamiltonian, to follow its name, or ''; see Requirements."""
+        """Return the reason this method cannot integrate `hamiltonian`, '' if it can."""
         return self.requirements.refusal(hamiltonian)
 
     @property
@@ -299,7 +298,7 @@ class Integrator(ABC):
 
     @property
     def own(self) -> bool:
-        """Return whether all of the step is this package's, whose changes are noticed."""
+        """Return True if all code of the step is in this package, whose changes are detected."""
         return is_own(type(self).__module__)
 
     def attempts(self, n: int) -> tuple[int, ...]:
@@ -308,28 +307,28 @@ class Integrator(ABC):
 
     @property
     def usual_gradients(self) -> int:
-        """Return how many gradients a step takes at most as a rule; 0 if no rule holds."""
+        """Return the usual maximum number of gradients in a step; 0 if there is none."""
         return 0
 
     def own_times(self, kernel: Kernel) -> tuple[float, float]:
         """
-        Return the time of a step besides its gradients, fixed and for each gradient [s].
+        Return the time of a step without its gradients: a fixed part, and one per gradient [s].
 
-        They are of one machine, and the same everywhere: what is chosen by them does not depend
-        on how busy a machine is.
+        The values were measured on one machine and are constants, so that choices based on them do
+        not depend on the load of the machine.
         """
         return (2e-8, 0.0) if self.explicit else (1.5e-7, 2e-8)
 
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """
-        Return what ``step`` takes as its options: numbers, arrays and solvers; here none.
+        Return the options of ``step``, which are numbers, arrays and solvers; () by default.
 
         Parameters
         ----------
         attempt : int
-            Which of the attempts at a step, from 0.
+            Zero-based index of the attempt at a step.
         dimension : int
-            The number d of degrees of freedom of the Hamiltonian.
+            Number d of degrees of freedom of the Hamiltonian.
 
         """
         return ()
@@ -339,12 +338,12 @@ class Integrator(ABC):
         return tuple(each * n for each in self.equations)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
-        """Return the workspaces of a step of n coordinates, none for no such; see workspaces."""
+        """Return the workspaces of a step of n coordinates; () if it needs none."""
         return ()
 
     @property
     def partitioned(self) -> PartitionedTableau | None:
-        """Return the step as a partitioned Runge-Kutta method, for derivatives; None if none."""
+        """Return the tableau of the step for derivatives, None if it is no Runge-Kutta method."""
         return None
 
     @staticmethod
@@ -352,22 +351,22 @@ class Integrator(ABC):
                         energy: np.ndarray | float, dH_dq: np.ndarray, dH_dp: np.ndarray
                         ) -> np.ndarray | None:
         """
-        Return the energy that the map nearly conserves [J], or None if there is none known.
+        Return the energy that the map nearly conserves [J], or None if it is unknown.
 
-        Its band is O(h^(2 order)).
+        Its deviation is O(h^(2 order)).
 
         Parameters
         ----------
         hamiltonian : Hamiltonian
-            H.
+            The Hamiltonian.
         h : float
             Step size [s].
         q, p : np.ndarray, shape (..., d)
             States.
         energy : np.ndarray, shape (...)
-            H there [J].
+            H at the states [J].
         dH_dq, dH_dp : np.ndarray, shape (..., d)
-            Gradient of H there.
+            Gradient of H at the states.
 
         """
         return None
@@ -387,10 +386,10 @@ def leapfrog_energy(hamiltonian: Hamiltonian, h: float, q: np.ndarray, p: np.nda
 
         H~ = H + (h^2 / 24) (2 H_p . H_qq H_p - H_q . H_pp H_q + 2 H_q . H_pq H_p)
 
-    It follows from that of symplectic Euler, H -+ (h / 2) H_q . H_p
-    + (h^2 / 12) (H_p . H_qq H_p + H_q . H_pp H_q + 4 H_q . H_pq H_p), by the formula of Baker,
-    Campbell and Hausdorff for half a step of it and half a step of its adjoint. Where H separates
-    the last term is zero, and it is that of Störmer-Verlet.
+    It follows from the modified energy of symplectic Euler, H -+ (h / 2) H_q . H_p
+    + (h^2 / 12) (H_p . H_qq H_p + H_q . H_pp H_q + 4 H_q . H_pq H_p), and the Baker-Campbell-
+    Hausdorff formula for half a step of it and half a step of its adjoint. If H is separable, the
+    last term is zero and H~ is that of Störmer-Verlet.
 
     References
     ----------

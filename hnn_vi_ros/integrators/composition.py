@@ -29,15 +29,15 @@ BASES = {
 
 class Composition(Integrator):
     """
-    Steps of a symmetric base of order 2, of lengths that cancel its leading errors.
+    Composition of steps of a symmetric base method of order 2 whose leading errors cancel.
 
-    Symplectic and symmetric as the base is.
+    Symplectic and symmetric if the base is. For scalar coordinates prefer `gauss8`.
 
     Parameters
     ----------
     base : str
-        ``'generalized_leapfrog'``, ``'implicit_midpoint'``, ``'lie_leapfrog'`` and
-        ``'lie_stormer_verlet'``, which are for rotations, or ``'stormer_verlet'``.
+        ``'stormer_verlet'``, ``'generalized_leapfrog'``, ``'implicit_midpoint'``, or for rotations
+        ``'lie_leapfrog'`` or ``'lie_stormer_verlet'``.
 
     Raises
     ------
@@ -64,7 +64,7 @@ class Composition(Integrator):
         self.equations = self.base.equations
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
-        """Refuse what the base does."""
+        """Return the reason for which the base cannot integrate `hamiltonian`."""
         return self.base.refusal(hamiltonian)
 
     @property
@@ -73,12 +73,12 @@ class Composition(Integrator):
         return f'{type(self).__name__}({self.base.kernel_name})'
 
     def attempts(self, n: int) -> tuple[int, ...]:
-        """Return the solvers of the base's chain."""
+        """Return the attempts of the base."""
         return self.base.attempts(n)
 
     @property
     def usual_gradients(self) -> int:
-        """Return what the steps of the base take."""
+        """Return the usual number of gradients of the base's steps."""
         return len(self.fractions) * self.base.usual_gradients
 
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
@@ -87,12 +87,12 @@ class Composition(Integrator):
 
     @property
     def partitioned(self) -> PartitionedTableau | None:
-        """Return the stages of the base's steps, one step after another."""
+        """Return the stages of the base's steps in sequence."""
         base = self.base.partitioned
         return None if base is None else in_sequence(base, self.fractions)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
-        """Return the workspaces of the base, and a point between two steps."""
+        """Return the workspaces of the base, and an intermediate point."""
         return (*self.base.memory(n, dtype), PointWork(Point.empty(n, dtype)))
 
 
@@ -100,7 +100,7 @@ class Yoshida4(Composition):
     """
     Three steps of lengths w1, w0, w1, with w1 = 1 / (2 - 2^(1/3)), w0 = 1 - 2 w1, order 4.
 
-    With Störmer-Verlet as its base it is stable for h omega < 1.573 only. See Composition.
+    With base Störmer-Verlet it is stable only for h omega < 1.573. See Composition.
 
     References
     ----------
@@ -128,7 +128,7 @@ class Suzuki4(Composition):
 
 class KahanLi8(Composition):
     """
-    Seventeen steps of lengths that are the same from both ends, order 8. See Composition.
+    Seventeen steps of symmetric lengths, order 8. See Composition.
 
     References
     ----------
@@ -153,7 +153,7 @@ def _compose(base_step: Callable, fractions: tuple[float, ...]) -> Callable:
         between, inner = memory[-1].point, memory[:-1]
         worst, gradients = 0.0, 0
         for j in range(len(fractions)):
-            # Steps of other lengths are no guide to the next start.
+            # A step of another length is a poor initial guess for the next one.
             forget(inner)
             source = z if j == 0 else (between if j % 2 == 0 else z1)
             target = z1 if j % 2 == 0 else between

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Polynomials through one step: the path between its two ends."""
+"""Dense output: polynomials that interpolate between the ends of a step."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike
 
 _Value = float | np.ndarray
-# The ends of a step that is one part, in shares of it.
+# Ends of the parts of a step of one part, in fractions of the step.
 WHOLE = np.array([0.0, 1.0])
 
 
@@ -59,39 +59,39 @@ def quintic(h: _Value, x0: _Value, v0: _Value, a0: _Value, x1: _Value, v1: _Valu
 
 @called
 def value_at(c: tuple[float, ...], x: float) -> float:
-    """Return the value of a quintic polynomial of these six coefficients."""
+    """Return the value of a quintic polynomial with these six coefficients."""
     return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
 
 
 @called
 def slope_at(c: tuple[float, ...], x: float) -> float:
-    """Return its derivative."""
+    """Return the derivative of the polynomial."""
     return c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + x * (4.0 * c[4] + x * 5.0 * c[5])))
 
 
 @called
 def bend_at(c: tuple[float, ...], x: float) -> float:
-    """Return its second derivative."""
+    """Return the second derivative of the polynomial."""
     return 2.0 * c[2] + x * (6.0 * c[3] + x * (12.0 * c[4] + x * 20.0 * c[5]))
 
 
 class DenseOutput:
     """
-    A polynomial in time through one step, or one through each part of it, for all of the state.
+    A polynomial in time for the whole state, through one step or through each part of it.
 
     Parameters
     ----------
     order : int
-        m: its error is O(h^(m + 1)) anywhere in the step, on top of the error of the step's ends.
+        m: the error is O(h^(m + 1)) anywhere in the step, in addition to the error of its ends.
     coefficients : np.ndarray, shape (j, k, n)
-        Of (q, p) in k parts, of the powers of theta = t / h in each, or of Legendre's polynomials
-        in 2 theta - 1.
+        Coefficients of (q, p) in k parts, in powers of theta = t / h of each part, or in Legendre
+        polynomials of 2 theta - 1.
     momenta : int
-        The column in which p begins.
+        Index of the first column of p.
     ends : np.ndarray, shape (k + 1,)
-        Where the parts begin and end, in shares of the step.
+        Ends of the parts, in fractions of the step.
     in_legendre : bool
-        Which of the two: high powers would lose digits.
+        True for Legendre polynomials; high powers of theta would lose digits.
 
     """
 
@@ -107,7 +107,7 @@ class DenseOutput:
         Parameters
         ----------
         theta : array_like, shape () or (k,)
-            Shares of the step, from 0 to 1.
+            Times in fractions of the step, from 0 to 1.
 
         Returns
         -------
@@ -159,8 +159,8 @@ def collocation_output(h: float, z0: np.ndarray, slopes: np.ndarray) -> DenseOut
     """
     Return the collocation polynomial of a step of a Gauss method of s stages, of degree s.
 
-    It passes through z0, and its derivative is the slope of each stage at its node: its order is
-    s anywhere in the step, and that of the method, 2 s, at its end alone.
+    It passes through z0, and its derivative at each node is the slope of that stage. Its order is
+    s anywhere in the step, and 2 s, the order of the method, only at its end.
 
     Parameters
     ----------

@@ -19,34 +19,34 @@ _EPS = float(np.finfo(np.float64).eps)
 
 class DiscreteEulerLagrange(Integrator):
     """
-    The variational integrator of a discrete Lagrangian L_d(q0, q1, h), section 2 of the paper.
+    Variational integrator of a discrete Lagrangian L_d(q0, q1, h), section 2 of the paper.
 
     D_1 L_d(q_n, q_(n+1)) + D_2 L_d(q_(n-1), q_n) = 0, stepped in position-momentum form:
 
         p_n = -D_1 L_d(q_n, q_(n+1), h)     solved for q_(n+1) by Newton's method
         p_(n+1) = D_2 L_d(q_n, q_(n+1), h)
 
-    Derivatives come from torch's automatic differentiation. L_d is the action of one step [J s],
-    so the paper's sum of L_d times its step has the step inside L_d here. Symplectic for every
-    L_d; L_d decides its order, and whether it is symmetric.
+    Derivatives come from torch's automatic differentiation. L_d is the action of one step [J s]:
+    the factor h of the paper's sum is inside L_d. Symplectic for every L_d, which determines the
+    order and symmetry. Use it to test an L_d of your own; `gauss8` is faster.
 
     Parameters
     ----------
     discrete_lagrangian : str, optional
         ``package.module:function``; the function takes tensors q0 and q1 of shape (d,) and the
-        float h, and returns a tensor of one number. It must be smooth, and D_1 D_2 L_d regular.
+        float h, and returns a scalar tensor. It must be smooth, and D_1 D_2 L_d regular.
     order : int
-        The order of L_d, for the record.
+        Order of L_d, used in reports only.
     model : str, optional
-        A learned Lagrangian, in place of a function: the midpoint rule for its action, of order 2,
-        L_d = h L((q0 + q1) / 2, (q1 - q0) / h). The Hamiltonian is to be the same model's.
+        A learned Lagrangian, instead of a function: the midpoint rule for its action, of order 2,
+        L_d = h L((q0 + q1) / 2, (q1 - q0) / h). The Hamiltonian must be that of the same model.
 
     Raises
     ------
     ModelError
-        The model does not exist, is damaged, or is of another family.
+        The model does not exist, is damaged, or belongs to another family.
     ValueError
-        The function cannot be imported; both, or none, of a function and a model.
+        The function cannot be imported, or not exactly one of function and model is given.
 
     References
     ----------
@@ -64,7 +64,7 @@ class DiscreteEulerLagrange(Integrator):
             raise ValueError('discrete_lagrangian is required, or a model in its place')
         self._model = None if model is None else load_checkpoint(model)
         if self._model is not None:
-            # Imported here: it is compiled, which who only reads a scene has no use for.
+            # Imported lazily: reading a scene needs no compiled networks.
             from hnn_vi_ros.models import midpoint_action
             self.discrete_lagrangian, self.order = midpoint_action(self._model), 2
             return
@@ -78,7 +78,7 @@ class DiscreteEulerLagrange(Integrator):
         self.order = order
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
-        """Refuse a Hamiltonian that is not that of the learned Lagrangian."""
+        """Refuse a Hamiltonian other than that of the learned Lagrangian."""
         if self._model and hamiltonian.provenance.get('model_sha256') != self._model.sha256:
             return ('needs the Hamiltonian of its own model, since the momenta of others are '
                     'not the same: name the same model in both')
@@ -90,7 +90,7 @@ class DiscreteEulerLagrange(Integrator):
 
     def start(self, q0: np.ndarray, q1: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the state (q1, p1) that follows two configurations.
+        Return the state (q1, p1) that continues two configurations.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class DiscreteEulerLagrange(Integrator):
             defect = z.p + d1
             if not np.isfinite(defect).all():
                 return NOT_FINITE, np.inf, iteration
-            # The rounding of D_1 L_d is that of terms of size D_2 D_1 L_d times q.
+            # D_1 L_d has the rounding error of terms of size D_2 D_1 L_d times q.
             size = np.maximum(scale, np.abs(mixed) @ np.abs(q1))
             residual = np.abs(np.divide(defect, size, where=size > 0.0,
                                         out=np.zeros_like(defect))).max()

@@ -18,20 +18,20 @@ import numpy as np
 
 class DiscreteGradientWork(NamedTuple):
     """
-    The workspace of the equation for the new state; arrays of shape (2 n,) hold q, then p.
+    Workspace of the equation for the new state; arrays of shape (2 n,) hold q, then p.
 
     Parameters
     ----------
     kept : History
         Earlier solutions.
     solver : SolverWork
-        What its solvers work on.
+        Arrays of its solvers.
     end, start, middle : np.ndarray
-        The new state, the old one, and half-way between.
+        The new state, the old one, and their mean.
     rates : np.ndarray
         Rates of change in the last evaluation.
     ahead, behind : np.ndarray
-        For differences; see newton.difference.
+        Points of finite differences; see newton_solver.by_differences.
 
     """
 
@@ -46,7 +46,7 @@ class DiscreteGradientWork(NamedTuple):
 
 
 class EndProblem(NamedTuple):
-    """The equation for the new state; the rates of change of its last evaluation."""
+    """The equation for the new state, and the rates of change of its last evaluation."""
 
     kernel: Kernel
     h: float
@@ -74,14 +74,14 @@ class EnergyConserving(ImplicitIntegrator):
 @cache
 def step_to_end(set_scale: Callable[..., None], equation: Callable[..., None]) -> Step:
     """
-    Return the step that solves an equation for the new state.
+    Return the step function that solves an equation for the new state.
 
     Parameters
     ----------
     set_scale : callable
         ``set_scale(scale, kernel, h, z)`` fills the scale of q, then of p, of each trajectory.
     equation : callable
-        See solvers; of an EndProblem, whose ``rates`` it fills.
+        Equation as in ``solvers`` for an EndProblem, whose ``rates`` it fills.
 
     """
     end_tangent = by_differences(equation)
@@ -96,7 +96,7 @@ def step_to_end(set_scale: Callable[..., None], equation: Callable[..., None]) -
             start[i], start[n + i] = z.q[i], z.p[i]
             x[i], x[n + i] = z.q[i] + h * z.dH_dp[i], z.p[i] - h * z.dH_dq[i]
         set_scale(iterates.scale, kernel, h, z)
-        # The rounding of H, of all coordinates together, enters the equation of each.
+        # The rounding error of H, which sums over all coordinates, enters every equation.
         copy_array(iterates.scale, iterates.own_scale)
         if options.extrapolate:
             extrapolate(work.kept, start, x)
@@ -117,7 +117,7 @@ def step_to_end(set_scale: Callable[..., None], equation: Callable[..., None]) -
 @inlined
 def discrete_factor(problem: EndProblem, x: np.ndarray, a: int, at_q: np.ndarray,
                     at_p: np.ndarray) -> float:
-    """Return (H(z') - H(z) - g . (z' - z)) / |z' - z|^2 of the trajectory from a on, with g."""
+    """Return (H(z') - H(z) - g . (z' - z)) / |z' - z|^2 of the trajectory at offset a; needs g."""
     kernel, z, n, b = problem.kernel, problem.z, problem.z.q.size, a + problem.kernel.dimension
     square, along = 0.0, 0.0
     for i in range(b - a):
@@ -131,7 +131,7 @@ def discrete_factor(problem: EndProblem, x: np.ndarray, a: int, at_q: np.ndarray
 
 @inlined
 def fill_middle(problem: EndProblem, x: np.ndarray) -> None:
-    """Fill the state half-way to x."""
+    """Fill the mean of the old state and x."""
     z, n, middle = problem.z, problem.z.q.size, problem.middle
     for i in range(n):
         middle[i], middle[n + i] = 0.5 * (z.q[i] + x[i]), 0.5 * (z.p[i] + x[n + i])
@@ -139,7 +139,7 @@ def fill_middle(problem: EndProblem, x: np.ndarray) -> None:
 
 @inlined
 def fill_end(problem: EndProblem, value: np.ndarray) -> None:
-    """Fill value with the state to which the rates lead."""
+    """Fill value with the state that the rates lead to."""
     z, n, h = problem.z, problem.z.q.size, problem.h
     for i in range(n):
         value[i] = z.q[i] + (z.q_carry[i] + h * problem.rates[i])
@@ -148,7 +148,7 @@ def fill_end(problem: EndProblem, value: np.ndarray) -> None:
 
 @inlined
 def _set_scale(scale: np.ndarray, kernel: Kernel, h: float, z: Point) -> None:
-    """Set the scale of q and p of each trajectory; the rounding of H enters the equation."""
+    """Set the scale of q and p of each trajectory, including the rounding error of H."""
     n, d = z.q.size, kernel.dimension
     for start in range(0, n, d):
         end = start + d
@@ -181,12 +181,12 @@ def _equation(problem: EndProblem, x: np.ndarray, value: np.ndarray) -> None:
 
 class DiscreteGradient(EnergyConserving):
     """
-    The midpoint discrete gradient D of Gonzalez: z_(n+1) = z_n + h J D(z_n, z_(n+1)).
+    Midpoint discrete gradient D of Gonzalez: z_(n+1) = z_n + h J D(z_n, z_(n+1)).
 
         D(z, z') = g + (H(z') - H(z) - g . (z' - z)) / |z' - z|^2 (z' - z),  g = H'((z + z')/2)
 
-    Since D . (z' - z) = H(z') - H(z), the energy is conserved, up to the rounding of H. The
-    method is symmetric and of order 2, but not symplectic. DGNet learns through it.
+    Since D . (z' - z) = H(z') - H(z), the energy is conserved up to the rounding of H. Symmetric,
+    of order 2, not symplectic: use it if the energy must be exact. DGNet is trained through it.
 
     References
     ----------

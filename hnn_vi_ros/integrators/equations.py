@@ -13,22 +13,22 @@ from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 
-# Unknowns smaller than this are as good as zero: eps times it is the smallest normal number.
+# Unknowns smaller than this count as zero: eps times it is the smallest normal number.
 LEAST_SCALE = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
 
 
 class Known(NamedTuple):
     """
-    Start of an equation x = base + factor H_x(...); each array of shape (n,).
+    Inputs of an equation x = base + factor H_x(...); each array has shape (n,).
 
     Parameters
     ----------
     held : np.ndarray
-        The other variable, which the equation does not change.
+        The other variable, which is constant in the equation.
     base, carry : np.ndarray
-        The old values of x, and what was rounded off them.
+        The old values of x, and their rounding errors.
     slope : np.ndarray
-        H_x, or its best estimate, for the first start.
+        H_x, or its best estimate, for the initial guess.
 
     """
 
@@ -40,14 +40,14 @@ class Known(NamedTuple):
 
 class Sought(NamedTuple):
     """
-    Result of an equation; each array of shape (n,).
+    Outputs of an equation; each array has shape (n,).
 
     Parameters
     ----------
     x, carry : np.ndarray
-        The solution, and what was rounded off it.
+        The solution and its rounding error.
     dH_dq, dH_dp : np.ndarray
-        The gradient there.
+        The gradient at the solution.
 
     """
 
@@ -59,16 +59,16 @@ class Sought(NamedTuple):
 
 class EquationWork(NamedTuple):
     """
-    The workspace of one equation for momenta or for coordinates.
+    Workspace of one equation for momenta or for coordinates.
 
     Parameters
     ----------
     kept : History
-        Its earlier solutions.
+        Earlier solutions.
     solver : SolverWork
-        What its solvers work on.
+        Arrays of the solvers.
     product_q, product_p : np.ndarray, shape (n,)
-        Products with H''; before one, half of its factor, of zeros.
+        Products with H''; on entry, the half of the factor that is zero.
 
     """
 
@@ -85,14 +85,14 @@ class EquationWork(NamedTuple):
 
 class HalfwayWork(NamedTuple):
     """
-    The workspace of an equation that starts half-way through a step.
+    Workspace of an equation that starts at the middle of a step.
 
     Parameters
     ----------
     kept, solver, product_q, product_p
         See EquationWork.
     half_q, half_carry : np.ndarray, shape (n,)
-        The half-way coordinates, and what was rounded off them.
+        The coordinates at the middle of the step, and their rounding errors.
 
     """
 
@@ -121,7 +121,7 @@ def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought,
                   work: EquationWork | HalfwayWork, options: SolverOptions
                   ) -> tuple[int, float, int]:
     """
-    Solve p1 = p - h H_q(q, p1); leave the gradient at (q, p1).
+    Solve p1 = p - h H_q(q, p1), and store the gradient at (q, p1).
 
     Parameters
     ----------
@@ -132,16 +132,16 @@ def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought,
     known : Known
         q, p and H_q.
     sought : Sought
-        p1 and the gradient.
+        Receives p1 and the gradient.
     work : EquationWork or HalfwayWork
-        Of this equation.
+        Workspace of this equation.
     options : SolverOptions
-        See solvers.
+        Options of the solver.
 
     Returns
     -------
     tuple of (int, float, int)
-        Outcome, relative residual [1], gradients.
+        Outcome, relative residual [1], number of gradients.
 
     """
     return _solve(_momentum_equation, _momentum_tangent, _Problem(
@@ -154,7 +154,7 @@ def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought,
                       work: EquationWork | HalfwayWork, options: SolverOptions
                       ) -> tuple[int, float, int]:
     """
-    Solve q1 = q + h H_p(q1, p); leave the gradient at (q1, p).
+    Solve q1 = q + h H_p(q1, p), and store the gradient at (q1, p).
 
     Parameters
     ----------
@@ -163,12 +163,12 @@ def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought,
     known : Known
         p, q and H_p.
     sought : Sought
-        q1 and the gradient.
+        Receives q1 and the gradient.
 
     Returns
     -------
     tuple of (int, float, int)
-        Outcome, relative residual [1], gradients.
+        Outcome, relative residual [1], number of gradients.
 
     """
     return _solve(_coordinate_equation, _coordinate_tangent, _Problem(
@@ -180,7 +180,7 @@ def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought,
 def _solve(equation: Callable[..., None], tangent: Callable[..., None], problem: _Problem,
            slope: np.ndarray, which: int, work: EquationWork | HalfwayWork,
            options: SolverOptions) -> tuple[int, float, int]:
-    """Solve for the momenta (0) or the coordinates (1); ``slope`` is H_x at the solution."""
+    """Solve for the momenta (0) or the coordinates (1); ``slope`` becomes H_x at the solution."""
     kernel, known, base, x = problem.kernel, problem.known, problem.base, problem.sought.x
     iterates, matrix = work.solver.iterates, work.solver.newton.matrix
     for i in range(x.size):
@@ -195,7 +195,7 @@ def _solve(equation: Callable[..., None], tangent: Callable[..., None], problem:
         return IN_DOUBT, residual, gradients
     if outcome == OK:
         remember(work.kept, base, x)
-        # Keep in the carry what x lacks of base + carry + factor * slope.
+        # Store the rounding error of x = base + carry + factor * slope in the carry.
         for i in range(x.size):
             total, rest = plus(base[i], known.carry[i], problem.factor * slope[i])
             problem.sought.carry[i] = rest + (total - x[i])
@@ -206,14 +206,14 @@ def _solve(equation: Callable[..., None], tangent: Callable[..., None], problem:
 def set_scale(scale: np.ndarray, own_scale: np.ndarray, base: np.ndarray, slope: np.ndarray,
               h: float, kernel: Kernel, which: int) -> None:
     """
-    Set the scale of each unknown, and of its trajectory: state, change, and rounding.
+    Set the scales of each unknown and of its trajectory from state, change and rounding.
 
     Parameters
     ----------
     scale, own_scale : np.ndarray, shape (n,)
-        Filled: for the largest unknown of the trajectory, and for each by itself.
+        Outputs: scale of the largest unknown of the trajectory, and of each unknown.
     base, slope : np.ndarray, shape (n,)
-        The old state and how it changes.
+        The old state and its rate of change.
     h : float
         Step size, or a part of it [s].
     kernel : Kernel
@@ -229,14 +229,14 @@ def set_scale(scale: np.ndarray, own_scale: np.ndarray, base: np.ndarray, slope:
         for i in range(start, middle):
             own = max(abs(base[i]), abs(h) * abs(slope[i]), rounding)
             if 0.0 < own < LEAST_SCALE:
-                # What friction has brought to rest decays until its digits run out.
+                # A momentum brought to rest by friction decays until it underflows.
                 own = LEAST_SCALE
             own_scale[i], size = own, max(size, own)
         for i in range(start, middle):
             scale[i] = size
         for i in range(middle, end):
-            # A channel's time is known; its integral does not act back, so its residual does
-            # not count.
+            # The time in a channel is known. Nothing depends on its integral, so the residual of
+            # that is ignored.
             scale[i] = abs(h) if which == 1 else np.inf
             own_scale[i] = scale[i]
 

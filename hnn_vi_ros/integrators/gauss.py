@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Gauss collocation: the Galerkin variational integrators of any even order."""
+"""Gauss collocation: Galerkin variational integrators of any even order."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -18,22 +18,22 @@ from hnn_vi_ros.kernels import inlined, invert, Kernel
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-# Where a round leaves more of the residual than this, the full matrix saves rounds.
+# If an iteration leaves more of the residual than this, the full matrix saves iterations.
 _SLOW = 0.1
 
 
 class Modes(NamedTuple):
     """
-    The eigenvalues and eigenvectors of a Runge-Kutta matrix, A = right diag(values) left.
+    Eigenvalues and eigenvectors of a Runge-Kutta matrix, A = right diag(values) left.
 
     Parameters
     ----------
     values : np.ndarray of complex, shape (r,)
-        One of each conjugate pair, and the real one where the number s of stages is odd.
+        One of each conjugate pair, and the real one if the number s of stages is odd.
     left : np.ndarray of complex, shape (r, s)
-        The rows of the inverse of the eigenvectors.
+        Rows of the inverse of the eigenvector matrix.
     right : np.ndarray of complex, shape (s, r)
-        The eigenvectors, doubled for a pair: the real part of a sum over them is the sum over all.
+        Eigenvectors, doubled for a pair, so that the real part of the sum is the full sum.
 
     """
 
@@ -42,7 +42,7 @@ class Modes(NamedTuple):
     right: np.ndarray
 
     def in_fours(self) -> 'Modes':
-        """Return left and right as real matrices in fours, of real and imaginary parts in turn."""
+        """Return left and right as real matrices in groups of four, with alternating parts."""
         left = np.stack([self.left.real, self.left.imag], axis=1)
         right = np.stack([self.right.real, -self.right.imag], axis=2)
         return Modes(self.values, in_fours(left.reshape(-1, left.shape[2])),
@@ -51,7 +51,7 @@ class Modes(NamedTuple):
 
 @cache
 def modes_of(matrix: tuple[tuple[float, ...], ...]) -> Modes:
-    """Return the modes of a matrix that has complex pairs, and at most one real eigenvalue."""
+    """Return the modes of a matrix with complex pairs and at most one real eigenvalue."""
     values, right = np.linalg.eig(np.array(matrix, dtype=complex))
     left = np.linalg.inv(right)
     noise = _EPS * float(np.linalg.cond(right))
@@ -62,7 +62,7 @@ def modes_of(matrix: tuple[tuple[float, ...], ...]) -> Modes:
 
 
 def in_fours(matrix: np.ndarray) -> np.ndarray:
-    """Return a matrix of shape (r, s) as ``add_up`` reads it: (ceil(r / 4), s, 4), with zeros."""
+    """Return a matrix of shape (r, s) as ``add_up`` reads it: (ceil(r / 4), s, 4), zero-padded."""
     rows, several = matrix.shape
     padded = np.pad(matrix, ((0, -rows % 4), (0, 0)))
     return np.ascontiguousarray(padded.reshape(-1, 4, several).transpose(0, 2, 1))
@@ -70,7 +70,7 @@ def in_fours(matrix: np.ndarray) -> np.ndarray:
 
 @inlined
 def add_up(matrix: np.ndarray, numbers: np.ndarray, first: int, n: int, sums: np.ndarray) -> None:
-    """Fill in the product of a matrix in fours with numbers[first + k n]: sums in registers."""
+    """Fill ``sums`` with a matrix in groups of four times numbers[first + k n], in registers."""
     for block in range(matrix.shape[0]):
         a, b, c, d = 0.0, 0.0, 0.0, 0.0
         for k in range(matrix.shape[1]):
@@ -85,18 +85,18 @@ def add_up(matrix: np.ndarray, numbers: np.ndarray, first: int, n: int, sums: np
 
 class ModesWork(NamedTuple):
     """
-    The matrix of the simplified Newton method in the eigenvectors of A.
+    Matrices of the simplified Newton method in the eigenvectors of A.
 
     Parameters
     ----------
     inverses : np.ndarray of complex, shape (r, N)
-        The inverse of I - mu J for each eigenvalue and, one after another, each system.
+        Inverse of I - mu J for each eigenvalue, for all systems in sequence.
     factors, products : np.ndarray, shape (s, 4 ceil(r / 2))
-        Their right factors for each component, and the products: real and imaginary parts.
+        Their right-hand sides for each component, and the products: real and imaginary parts.
     direct : np.ndarray of int, shape (1,)
-        1 if coordinates follow from the new momenta, without that matrix, else 0.
+        1 if coordinates follow directly from the new momenta, without that matrix, else 0.
     masses : np.ndarray, shape (d, d)
-        The inverse masses H_pp, where it is so.
+        Inverse masses H_pp, used in that case.
     sums : np.ndarray, shape (4 ceil(s / 4),)
         One number for each stage.
 
@@ -111,7 +111,7 @@ class ModesWork(NamedTuple):
 
     @classmethod
     def empty(cls, stages: int, n: int, dtype: type = np.float64) -> 'ModesWork':
-        """Return the working space of systems of up to s / 2 coordinates, n in all."""
+        """Return the workspace for systems of up to s / 2 coordinates, n in total."""
         d, fours = min(n, stages), -(-stages // 4) * 4
         return cls(np.zeros(((stages + 1) // 2, 2 * stages * n), dtype=complex),
                    np.zeros((stages, fours)), np.zeros((stages, fours)),
@@ -123,17 +123,17 @@ class ModesWork(NamedTuple):
 def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np.ndarray,
                       work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
     """
-    Solve for s stages with one matrix, I - h A x J, in each step.
+    Solve for s stages with one matrix I - h A x J in each step.
 
-    J = (H_pq, H_pp; -H_qq, -H_qp) is taken at the middle stage of the start, with the forces. In
-    the eigenvectors of A the matrix falls into I - mu J, one for each eigenvalue mu / h. Of as
-    many coordinates as half the stages, or fewer, J takes no more products than there are stages.
+    J = (H_pq, H_pp; -H_qq, -H_qp) is evaluated at the middle stage of the initial guess, with the
+    forces. In the eigenvectors of A the matrix splits into I - mu J, one for each eigenvalue mu /
+    h. With d <= s / 2 coordinates, J needs at most s products with H''.
 
-    With constant masses G itself follows coordinates from the new momenta (Gauss-Seidel): its
-    iteration takes a fifth more rounds, without a matrix, which comes where a round is slow.
+    With constant masses, G computes coordinates from the new momenta (Gauss-Seidel). That takes a
+    fifth more iterations but no matrix, which is used only if convergence is slow.
 
-    Channels follow from G. Where a residual was to fall below eps with the rate of the iteration
-    before, what is left is rounding.
+    Channels follow from G. If the last convergence rate predicts a residual below eps, the
+    remaining residual is rounding.
 
     References
     ----------
@@ -174,7 +174,7 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
 
 @inlined
 def _invert(problem: Any, x: np.ndarray, work: NewtonWork) -> bool:
-    """Fill the inverses of I - mu J; return False if one is singular."""
+    """Fill the inverses of I - mu J, and return False if one is singular."""
     kernel, s, n = problem.kernel, problem.matrix.shape[1], problem.z.q.size
     inverses, width = problem.work.inverses, kernel.dimension
     d = width - kernel.channels
@@ -210,7 +210,7 @@ def _invert(problem: Any, x: np.ndarray, work: NewtonWork) -> bool:
 
 @inlined
 def _correct(problem: Any, value: np.ndarray, x: np.ndarray) -> None:
-    """Take a step of Newton's method; ``value`` is not kept."""
+    """Take a Newton step; ``value`` is overwritten."""
     s, n, modes = problem.matrix.shape[1], problem.z.q.size, problem.modes
     width = problem.kernel.dimension
     d = width - problem.kernel.channels
@@ -242,7 +242,7 @@ def _correct(problem: Any, value: np.ndarray, x: np.ndarray) -> None:
 
 class Tableau(NamedTuple):
     """
-    The coefficients of a collocation method of s stages, and how its steps are solved.
+    Coefficients of a collocation method of s stages, and its solver.
 
     Parameters
     ----------
@@ -251,13 +251,13 @@ class Tableau(NamedTuple):
     weights : np.ndarray, shape (s,)
         b_j, the same integral from 0 to 1.
     start : np.ndarray, shape (s, s)
-        The integral from 1 to 1 + c_i: the collocation polynomial, extrapolated by a step.
+        Integral from 1 to 1 + c_i, which extrapolates the collocation polynomial by a step.
     solver : SolverOptions
-        For the stages.
+        Options of the solver of the stages.
     modes : Modes
-        The eigenvectors of the matrix.
+        Eigenvectors of the matrix.
     direct : bool
-        Whether coordinates may follow from the new momenta at once; see Kernel.quadratic.
+        True if coordinates may follow from the new momenta directly; see Kernel.quadratic.
 
     """
 
@@ -271,14 +271,14 @@ class Tableau(NamedTuple):
 
 class StageSlopes(NamedTuple):
     """
-    Slopes that the next step starts from.
+    Slopes used for the initial guess of the next step.
 
     Parameters
     ----------
     count : np.ndarray, shape (1,)
-        1 if slopes come from the step before, 0 without one.
+        1 if slopes of the previous step are stored, else 0.
     slopes : np.ndarray, shape (2 s n,)
-        H_q at the stages one after another, then H_p.
+        H_q at all stages, then H_p.
 
     """
 
@@ -288,18 +288,18 @@ class StageSlopes(NamedTuple):
 
 class GaussWork(NamedTuple):
     """
-    The workspace of the equation for the stages.
+    Workspace of the equation for the stages.
 
     Parameters
     ----------
     kept : StageSlopes
-        For the next start.
+        Slopes for the next initial guess.
     solver : SolverWork
-        What its solvers work on.
+        Arrays of the solvers.
     modes : ModesWork
         Further arrays of the simplified Newton method.
     stages : np.ndarray, shape (2 s n,)
-        q of the stages one after another, then p.
+        q of all stages, then p.
 
     """
 
@@ -310,7 +310,7 @@ class GaussWork(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """The equation for the stages; arrays of shape (s n,) hold them one after another."""
+    """The equation for the stages; arrays of shape (s n,) hold all stages in sequence."""
 
     kernel: Kernel
     h: float
@@ -329,8 +329,8 @@ def gauss_tableau(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Return matrix, weights and start of the Gauss method; see Tableau.
 
-    Each integral of a polynomial of degree s - 1 is itself computed by Gauss quadrature, which
-    is exact for it.
+    Each integral of a polynomial of degree s - 1 is computed by Gauss quadrature, which is exact
+    for it.
     """
     nodes, weights = np.polynomial.legendre.leggauss(stages)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
@@ -348,13 +348,13 @@ def gauss_tableau(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 class Collocation(ImplicitIntegrator):
-    """One equation for s stages at the nodes of Gauss; their number is in the options."""
+    """Methods with one equation for s stages at the Gauss nodes; the options contain s."""
 
-    stages: ClassVar[int]  # s; its one equation is for position and momentum of each
+    stages: ClassVar[int]  # s; the one equation solves for position and momentum of each stage
 
     @property
     def usual_gradients(self) -> int:
-        """Return what its one equation takes, with a gradient for each stage."""
+        """Return the usual number of gradients, one for each stage and evaluation."""
         return self.stages * super().usual_gradients
 
     def options(self, attempt: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
@@ -373,10 +373,10 @@ class Gauss(Collocation):
 
         Z_i = z_n + h sum_j a_ij J H'(Z_j),  z_(n+1) = z_n + h sum_j b_j J H'(Z_j)
 
-    It is the variational integrator whose discrete action takes polynomials of degree s for
-    the path and Gauss quadrature for the integral. Symplectic, symmetric, and it conserves
-    every quadratic invariant. With one stage it would be ImplicitMidpoint. All stages are
-    evaluated as one batch; the solve starts from the last step's collocation polynomial.
+    Variational integrator whose discrete action uses polynomials of degree s for the path and
+    Gauss quadrature for the integral. Symplectic, symmetric; conserves every quadratic invariant.
+    One stage would be ImplicitMidpoint. All stages are evaluated as one batch. Use `gauss8` if
+    accuracy matters, and `generalized_leapfrog` for a fast bounded energy.
 
     References
     ----------
@@ -390,7 +390,7 @@ class Gauss(Collocation):
     kernel_name = 'Gauss'
 
     def options(self, attempt: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
-        """Return the coefficients and the options; few coordinates have a solver of their own."""
+        """Return coefficients and options; systems of few coordinates have a special solver."""
         options = super().options(attempt, dimension)
         options = options._replace(matrix=in_fours(options.matrix), start=in_fours(options.start),
                                    modes=options.modes.in_fours())
@@ -408,7 +408,7 @@ class Gauss(Collocation):
 
     @property
     def partitioned(self) -> PartitionedTableau:
-        """Return its stages, the same for q and p."""
+        """Return the stages, with equal coefficients for q and p."""
         matrix, weights, _ = gauss_tableau(self.stages)
         return PartitionedTableau(matrix, matrix, weights, weights)
 
@@ -425,7 +425,7 @@ class Gauss(Collocation):
         for i in range(n, s * n):
             scale[i], own[i] = scale[i - n], own[i - n]
             scale[s * n + i], own[s * n + i] = scale[s * n + i - n], own[s * n + i - n]
-        # The slopes H_q and H_p at the stages stay in the workspace for the next start.
+        # The slopes H_q and H_p at the stages stay in the workspace for the next initial guess.
         problem = _Problem(kernel, h, options.matrix, options.modes, work.modes, z, x[:s * n],
                            x[s * n:], slopes[:s * n], slopes[s * n:])
         work.modes.direct[0] = 1 if options.direct and kernel.quadratic else 0
@@ -445,13 +445,13 @@ class Gauss(Collocation):
                 dp -= options.weights[j] * problem.dH_dq[j * n + i]
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * dq)
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], h * dp)
-            # Stands for the gradient, which scales the next solve.
+            # Replaces the gradient, which scales the next solve.
             z1.dH_dq[i], z1.dH_dp[i] = -dp, dq
         return OK, residual, rounds * s
 
 
 def orders_of(kind: type[_Kind], where: str = '') -> Iterator[type[_Kind]]:
-    """Yield the methods of a kind of 2 to 8 stages, of order 4 to 16."""
+    """Yield the methods of a kind with 2 to 8 stages, of order 4 to 16."""
     for stages in range(2, 9):
         order = 2 * stages
         yield type(f'{kind.__name__}{order}', (kind,), {
@@ -465,7 +465,7 @@ GAUSS_METHODS = {f'gauss{method.order}': method for method in orders_of(Gauss)}
 
 @inlined
 def _find_masses(problem: _Problem, work: NewtonWork) -> None:
-    """Fill the inverse masses, by products with H''."""
+    """Fill the inverse masses from products with H''."""
     kernel, z, masses = problem.kernel, problem.z, problem.work.masses
     d, n = kernel.dimension, z.q.size
     v_q, v_p = work.direction[:n], work.direction[n:2 * n]
@@ -483,7 +483,7 @@ def _find_masses(problem: _Problem, work: NewtonWork) -> None:
 
 @inlined
 def _start(options: Tableau, kept: StageSlopes, problem: _Problem, x: np.ndarray) -> None:
-    """Start the stages from the last step's collocation polynomial, or from the state."""
+    """Set the initial guess from the last collocation polynomial, or from the state."""
     z, h, sums, masses = problem.z, problem.h, problem.work.sums, problem.work.masses
     n, s, d, slopes = z.q.size, options.weights.size, problem.kernel.dimension, kept.slopes
     go_on, direct = kept.count[0] > 0 and options.solver.extrapolate, problem.work.direct[0] > 0
@@ -527,7 +527,7 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
 
 @inlined
 def _renew_velocities(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
-    """Let H_p be that of the new momenta, by the inverse masses."""
+    """Update H_p to the new momenta, using the inverse masses."""
     d, masses, half = problem.kernel.dimension, problem.work.masses, problem.dH_dp.size
     for first in range(0, half, d):
         for row in range(d):
@@ -539,7 +539,7 @@ def _renew_velocities(problem: _Problem, x: np.ndarray, value: np.ndarray) -> No
 @inlined
 def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
     n, s, sums = problem.z.q.size, problem.matrix.shape[1], problem.work.sums
-    # Not needed before the next evaluation of the equation fills them again.
+    # Free until the next evaluation of the equation fills these arrays.
     at_q, at_p = problem.dH_dq, problem.dH_dp
     problem.kernel.hessian_vector(problem.kernel.parameters, x[:s * n], x[s * n:],
                                   v[:s * n], v[s * n:], at_q, at_p)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The generalised leapfrog: the Störmer-Verlet method for a Hamiltonian of any form."""
+"""Generalised leapfrog: the Störmer-Verlet method for a general Hamiltonian."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import LEAPFROG, leapfrog_energy, OK, Point, Requirements
@@ -12,7 +12,7 @@ from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler, SymplecticE
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
-# Compiled code knows functions, not the classes that hold them.
+# Compiled code can refer to functions, but not to the classes that contain them.
 _adjoint_step = SymplecticEulerAdjoint.step
 
 
@@ -31,8 +31,8 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
         q_(n+1) = q_n + (h/2) (H_p(q_n, p_half) + H_p(q_(n+1), p_half))
         p_(n+1) = p_half - (h/2) H_q(q_(n+1), p_half)
 
-    Symplectic, symmetric, order 2. Where H = T(p) + V(q) it is StormerVerlet. It nearly conserves
-    the modified energy of leapfrog_energy, up to O(h^4).
+    Symplectic, symmetric, order 2; the usual choice for a fast bounded energy. If H = T(p) + V(q),
+    it is StormerVerlet. It nearly conserves the energy of leapfrog_energy, up to O(h^4).
 
     References
     ----------
@@ -57,7 +57,7 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
              memory: tuple[EquationWork, HalfwayWork]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         half = 0.5 * h
-        # z1.p holds the half-way momentum.
+        # z1.p holds the momentum at the middle of the step.
         outcome, residual, gradients = solve_momenta(
             kernel, half, Known(z.q, z.p, z.p_carry, z.dH_dq),
             Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Common part of the methods that solve an equation in each step."""
+"""Base class of methods that solve an equation in each step."""
 
 from hnn_vi_ros.hamiltonians import check_between
 from hnn_vi_ros.integrators.base import Integrator, Requirements
@@ -13,8 +13,8 @@ import numpy as np
 SOLVERS = ('chain', 'fixed_point')
 _NEWTON_ITERATIONS = 20
 _MOST_ITERATIONS = 10_000
-# Evaluations that an equation takes to be solved to round-off from an extrapolated start: 4 to 6
-# by the secant method, up to about ten by Anderson's.
+# Evaluations needed to solve an equation to round-off from an extrapolated initial guess: 4 to 6
+# by the secant method, up to about ten by Anderson's method.
 _USUAL_ITERATIONS = 10
 NO_SOLUTION_OF_EQ_6 = ('eq. (6) has no solution here that is connected to h = 0: on the way '
                        'det(I + h H_qp) changes sign')
@@ -22,33 +22,32 @@ NO_SOLUTION_OF_EQ_6 = ('eq. (6) has no solution here that is connected to h = 0:
 
 class ImplicitIntegrator(Integrator):
     """
-    A method whose step solves equations of n unknowns each, unless ``equations`` says otherwise.
+    A method whose step solves equations of n unknowns each, unless ``equations`` differs.
 
-    The chain of solvers: an extrapolated start; the secant method where the unknowns are
-    independent, the simplified Newton method for the stages of Gauss methods in few coordinates,
-    else Anderson's; for a step that these do not solve, Newton's method: with a
-    Jacobian up to 128 unknowns, without one beyond, and with one again, up to 512 unknowns, where
-    that fails; for one that Newton's does not solve either, sub-steps of a symmetric method. Where
-    ``no_solution`` is set, a step of up to 128 unknowns that is not solved quickly is solved by
-    continuation from h = 0 instead, so that which of several solutions is taken does not depend on
-    the steps before.
+    The chain of solvers starts from an extrapolated guess, with the secant method if the unknowns
+    are independent, the simplified Newton method for Gauss methods with few coordinates, or
+    Anderson's method otherwise. If these fail, Newton's method follows: with a Jacobian up to 128
+    unknowns, without one beyond, and with one again, up to 512 unknowns, if that fails. Last come
+    sub-steps of a symmetric method. If ``no_solution`` is set, a step of up to 128 unknowns that
+    does not converge fast is solved by continuation from h = 0, so that the choice among several
+    solutions does not depend on earlier steps.
 
     Parameters
     ----------
     solver : str
-        ``'chain'``, or ``'fixed_point'`` for the paper's iteration alone.
+        ``'chain'``, or ``'fixed_point'`` for only the paper's iteration.
     max_iterations : int
-        Iterations after which the fixed-point iteration, accelerated or not, is given up.
+        Maximum number of fixed-point iterations, accelerated or not.
 
     Raises
     ------
     ValueError
-        An unknown solver, or less than one iteration.
+        An unknown solver, or fewer than one iteration.
 
     """
 
     explicit, fallback = False, 'generalized_leapfrog'
-    # Whether the equation of each trajectory of one coordinate has one unknown.
+    # True if a trajectory of one coordinate has an equation of one unknown.
     scalar = False
     equations: tuple[int, ...] = (1,)
 
@@ -58,11 +57,11 @@ class ImplicitIntegrator(Integrator):
         check_between(1, _MOST_ITERATIONS, max_iterations=max_iterations)
         self.solver, self.max_iterations = solver, max_iterations
         if solver == 'fixed_point':
-            # From the state it goes to the same solution each time, or to none.
+            # Started from the state, it converges to the same solution each time, or to none.
             self.no_solution = self.fallback = ''
 
     def attempts(self, n: int) -> tuple[int, ...]:
-        """Return the attempts of the chain: 0 quickly, 1 and 2 by Newton, 3 by continuation."""
+        """Return the attempts of the chain: 0 fast, 1 and 2 by Newton, 3 by continuation."""
         if self.solver == 'fixed_point':
             return (0,)
         most = max(self.unknowns(n))
@@ -72,11 +71,11 @@ class ImplicitIntegrator(Integrator):
 
     @property
     def usual_gradients(self) -> int:
-        """Return what its equations take, ten evaluations each."""
+        """Return the usual number of gradients, ten for each equation."""
         return _USUAL_ITERATIONS * len(self.unknowns(1))
 
     def options(self, attempt: int = 0, dimension: int = 1) -> SolverOptions:
-        """Return the options of an attempt of the chain."""
+        """Return the solver options of an attempt of the chain."""
         if self.solver == 'fixed_point':
             return SolverOptions(fixed_point, False, self.max_iterations)
         if attempt > 0:
@@ -87,7 +86,7 @@ class ImplicitIntegrator(Integrator):
 
 
 class EulerIntegrator(ImplicitIntegrator):
-    """A symplectic method of order 1 that solves one equation, for momenta or for coordinates."""
+    """A symplectic method of order 1 that solves one equation, for momenta or coordinates."""
 
     order, scalar = 1, True
     requirements = Requirements(symmetric=False, symplectic=True)

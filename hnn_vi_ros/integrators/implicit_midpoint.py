@@ -16,14 +16,14 @@ import numpy as np
 
 class MidpointWork(NamedTuple):
     """
-    The workspace of the equation for the midpoint; arrays of shape (2 n,) hold q, then p.
+    Workspace of the equation for the midpoint; arrays of shape (2 n,) hold q, then p.
 
     Parameters
     ----------
     kept : History
         Earlier midpoints.
     solver : SolverWork
-        What its solvers work on.
+        Arrays of the solvers.
     midpoint, start : np.ndarray
         The midpoint, and the state at the start of the step.
 
@@ -36,7 +36,7 @@ class MidpointWork(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """The equation for the midpoint, whose gradient it keeps."""
+    """The equation for the midpoint; it stores the gradient there."""
 
     kernel: Kernel
     half: float
@@ -47,12 +47,12 @@ class _Problem(NamedTuple):
 
 class ImplicitMidpoint(ImplicitIntegrator):
     """
-    The implicit midpoint rule: the variational integrator of the midpoint rule for the action.
+    Implicit midpoint rule: the variational integrator of the midpoint rule for the action.
 
         y = z_n + (h/2) J H'(y),  z_(n+1) = z_n + h J H'(y)
 
-    Symplectic, symmetric, order 2; it conserves every quadratic invariant, and nearly the modified
-    energy of midpoint_energy, up to O(h^4).
+    Symplectic, symmetric, order 2; use it for stiff systems. It conserves every quadratic
+    invariant, and nearly conserves the energy of midpoint_energy, up to O(h^4).
 
     References
     ----------
@@ -63,7 +63,7 @@ class ImplicitMidpoint(ImplicitIntegrator):
     order, equations = 2, (2,)  # for q and p of the midpoint
     requirements = Requirements(symmetric=True, symplectic=True)
     modified_energy = staticmethod(midpoint_energy)
-    partitioned = tableau([[0.5]], [[0.5]], [1], [1])  # its stage is the midpoint
+    partitioned = tableau([[0.5]], [[0.5]], [1], [1])  # the stage is the midpoint
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[MidpointWork]:
         """Return the workspace of the equation."""
@@ -109,7 +109,7 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
 @inlined
 def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
     n = problem.z.q.size
-    # Not needed before the next evaluation of the equation fills them again.
+    # Free until the next evaluation of the equation fills these arrays.
     at_q, at_p = problem.dH_dq, problem.dH_dp
     problem.kernel.hessian_vector(problem.kernel.parameters, x[:n], x[n:], v[:n], v[n:],
                                   at_q, at_p)
