@@ -3,7 +3,7 @@
 """
 Newton's method for the equation x = G(x) of a step; see solvers.
 
-With a Jacobian, without one by GMRES, and along the way from h = 0 (continuation).
+Variants: with a Jacobian, matrix-free with GMRES, and by continuation from h = 0.
 """
 
 from collections.abc import Callable
@@ -21,8 +21,8 @@ import numpy as np
 # Spacing of a central difference, relative to its argument.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 _EPS = float(np.finfo(np.float64).eps)
-# A Jacobian is kept while each iteration takes the residual at least this many times down: one of
-# N unknowns costs N evaluations, and a sixteenth of the digits is worth one.
+# A Jacobian is reused while each iteration reduces the residual by at least this factor: a new one
+# for N unknowns costs N evaluations, and is worth it for a sixteenth of the digits.
 _KEPT = 0.1
 
 
@@ -30,15 +30,15 @@ _KEPT = 0.1
 def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
            work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
     """
-    Iterate (I - G'(y)) step = G(x) - x, the matrix built column by column; see the module.
+    Iterate (I - G'(y)) step = G(x) - x, with the matrix built column by column; see the module.
 
-    y is an earlier iterate, at first the start: the matrix and its factors are kept as long as the
-    residual shrinks fast with them. Nothing is kept from step to step.
+    y is an earlier iterate, at first the initial guess: the factorised matrix is reused as long as
+    the residual decreases fast. Nothing is kept from step to step.
 
-    x_j is rounded to eps abs(x_j), and so G_i is known to eps sum_j abs(G'_ij x_j) at best: the
-    scale of an unknown is that sum where it is larger, as for the momenta of an angle that has
-    turned over many times. The scale of the largest of a kind holds for all of them: terms that
-    do not cancel in H may cancel in the sum.
+    Since x_j is rounded to eps abs(x_j), G_i is known only to eps sum_j abs(G'_ij x_j). The scale
+    of an unknown is that sum if it is larger, as for the momentum of an angle after many
+    revolutions. All unknowns of a kind share the largest of their scales, because terms that do
+    not cancel in H may cancel in the sum.
     """
     n, iterates, own = x.size, work.iterates, work.newton
     value, defect, step = iterates.values[0], iterates.residuals[0], own.direction
@@ -56,7 +56,7 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
         if stage == BACK:
             copy_array(value, x)
             continue
-        # Residuals of the size of rounding say nothing about the matrix.
+        # Residuals of the size of rounding contain no information about the matrix.
         if not is_kept or residual > max(bound, _KEPT * previous):
             fill_matrix(tangent, problem, x, 1.0, own)
             raise_scales(iterates.scale, iterates.own_scale, own.known)
@@ -90,12 +90,12 @@ def fill_matrix(tangent: Callable, problem: NamedTuple, x: np.ndarray, share: fl
 
 @inlined
 def raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) -> None:
-    """Raise each own scale to the accuracy of the equation, and the others to the largest."""
+    """Raise each own scale to the accuracy of the equation, and shared scales to the largest."""
     for i in range(scale.size):
         own_scale[i] = max(own_scale[i], known[i])
     first = 0
     for i in range(1, scale.size + 1):
-        # Unknowns of one kind and trajectory lie together, and share a scale.
+        # Unknowns of one kind and trajectory are adjacent, and share a scale.
         if i == scale.size or scale[i] != scale[first]:
             size = scale[first]
             for j in range(first, i):
@@ -107,13 +107,13 @@ def raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) ->
 
 @cache
 def by_differences(equation: Callable[..., None]) -> Callable[..., None]:
-    """Return the tangent of an equation by differences: Newton's method asks for no more."""
+    """Return the tangent of an equation by central differences, for Newton's method only."""
     @inlined
     def tangent(problem: Any, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
-        """Fill product with G'(x) v by a central difference, in the arrays ahead and behind."""
+        """Fill product with G'(x) v by a central difference, using the arrays ahead and behind."""
         size = 0.0
         for i in range(x.size):
-            # An integral of a channel has no scale: nothing depends on it.
+            # The integral of a channel has no scale: nothing depends on it.
             if problem.scale[i] < math.inf:
                 size = max(size, abs(v[i]) * problem.scale[i])
         spacing = _SPACING * (size if size > 0.0 else 1.0)
@@ -128,7 +128,7 @@ def by_differences(equation: Callable[..., None]) -> Callable[..., None]:
     return tangent
 
 
-# How far the linear system of an iteration is solved, relative to its right-hand side.
+# Tolerance of the linear system of an iteration, relative to its right-hand side.
 _FORCING = 1e-3
 
 
@@ -136,12 +136,12 @@ _FORCING = 1e-3
 def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
            work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
     """
-    Iterate (I - G'(x)) step = G(x) - x, each step by the method GMRES; see the module.
+    Iterate (I - G'(x)) step = G(x) - x, where each step is solved by GMRES; see the module.
 
-    It takes products G'(x) v, keeps a few, and forms no matrix. Where they do not suffice for a
-    linear system, the next iteration continues from as far as they lead. Scales are raised as
-    in Newton's method with a Jacobian, but by abs(G'(x) x) for the sum of absolute values, which
-    takes the matrix: the two agree where one unknown is much larger than the others.
+    GMRES needs products G'(x) v and no matrix, and keeps a few vectors. If they do not suffice for
+    a linear system, the next iteration continues from the best approximation. Scales are raised as
+    in Newton's method with a Jacobian, but with abs(G'(x) x) instead of the sum of absolute
+    values, which needs the matrix. Both agree if one unknown dominates.
 
     References
     ----------
@@ -184,7 +184,7 @@ def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
                 left = _begin(own, iterates.own_scale if stage == OWN else iterates.scale,
                               x, value)
                 goal = _FORCING * left
-            # Written so that NaN ends it.
+            # The negated form also ends the loop for NaN.
             if used == columns or not left > goal:
                 break
             for i in range(n):
@@ -195,15 +195,15 @@ def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
 
 @inlined
 def _begin(work: NewtonWork, scale: np.ndarray, x: np.ndarray, value: np.ndarray) -> float:
-    """Set the weights of unknowns, and the first direction to G(x) - x; return its length."""
+    """Set the weights of unknowns, set the first direction to G(x) - x, and return its length."""
     first, weights, length = work.directions[0], work.weights, 0.0
     for i in range(x.size):
         weights[i] = scale[i]
         if scale[i] == 0.0:
-            # A state and slope of zero say nothing about the size of the solution.
+            # A state and slope of zero contain no information about the size of the solution.
             weights[i] = max(abs(x[i]), abs(value[i]), 1.0)
         elif math.isinf(scale[i]):
-            # What does not act back is no part of the system.
+            # Unknowns that nothing depends on are not part of the system.
             weights[i] = 0.0
         first[i] = (value[i] - x[i]) / weights[i] if weights[i] > 0.0 else 0.0
         length += first[i] * first[i]
@@ -217,9 +217,9 @@ def _begin(work: NewtonWork, scale: np.ndarray, x: np.ndarray, value: np.ndarray
 @inlined
 def _extend(work: NewtonWork, product: np.ndarray, j: int) -> float:
     """
-    Add (I - G') times direction j to the space, orthogonalised; return what is left of G(x) - x.
+    Add (I - G') times direction j to the space, orthogonalised; return the residual of the system.
 
-    Rotations keep the small matrix triangular; the last one leaves the residual.
+    Rotations keep the small matrix triangular; the last one gives the residual.
     """
     weights, column = work.weights, work.hessenberg[:, j]
     n = weights.size
@@ -247,7 +247,7 @@ def _extend(work: NewtonWork, product: np.ndarray, j: int) -> float:
         column[a + 1] = cosine[a] * column[a + 1] - sine[a] * above
     size = math.hypot(column[j], length)
     if size == 0.0:
-        # A direction that (I - G') maps to zero: none of it is of use.
+        # (I - G') maps this direction to zero, so it is discarded.
         cosine[j], sine[j], column[j] = 1.0, 0.0, math.inf
     else:
         cosine[j], sine[j], column[j] = column[j] / size, length / size, size
@@ -258,7 +258,7 @@ def _extend(work: NewtonWork, product: np.ndarray, j: int) -> float:
 
 @inlined
 def _add_combination(work: NewtonWork, used: int, value: np.ndarray, x: np.ndarray) -> None:
-    """Add the combination of the directions that leaves least of G(x) - x."""
+    """Add the combination of the directions that minimises the residual of the linear system."""
     right, weights = work.rotations[2], work.weights
     for j in range(used - 1, -1, -1):
         for a in range(j + 1, used):
@@ -271,10 +271,10 @@ def _add_combination(work: NewtonWork, used: int, value: np.ndarray, x: np.ndarr
             x[i] = value[i]
 
 
-# Lengths as shares of the way from h = 0; points on it to try, and Newton steps at each.
+# First and shortest step, as fractions of the way from h = 0; maximum of points and Newton steps.
 _FIRST_LENGTH, _SHORTEST_LENGTH, _POINTS, _CORRECTIONS = 0.25, 2.0**-16, 100, 8
-# Each Newton step must be shorter than the one before by this factor; they have arrived at this
-# length relative to the scale, since the next step doubles the digits.
+# Each Newton step must be shorter than the previous one by this factor. The iteration has
+# converged at this length relative to the scale, since the next step doubles the digits.
 _CONTRACTION, _ARRIVED = 0.25, float(np.sqrt(np.finfo(np.float64).eps))
 
 
@@ -282,12 +282,12 @@ _CONTRACTION, _ARRIVED = 0.25, float(np.sqrt(np.finfo(np.float64).eps))
 def continuation(equation: Callable, tangent: Callable, problem: Any, x: np.ndarray,
                  work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
     """
-    Follow the solution from h = 0 to this h, and iterate there by Newton's method; see solvers.
+    Follow the solution from h = 0 to this h, then apply Newton's method; see solvers.
 
-    x(s) = b + s (G(x(s)) - b) for s from 0 to 1, where b = problem.base solves the equation with
-    h = 0. Points of the way are so close that Newton's method contracts from each to the next and
-    that the determinant of I - s G' stays positive: it does not come to another solution. The way
-    ends as NO_SOLUTION at a fold, where that determinant goes through 0.
+    x(s) = b + s (G(x(s)) - b) for s from 0 to 1, where b = problem.base solves the equation with h
+    = 0. Points are so close that Newton's method contracts from each to the next and the
+    determinant of I - s G' stays positive, so it cannot jump to another solution. The path ends
+    with NO_SOLUTION at a fold, where that determinant passes through 0.
 
     References
     ----------
@@ -323,7 +323,7 @@ def continuation(equation: Callable, tangent: Callable, problem: Any, x: np.ndar
 @called
 def _correct(equation: Callable, tangent: Callable, problem: Any, x: np.ndarray,
              share: float, work: SolverWork) -> tuple[float, int]:
-    """Move x to b + share (G(x) - b); return the last step over the scale, and evaluations."""
+    """Move x to b + share (G(x) - b); return the last step over the scale, and the evaluations."""
     n, iterates, own = x.size, work.iterates, work.newton
     value, step, scale = iterates.values[0], own.direction, iterates.scale
     size, spent = math.inf, 0

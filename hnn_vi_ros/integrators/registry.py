@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Integrators, by the name that a scene's YAML gives them, and which of them can do what."""
+"""Integrators by their names in scenes, and searches for methods with a property."""
 
 from collections.abc import Callable
 
@@ -54,7 +54,7 @@ INTEGRATORS: dict[str, type[Integrator]] = {
 
 
 def method_name(integrator: Integrator) -> str:
-    """Return the name of a method in a scene, with its base if there is a choice of it."""
+    """Return the name of a method in a scene, with its base if it has several."""
     name = next((key for key, method in INTEGRATORS.items() if type(integrator) is method),
                 type(integrator).__name__)
     return f'{name} over {integrator.base.kernel_name}' \
@@ -62,7 +62,7 @@ def method_name(integrator: Integrator) -> str:
 
 
 def methods_that(can: Callable[[Integrator], bool], hamiltonian: Hamiltonian) -> str:
-    """Return the names of the methods that take an H and can do something, with commas."""
+    """Return the names of the methods that support H and satisfy a condition, with commas."""
     methods = ((name, kind()) for name, kind in INTEGRATORS.items()
                if kind.requirements.hamiltonian)
     return ', '.join(name for name, method in methods
@@ -71,12 +71,12 @@ def methods_that(can: Callable[[Integrator], bool], hamiltonian: Hamiltonian) ->
 
 def check_method(integrator: Integrator, hamiltonian: Hamiltonian) -> None:
     """
-    Refuse a Hamiltonian that a method cannot integrate.
+    Check that a method can integrate a Hamiltonian.
 
     Raises
     ------
     UnsupportedSystem
-        The method does not apply; the message names those that do.
+        The method does not apply; the message names the methods that do.
 
     """
     problem = integrator.refusal(hamiltonian)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Explicit Runge-Kutta methods, to compare with: Euler's, the classical one and DOP853."""
+"""Explicit Runge-Kutta methods for comparison: Euler, the classical one and DOP853."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 
 
 class Baseline(Integrator):
-    """An explicit method to compare with, as good for a field in any coordinates."""
+    """An explicit method for comparison, valid in any coordinates."""
 
     explicit = True
     requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
@@ -22,8 +22,8 @@ class ExplicitEuler(Baseline):
     """
     Explicit Euler: q_(n+1) = q_n + h H_p(q_n, p_n), p_(n+1) = p_n - h H_q(q_n, p_n).
 
-    It is of order 1 and not symplectic: each step multiplies the energy of the harmonic
-    oscillator by 1 + (h omega)^2. It is here to be compared with.
+    Order 1, not symplectic: each step multiplies the energy of the harmonic oscillator by 1 + (h
+    omega)^2. It serves as a baseline; use `generalized_leapfrog` instead.
 
     References
     ----------
@@ -32,7 +32,7 @@ class ExplicitEuler(Baseline):
     """
 
     order, keeps_gradient = 1, True
-    partitioned = tableau([[0]], [[0]], [1], [1])  # its stage is the state before
+    partitioned = tableau([[0]], [[0]], [1], [1])  # the stage is the state before
 
     @staticmethod
     @inlined
@@ -48,14 +48,14 @@ class ExplicitEuler(Baseline):
 
 class StageWork(NamedTuple):
     """
-    The workspace of a step; arrays of shape (n,).
+    Workspace of a step; arrays of shape (n,).
 
     Parameters
     ----------
     q, p : np.ndarray
         A stage.
     sum_q, sum_p : np.ndarray
-        The weighted sums of the slopes of the stages so far.
+        Weighted sums of the slopes of the previous stages.
 
     """
 
@@ -69,7 +69,7 @@ class RK4(Baseline):
     """
     The classical Runge-Kutta method of four stages and order 4.
 
-    Neither symplectic nor symmetric: its energy drifts, which is what it is here to show.
+    Neither symplectic nor symmetric: its energy drifts. A baseline; use `gauss4` instead.
 
     References
     ----------
@@ -82,7 +82,7 @@ class RK4(Baseline):
                           *2 * [np.array([1.0, 2.0, 2.0, 1.0]) / 6.0])
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[StageWork]:
-        """Return space for a stage and the sum over stages."""
+        """Return workspace for a stage and the sum over stages."""
         return (StageWork(*np.zeros((4, n), dtype)),)
 
     @staticmethod
@@ -111,7 +111,7 @@ class RK4(Baseline):
 
 
 class Tolerances(NamedTuple):
-    """Relative and absolute error that an adaptive step may make."""
+    """Relative and absolute error tolerances of an adaptive step."""
 
     relative: float
     absolute: float
@@ -119,19 +119,19 @@ class Tolerances(NamedTuple):
 
 class DOP853(Baseline):
     """
-    scipy's DOP853: over each step h it takes as many steps of its own as its tolerances ask for.
+    DOP853 of scipy: each step h consists of adaptive steps that satisfy the tolerances.
 
-    Neither symplectic nor symmetric; of order 8 in its own steps.
+    Neither symplectic nor symmetric, of order 8. A baseline; for long times use `gauss8`.
 
     Parameters
     ----------
     relative_tolerance, absolute_tolerance : float
-        As scipy's rtol [1] and atol [units of q and p].
+        rtol [1] and atol [units of q and p] of scipy.
 
     Raises
     ------
     ValueError
-        A tolerance that is not positive.
+        A tolerance is not positive.
 
     References
     ----------
@@ -154,7 +154,7 @@ class DOP853(Baseline):
     def step(kernel: Kernel, h: float, options: Tolerances, z: Point, z1: Point,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        # Imported here: no other method needs scipy to start.
+        # Imported lazily: no other method needs scipy.
         from scipy.integrate import solve_ivp
         n = z.q.size
         dH_dq, dH_dp = np.empty(n), np.empty(n)

@@ -1,21 +1,21 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Solvers of the implicit equation x = G(x) of a step, each carried to round-off.
+Solvers of the implicit equation x = G(x) of a step; each converges to round-off.
 
-Each method states its equation as two functions: ``equation(problem, x, value)`` fills G(x), and
-``tangent(problem, x, v, product)`` fills G'(x) v; ``problem`` holds whatever they need.
+Each method defines its equation by two functions: ``equation(problem, x, value)`` fills G(x), and
+``tangent(problem, x, v, product)`` fills G'(x) v; ``problem`` contains their data.
 
 Every solver has the signature ``(equation, tangent, problem, x, work, max_iterations)``. On entry
-x is a first guess, on return the solution; the scales of ``work.iterates`` are read. It returns an
-outcome, the largest relative residual [1] and the number of evaluations of G and of G' v.
+x is the initial guess, on return the solution; ``work.iterates`` contains the scales. It returns
+the outcome, the largest relative residual [1] and the number of evaluations of G and G' v.
 
-Iterates are accepted when the residual G(x) - x, relative to the largest unknown of its kind, is
-at most eps, or has stopped shrinking at no more than max(8, N) eps. An unknown that is much
-smaller may then still be wrong in most of its digits: iterates go on while the residual, relative
-to each unknown's own scale, is above max(8, N) eps and at least halves. It need not get there, as
-where the terms of large unknowns cancel. G was then evaluated last at the very x that is
-returned, so that what it left in ``problem`` belongs to x.
+An iterate is accepted when the residual G(x) - x, relative to the largest unknown of its kind, is
+at most eps, or no longer decreases at no more than max(8, N) eps. A much smaller unknown may then
+still have few correct digits: iteration continues while the residual relative to each unknown's
+own scale is above max(8, N) eps and at least halves. It need not reach that if terms of large
+unknowns cancel. The last evaluation of G is at the returned x, so that the values that it left in
+``problem`` belong to x.
 """
 
 from collections.abc import Callable
@@ -30,32 +30,32 @@ from hnn_vi_ros.kernels import inlined
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-# Iterations of the secant method, as many as steps take that are resolved. Of the 6155 steps of
-# two methods that H = q sin(5 p) was tried with, one took another solution without a sign.
+# Maximum iterations of the secant method; resolved steps need no more. Of 6155 steps of two
+# methods for H = q sin(5 p), one converged to another solution without being detected.
 QUICK = 5
-# Residuals that are not rounding alone.
+# Residuals that are larger than rounding errors.
 _NOISE = 1e-11
 GO_ON = -1
-# A residual is relative first to the scale of the largest unknown, then to each one's own; or the
-# solver goes back to an iterate that was good enough.
+# Next actions: a residual is relative to the scale of the largest unknown (COMMON), then to the
+# scale of each (OWN); or the solver returns to an earlier accepted iterate (BACK).
 COMMON, OWN, BACK = 0, 1, 2
 
 
 class SolverOptions(NamedTuple):
     """
-    Options by which an implicit equation is solved.
+    Options of the solution of an implicit equation.
 
     Parameters
     ----------
     solve : callable
         One of the solvers of this module.
     extrapolate : bool
-        Whether to start from earlier solutions.
+        True to extrapolate the initial guess from earlier solutions.
     max_iterations : int
-        Iterations after which the equation counts as not solved.
+        Maximum number of iterations.
     connected : bool
-        Whether a solution that takes many iterations is in doubt: it may be another one than that
-        which is connected to h = 0.
+        True to treat a solution that takes many iterations as in doubt: it may not be the one that
+        is connected to h = 0.
 
     """
 
@@ -87,8 +87,8 @@ def fixed_point(equation: Callable, tangent: Callable, problem: NamedTuple, x: n
 @inlined
 def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
            work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
-    """Solve unknowns that do not depend on each other by the secant method; see the module."""
-    # No rounding of one enters the equation of another.
+    """Solve for unknowns that do not depend on each other by the secant method; see the module."""
+    # The rounding of one unknown does not enter the equation of another.
     iterates = work.iterates
     sizes = iterates.own_scale, iterates.own_scale, iterates.accepted
     previous, residual, stage = math.inf, math.inf, COMMON
@@ -121,7 +121,7 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
     """
     Accelerate the fixed-point iteration by Anderson's method of depth 3; see the module.
 
-    Systems that are solved together, as the work's layout says, each have weights of their own.
+    Independent systems that are solved together, see ``layout``, each have their own weights.
 
     References
     ----------
@@ -145,7 +145,7 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
             iterates.slow_start[0] = residual > 0.5 * previous > _NOISE
         previous = residual
         if stage != old_stage:
-            # Residuals relative to something else are not to be combined with these.
+            # Residuals with a different scale must not be combined with these.
             origin, old_stage = k, stage
         if k < max_iterations:
             _accelerate(work, k, value, defect, k - origin, x)
@@ -156,13 +156,13 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
 def is_in_doubt(options: SolverOptions, slow_start: np.ndarray, matrix: np.ndarray,
                 iterations: int, d: int) -> bool:
     """
-    Return whether a solution of d coupled unknowns may not be the one that is connected to h = 0.
+    Return True if a solution of d coupled unknowns may not be the one connected to h = 0.
 
-    Two solutions are apart by a place where G' has an eigenvalue of 1: to come over it, or close
-    to it, takes iterations, more than where solutions follow each other smoothly, or the first
-    does not contract by half.
+    Between two solutions G' has an eigenvalue of 1 somewhere. To pass over that point, or close to
+    it, takes more iterations than solutions that follow each other smoothly, or the first
+    iteration does not halve the residual.
     """
-    # In this order: what is read from arrays costs more.
+    # Conditions on scalars come first, since reading arrays costs more.
     if not options.connected or iterations < 3:
         return False
     if iterations <= QUICK + min(d - 1, DEPTH) and slow_start[0] == 0:
@@ -172,7 +172,7 @@ def is_in_doubt(options: SolverOptions, slow_start: np.ndarray, matrix: np.ndarr
 
 @inlined
 def extrapolate(history: History, base: np.ndarray, x: np.ndarray) -> None:
-    """Start x from up to three earlier solutions, relative to their bases, if there are any."""
+    """Extrapolate x from up to three earlier solutions, relative to their bases."""
     count, increments = history.count[0], history.increments
     for i in range(x.size):
         if count == 1:
@@ -185,7 +185,7 @@ def extrapolate(history: History, base: np.ndarray, x: np.ndarray) -> None:
 
 @inlined
 def remember(history: History, base: np.ndarray, x: np.ndarray) -> None:
-    """Keep a solution relative to its base, for the next start."""
+    """Store a solution relative to its base, for the next initial guess."""
     increments = history.increments
     for i in range(x.size):
         increments[2, i] = increments[1, i]
@@ -196,7 +196,7 @@ def remember(history: History, base: np.ndarray, x: np.ndarray) -> None:
 
 @inlined
 def _residual(value: np.ndarray, x: np.ndarray, scale: np.ndarray, defect: np.ndarray) -> float:
-    """Fill the defect G(x) - x relative to the scale; return its largest entry, NaN included."""
+    """Fill the defect (G(x) - x) / scale; return its largest absolute entry, or NaN."""
     result = 0.0
     for i in range(x.size):
         difference = value[i] - x[i]
@@ -205,8 +205,8 @@ def _residual(value: np.ndarray, x: np.ndarray, scale: np.ndarray, defect: np.nd
         elif scale[i] > 0.0:
             defect[i] = difference / scale[i]
         else:
-            # A state and slope of zero say nothing about the size of the solution; nor does a lost
-            # iterate, where NaN may meet zero.
+            # A state and slope of zero contain no information about the size of the solution, and
+            # neither does a diverged iterate, where NaN may meet zero.
             size = max(abs(value[i]), abs(x[i]))
             defect[i] = difference / size if size > 0.0 else difference
         if not abs(defect[i]) <= result:
@@ -219,14 +219,14 @@ def judge(equation: Callable, problem: NamedTuple, x: np.ndarray,
           sizes: tuple[np.ndarray, np.ndarray, np.ndarray], value: np.ndarray,
           defect: np.ndarray, previous: float, stage: int, is_last: bool
           ) -> tuple[int, float, int]:
-    """Evaluate G at x; judge whether x is good enough, not finite, or to be improved, and how."""
+    """Evaluate G at x; return the next action: accept x, fail as not finite, or iterate."""
     scale, own_scale, accepted = sizes
     equation(problem, x, value)
     residual, bound = _residual(value, x, scale, defect), max(8, x.size) * _EPS
     if not math.isfinite(residual):
         return NOT_FINITE, residual, stage
     if stage == OWN and residual > bound and not is_last:
-        # What has led away from an iterate that was good enough is rounding: back to it.
+        # An increase after an accepted iterate is due to rounding: return to that iterate.
         for i in range(x.size):
             value[i], defect[i] = accepted[i], 0.0
         return GO_ON, residual, BACK
@@ -245,20 +245,20 @@ def judge(equation: Callable, problem: NamedTuple, x: np.ndarray,
 
 @inlined
 def is_hopeless(k: int, residual: float, previous: float) -> bool:
-    """Return whether there is no contraction to speak of: Newton's method will be cheaper."""
+    """Return True if convergence is so slow that Newton's method will be cheaper."""
     return k > 5 and residual > 0.5 * previous and residual > 1e-8
 
 
 @inlined
 def _accelerate(work: SolverWork, k: int, value: np.ndarray, defect: np.ndarray, rounds: int,
                 x: np.ndarray) -> None:
-    """Set x to the next iterate, each system by itself, of so many rounds at most."""
+    """Set x to the next iterate, for each system separately, with a maximum of ``rounds``."""
     row, width = work.iterates.layout[0], work.iterates.layout[1]
     n = x.size // row * width
     for first in range(0, row, width):
         depth = min(rounds, n, DEPTH)
         if n < x.size and _largest(defect, first, row, width) <= max(8, n) * _EPS:
-            # Solved, which others are not: what is left is rounding, and no direction.
+            # This system has converged while others have not; its residual is rounding.
             depth = 0
         used = _project(work.anderson, work.iterates, k, defect, first, depth)
         _combine(work.anderson, work.iterates, k, value, first, used, x)
@@ -277,7 +277,7 @@ def _largest(defect: np.ndarray, first: int, row: int, width: int) -> float:
 @inlined
 def _project(work: AndersonWork, iterates: Iterates, k: int, defect: np.ndarray, first: int,
              depth: int) -> int:
-    """Orthogonalise the changes of a system's defect, and project it on them; return how many."""
+    """Project a system's defect on the orthogonalised changes of it, and return their number."""
     row, width, rows = iterates.layout[0], iterates.layout[1], DEPTH + 1
     n, basis, triangle = defect.size // row * width, work.basis, work.triangle
     for j in range(depth):
@@ -313,7 +313,7 @@ def _project(work: AndersonWork, iterates: Iterates, k: int, defect: np.ndarray,
 @inlined
 def _combine(work: AndersonWork, iterates: Iterates, k: int, value: np.ndarray, first: int,
              used: int, x: np.ndarray) -> None:
-    """Set a system's x to G less the combination of its changes that ends the projection."""
+    """Set a system's x to G minus the combination of its changes found by the projection."""
     row, width, triangle = iterates.layout[0], iterates.layout[1], work.triangle
     for start in range(first, x.size, row):
         for i in range(start, start + width):

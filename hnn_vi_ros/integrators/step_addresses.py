@@ -1,12 +1,12 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Steps by address: what effects put around a step is compiled once, for whichever step is inside.
+Steps called by address: effects around a step are compiled once for all inner steps.
 
-A step is compiled by itself into an entry, which takes addresses: of what changes from call to
-call, of its options and of its workspaces. What calls it finds that of the entry, with the
-options, in options of its own, and the workspaces as one of its own. So the step of a method is
-compiled once for all combinations of effects, and an effect once for all methods.
+A step is compiled into an entry that takes addresses: of the arguments of the call, of its options
+and of its workspaces. The caller reads the address of the entry and its options from its own
+options, and the workspaces from its own workspaces. So the step of a method is compiled once for
+all combinations of effects, and an effect once for all methods.
 """
 
 from functools import cache
@@ -25,12 +25,12 @@ from numba.core import types
 from numba.core.dispatcher import Dispatcher
 import numpy as np
 
-# What entries find under these names is their own; see _entry.
+# Entries bind these names to their own values; see _entry.
 function: Any = None
 inside_kind: Any = None
 memory_kind: Any = None
 _ENTRY: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
-# Before the options in a block: a method has a step, or two halves of one.
+# Words before the options in a block: a method has a step, or two halves of one.
 _ADDRESSES = 2
 _call_step = entry_caller(types.Tuple((types.int64, types.float64, types.int64)))
 # Threads that ask for the same entry get the same one.
@@ -39,13 +39,13 @@ _compiling = Lock()
 
 class StepsByAddress(NamedTuple):
     """
-    Addresses, in the options of a step, of the steps inside of it.
+    Addresses of inner steps, in the options of the outer step.
 
     Parameters
     ----------
     words : np.ndarray of int64
-        The addresses of their entries, of one or two, then the kernel and the options that they
-        share. The kernel is the simulation's, whatever they are called with.
+        Addresses of one or two entries, then of the kernel and the options that they share. This
+        kernel replaces the one of the call.
 
     """
 
@@ -55,22 +55,22 @@ class StepsByAddress(NamedTuple):
 def steps_by_address(steps: tuple[Step, ...], name: str, own: bool, kernel: Kernel,
                      options: Parameters, memory: tuple[Any, ...]) -> StepsByAddress:
     """
-    Return steps, compiled, for those that call them by address.
+    Return steps, compiled, for callers that use their addresses.
 
     Parameters
     ----------
     steps : tuple of callable
-        One or two, which share options and workspaces.
+        One or two steps, which share options and workspaces.
     name : str
-        What tells them from the steps of every other method or effect.
+        Name that distinguishes them from the steps of other methods and effects.
     own : bool
-        Whether they are all of this package, so that they can be found again on disk.
+        True if all of their code is in this package, so that it can be cached on disk.
     kernel : Kernel
-        By address.
+        Kernel by address.
     options : tuple
-        Of the steps; the functions in them compiled.
+        Options of the steps, with compiled functions.
     memory : tuple
-        Of the steps; only its type counts.
+        Workspaces of the steps; only the type is used.
 
     """
     inside = kernel, options
@@ -84,13 +84,13 @@ def steps_by_address(steps: tuple[Step, ...], name: str, own: bool, kernel: Kern
 
 
 def memory_by_address(memory: tuple[Any, ...]) -> MemoryByAddress:
-    """Return the workspaces of steps, for those that call them by address."""
+    """Return the workspaces of steps, for callers that use their addresses."""
     return MemoryByAddress(block(memory), np.array(
         [address for workspace in memory for address in _counts(workspace)], dtype=np.int64))
 
 
 def _counts(workspace: Any) -> list[int]:
-    """Return the addresses of the counts in a workspace that ``forget`` takes to zero."""
+    """Return the addresses of the counts in a workspace that ``forget`` sets to zero."""
     if isinstance(workspace, MemoryByAddress):
         return workspace.counts.tolist()
     kept_group: Any = getattr(workspace, 'kept', None)
@@ -100,8 +100,8 @@ def _counts(workspace: Any) -> list[int]:
 
 @cache
 def _entry(step: Step, kinds: tuple[types.Type, ...], name: str, own: bool) -> Dispatcher:
-    """Return a step's entry, compiled."""
-    # A part of the entry and of nothing else.
+    """Return the compiled entry of a step."""
+    # The part belongs to this entry only.
     copy = Part(step, targetoptions={'forceinline': True})
     entry = FunctionType(_step_entry.__code__, {
         **globals(), 'function': copy, 'inside_kind': kinds[0], 'memory_kind': kinds[1]},
@@ -118,13 +118,13 @@ def _address(entry: Dispatcher) -> int:
 
 
 def _name(step: Step, name: str, kinds: tuple[types.Type, ...], options: Parameters) -> str:
-    """Return a name for all that an entry is compiled from, the same in every process."""
-    # Numba caches a function under its name and code, blind to the values of global names.
+    """Return a name that is determined by all sources of an entry, the same in every process."""
+    # Numba caches a function by name and code, and ignores the values of global names.
     parts = reached(step, options)
     sources = digest_of(frozenset(part.__module__ for part in parts))
     names = sorted(f'{part.__module__}.{part.__qualname__}' for part in parts)
     layout = re.sub(r' at 0x\w+', '', str(kinds))
-    # A method's step and its halves have one name, and come from the same sources.
+    # A method's step and its halves share a name and come from the same sources.
     text = f'{name}/{step.__module__}.{step.__qualname__}/{layout}/{names}/{sources}'
     return f'step_{sha256(text.encode()).hexdigest()[:16]}'
 
@@ -148,7 +148,7 @@ def _addresses_of(z: Point) -> tuple[int, ...]:
 
 
 def _caller(k: int) -> Part:
-    """Return the step that calls the k-th of the steps by address which it finds."""
+    """Return the step that calls the k-th of its inner steps by address."""
     @part(forceinline=True)
     def step_by_address(kernel: Kernel, h: float, options: StepsByAddress, z: Point, z1: Point,
                         memory: tuple[MemoryByAddress]) -> tuple[int, float, int]:
@@ -160,5 +160,5 @@ def _caller(k: int) -> Part:
     return step_by_address
 
 
-# Steps for compiled code only, in place of one or two that they call.
+# Replacements, in compiled code only, of one or two inner steps.
 CALLERS: tuple[Part, ...] = tuple(_caller(k) for k in range(_ADDRESSES))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Störmer-Verlet method, explicit, for separable Hamiltonians."""
+"""Explicit Störmer-Verlet method for separable Hamiltonians."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import (
@@ -41,9 +41,9 @@ class StormerVerlet(Integrator):
         p_half = p_n - (h/2) V'(q_n),  q_(n+1) = q_n + h T'(p_half),
         p_(n+1) = p_half - (h/2) V'(q_(n+1))
 
-    Symplectic, symmetric, order 2, stable for h omega < 2; it nearly conserves the modified
-    energy of leapfrog_energy, up to O(h^4). On a Hamiltonian that does not
-    separate, as a plain network, the formula would fall to order 1: it is refused.
+    Symplectic, symmetric, order 2, stable for h omega < 2; it nearly conserves the energy of
+    leapfrog_energy, up to O(h^4). Explicit and fast. A Hamiltonian that is not separable, such as
+    a general network, is refused: the order would fall to 1. Use `generalized_leapfrog` there.
 
     References
     ----------
@@ -61,12 +61,12 @@ class StormerVerlet(Integrator):
     def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        # V' does not depend on p: z.dH_dq is V'(q_n) from the step before.
+        # V' does not depend on p: z.dH_dq is V'(q_n) of the previous step.
         for i in range(z.q.size):
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -0.5 * h * z.dH_dq[i])
         kernel.gradient(kernel.parameters, z.q, z1.p, z1.dH_dq, z1.dH_dp)
         for i in range(z.q.size):
-            # The same momenta; but the power of a force, in a channel, depends on p.
+            # The momenta are the same; but the power of a force, in a channel, depends on p.
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -0.5 * h * z1.dH_dq[i])
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z1.dH_dp[i])
         kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The symplectic Euler method, the paper's scheme in the staggered state, and its adjoint."""
+"""Symplectic Euler, which is the paper's scheme in the staggered state, and its adjoint."""
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
@@ -15,14 +15,14 @@ import numpy as np
 
 class SymplecticEuler(EulerIntegrator):
     """
-    Symplectic Euler, implicit in the momentum; from the same action as the paper's scheme.
+    Symplectic Euler, implicit in the momentum, from the action of the paper's scheme.
 
         p_(n+1) = p_n - h H_q(q_n, p_(n+1))
         q_(n+1) = q_n + h H_p(q_n, p_(n+1))
 
-    With P_n = p_(n-1) of VariationalEuler as its momentum it is that scheme, seen in the pair
-    (q_n, p_(n-1)). Symplectic, order 1, not symmetric; it nearly conserves
-    H - (h / 2) H_q . H_p. Its adjoint is SymplecticEulerAdjoint.
+    With the momentum P_n = p_(n-1) of VariationalEuler it is that scheme, in the pair (q_n,
+    p_(n-1)). Symplectic, order 1, not symmetric; it nearly conserves H - (h / 2) H_q . H_p. Its
+    adjoint is SymplecticEulerAdjoint. Use `generalized_leapfrog`, which composes both.
 
     References
     ----------
@@ -31,7 +31,7 @@ class SymplecticEuler(EulerIntegrator):
     """
 
     no_solution = NO_SOLUTION_OF_EQ_6
-    partitioned = tableau([[0]], [[1]], [1], [1])  # its stage is (q_n, p_(n+1))
+    partitioned = tableau([[0]], [[1]], [1], [1])  # the stage is (q_n, p_(n+1))
 
     @staticmethod
     @inlined
@@ -69,7 +69,7 @@ class SymplecticEulerAdjoint(EulerIntegrator):
     """
 
     modified_energy = staticmethod(euler_energy)
-    partitioned = tableau([[1]], [[0]], [1], [1])  # its stage is (q_(n+1), p_n)
+    partitioned = tableau([[1]], [[0]], [1], [1])  # the stage is (q_(n+1), p_n)
     no_solution = ('the adjoint of eq. (6) has no solution here that is connected to h = 0: on '
                    'the way det(I - h H_qp) changes sign')
 

@@ -17,40 +17,40 @@ from hnn_vi_ros.integrators.dense_output import DenseOutput
 from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
-# Series in one step, and of those that are looked at one by one, beyond which it is given up:
-# about a second of processor time.
+# Maximum number of series in one step, and of series that are checked one by one: about a second
+# of processor time.
 _MOST_STEPS, _MOST_PARTS = 1_000_000, 10_000
-# States of a batch: with more, heyoka compiles longer and is no faster.
+# States of a batch; heyoka compiles longer for more, and is no faster.
 _LANES = 8
-# Nodes of a graph from which on heyoka writes loops, which compile sooner and run slower.
+# Number of graph nodes from which on heyoka writes loops, which compile faster and run slower.
 _COMPACT = 1000
 _OPERATIONS = {'sum': operator.add, 'raised': operator.pow}
-# What names of parts of a held force begin with.
+# Prefix of the names of components of a force that is constant in a step.
 _FORCE = 'f'
 _MONOMIALS = frozenset({'scaled', 'product', 'over', 'power', 'sqrt'})
-# What a series may change the energy by, in errors of its tolerance; and a step, for each series.
+# Allowed change of energy of a series, in units of its tolerance; and per series of a step.
 _ERRORS, _ROOM = 10.0, 10.0
-# The shortest of series that are shortened, relative to the step; and how much shorter they become
-# before they are taken though the energy is kept not this much better.
+# The shortest allowed series, relative to the step; and the factor in length after which a series
+# is accepted if its energy error did not improve by the last factor.
 _SHORTEST, _FAR, _LITTLE = 2.0**-40, 256.0, 16.0
 _EPS = float(np.finfo(np.float64).eps)
-# Series of the latest formulas of each thread, and how many: a restart compiles none again.
+# Series of the latest formulas of each thread, and their number: a restart reuses them.
 _SERIES, _KEPT = threading.local(), 16
 
 
 class TaylorWork:
-    """The series of one system, compiled by heyoka for one trajectory and for several at once."""
+    """The series of one system, compiled by heyoka for one trajectory and for a batch."""
 
     def __init__(self, tolerance: float):
         self._tolerance = tolerance
         self._kernel: Kernel | None = None
         self._made: dict[tuple[int, bytes], Any] = {}
-        # Imported here: an extra that no other method needs.
+        # Imported lazily: an optional package that no other method needs.
         import heyoka
         self._heyoka: Any = heyoka
 
     def series(self, kernel: Kernel, lanes: int, scales: np.ndarray) -> Any:
-        """Return heyoka's integrator of so many states in scales; see ``_scales``."""
+        """Return heyoka's integrator for a batch of ``lanes`` scaled states; see ``_scales``."""
         own = _original(kernel)
         if own is not self._kernel:
             self._kernel, self._made = own, {}
@@ -66,7 +66,7 @@ class TaylorWork:
         return self._made[made]
 
     def _compiled(self, graph: Graph, roots: list[int], lanes: int, scales: np.ndarray) -> Any:
-        """Return heyoka's integrator of rates."""
+        """Return heyoka's integrator of the rates in a graph."""
         names, state = _names(len(roots) // 2), np.zeros(len(roots))
         kind = self._heyoka.taylor_adaptive
         if lanes > 1:
@@ -78,14 +78,14 @@ class TaylorWork:
     def advance(self, kernel: Kernel, h: float, states: np.ndarray,
                 parts: list[tuple[float, np.ndarray]] | None = None) -> tuple[int, int]:
         """
-        Advance states, shape (lanes, 2 d), by h [s]; return the outcome and the count of series.
+        Advance states, shape (lanes, 2 d), by h [s]; return the outcome and the number of series.
 
         Parameters
         ----------
         kernel, h, states
-            Of the step.
+            Arguments of the step.
         parts : list, optional
-            Takes the length of each series of one state, and its coefficients, (2 d, order + 1).
+            Receives length and coefficients, (2 d, order + 1), of each series of one state.
 
         """
         begin, scales = states.copy(), _scales(kernel, h, states)
@@ -101,7 +101,7 @@ class TaylorWork:
 
     def _whole(self, kernel: Kernel, h: float, states: np.ndarray, scales: np.ndarray,
                forces: np.ndarray, parts: list[tuple[float, np.ndarray]] | None) -> list[int]:
-        """Advance states by as many series as it takes; return these counts, 0 for a failure."""
+        """Advance states by as many series as needed; return their numbers, 0 for a failure."""
         series, end = self.series(kernel, len(states), scales), self._heyoka.taylor_outcome
         series.state[:] = (states / scales).T.reshape(series.state.shape)
         if kernel.channels:
@@ -123,7 +123,7 @@ class TaylorWork:
     def _by_parts(self, kernel: Kernel, h: float, first: np.ndarray, last: np.ndarray,
                   scales: np.ndarray, forces: np.ndarray,
                   parts: list[tuple[float, np.ndarray]] | None) -> tuple[int, int]:
-        """Fill the last state by series that each keep the energy, shorter where one does not."""
+        """Fill the last state, using series that conserve the energy, shortened if needed."""
         series, state, time, limit = self.series(kernel, 1, scales), first.copy(), 0.0, h
         worst = 0.0, 0.0
         if parts is not None:
@@ -137,7 +137,7 @@ class TaylorWork:
             last[:] = series.state * scales
             drift, _ = _drift(kernel, state, last)
             kept = self._keeps(kernel, state, last, scales, 1.0)
-            # Where far shorter series keep it no better, it is rounded so.
+            # If far shorter series do not improve the energy, its error is rounding.
             if kept or (abs(length) * _FAR < worst[0] and drift * _LITTLE > worst[1]):
                 if parts is not None:
                     parts.append((length, series.tc * scales[:, None]))
@@ -154,7 +154,7 @@ class TaylorWork:
 
     def _keeps(self, kernel: Kernel, first: np.ndarray, last: np.ndarray, scales: np.ndarray,
                room: float) -> bool:
-        """Return whether the energy changes by no more than by so many errors of a series."""
+        """Return True if the energy changes by no more than the errors of ``room`` series."""
         error = room * _ERRORS * max(self._tolerance, _EPS)
         drift, size = _drift(kernel, first, last)
         return drift <= error * size or drift <= error * max(
@@ -166,7 +166,7 @@ class TaylorWork:
         self.advance(kernel, h, state[None].copy(), parts)
         lengths, series = np.array([length for length, _ in parts]), np.stack(
             [coefficients for _, coefficients in parts])
-        # From coefficients of powers of time to those of powers of the share of each part.
+        # Convert coefficients in powers of time to powers of the fraction of each part.
         powers = lengths[:, None] ** np.arange(series.shape[2])
         times = np.append(0.0, np.cumsum(lengths))
         return DenseOutput(series.shape[2] - 1, np.ascontiguousarray(
@@ -174,7 +174,7 @@ class TaylorWork:
 
     def _expressions(self, graph: Graph, roots: list[int], scales: Mapping[str, float]
                      ) -> list[Any]:
-        """Return rates of a graph as expressions of heyoka, of state and rates in scales."""
+        """Return the rates of a graph as heyoka expressions of the scaled state."""
         found: dict[int, Any] = {}
         for a in graph.needed(roots):
             kind, *rest = graph.nodes[a]
@@ -195,7 +195,7 @@ class TaylorWork:
 
     def _product(self, found: Mapping[int, Any], factor: float, powers: Mapping[int, float]
                  ) -> Any:
-        """Return a number times powers of what was found."""
+        """Return a number times powers of the given expressions."""
         product = self._heyoka.expression(factor)
         for base, exponent in powers.items():
             if exponent == int(exponent):
@@ -212,7 +212,7 @@ def _monomial(graph: Graph, a: int) -> tuple[float, dict[int, float]]:
     if kind not in _MONOMIALS:
         return 1.0, {a: 1.0}
     if kind == 'sqrt':
-        # Not of its own factors: the root of x^2 is no power of x.
+        # Factors of it are not expanded: the root of x^2 is not a power of x.
         return 1.0, {rest[0]: 0.5}
     exponents = {'over': (1.0, -1.0), 'power': (float(rest[-1]),)}.get(kind, (1.0, 1.0))
     factor, powers = (rest[0] if kind == 'scaled' else 1.0), dict[int, float]()
@@ -225,7 +225,7 @@ def _monomial(graph: Graph, a: int) -> tuple[float, dict[int, float]]:
 
 
 def _whole_power(base: Any, exponent: int) -> Any:
-    """Return a power by products: the series of heyoka's own is not finite where x is zero."""
+    """Return a power by products, because heyoka's own series is not finite where x is zero."""
     if exponent < 2:
         return base if exponent else 1.0
     half = _whole_power(base, exponent // 2)
@@ -237,7 +237,7 @@ def _scaled(scale: float, expression: Any) -> Any:
 
 
 def _power(size: float) -> float:
-    """Return a power of 2^10 near a size, 1 for most; 1 where it is zero or not finite."""
+    """Return a power of 2^10 near a size, usually 1; 1 if the size is zero or not finite."""
     return 2.0 ** (10 * round(math.log2(size) / 10.0)) if 0.0 < size < np.inf else 1.0
 
 
@@ -245,9 +245,9 @@ def _scales(kernel: Kernel, h: float, states: np.ndarray) -> np.ndarray:
     """
     Return a scale for each of (q, p), shape (2 d,), one for all q and one for all p.
 
-    heyoka takes its tolerance absolutely below 1. At rest, and at zero, the scale is that of the
-    motion: p' T with T^2 = q / q'', and q' T with T^2 = p / p'', T <= h. Powers of 2, which round
-    nothing.
+    heyoka's tolerance is absolute below 1. At rest, and at zero, the scale is that of the motion:
+    p' T with T^2 = q / q'', and q' T with T^2 = p / p'', T <= h. Scales are powers of 2, so that
+    scaling is exact.
     """
     d, n = kernel.dimension, kernel.dimension - kernel.channels
     scales, energy = np.ones(2 * d), 1.0
@@ -276,7 +276,7 @@ def _motion(kernel: Kernel, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _drift(kernel: Kernel, first: np.ndarray, last: np.ndarray) -> tuple[float, float]:
-    """Return by how much the energy of two states differs but for work, and its size [J]."""
+    """Return the energy difference of two states minus the work, and the energy scale [J]."""
     d = kernel.dimension
     before, after = (kernel.energy(kernel.parameters, state[:d], state[d:])
                      for state in (first, last))
@@ -285,7 +285,7 @@ def _drift(kernel: Kernel, first: np.ndarray, last: np.ndarray) -> tuple[float, 
 
 
 def _terms(kernel: Kernel, state: np.ndarray, scales: np.ndarray) -> float:
-    """Return abs(H), and by how much it changes with all of a state [J]."""
+    """Return abs(H) plus the size of its change with the whole state [J]."""
     d, n = kernel.dimension, kernel.dimension - kernel.channels
     (q, p), slopes = np.split(state, 2), np.zeros((2, d))
     kernel.gradient(kernel.parameters, q, p, slopes[0], slopes[1])
@@ -296,7 +296,7 @@ def _terms(kernel: Kernel, state: np.ndarray, scales: np.ndarray) -> float:
 
 
 def _is_kink(graph: Graph, a: int) -> bool:
-    """Return whether a node is abs(x) to some power, as the root of a square is."""
+    """Return True if a node is abs(x) to a power, such as the root of a square."""
     kind, *rest = graph.nodes[a]
     exponent = 0.5 if kind == 'sqrt' else graph.value(rest[1]) if kind == 'raised' else None
     if exponent is None:
@@ -307,13 +307,13 @@ def _is_kink(graph: Graph, a: int) -> bool:
 
 
 def _original(kernel: Kernel) -> Kernel:
-    # Imported here: who only reads a scene compiles nothing.
+    # Imported lazily: reading a scene needs no compiler.
     from hnn_vi_ros.kernels import original
     return original(kernel)
 
 
 def _held_force(kernel: Kernel, state: np.ndarray) -> np.ndarray:
-    """Return the force that a step holds, as the gradient at its start leaves it, shape (d,)."""
+    """Return the force of a step that is constant in it, from the gradient at its start, (d,)."""
     (q, p), slopes = np.split(state, 2), np.empty((2, kernel.dimension))
     kernel.gradient(kernel.parameters, q, p, slopes[0], slopes[1])
     space: np.ndarray = _original(kernel).parameters[3]
@@ -325,7 +325,7 @@ def _names(d: int) -> list[str]:
 
 
 def _rates(kernel: Kernel) -> tuple[Graph, list[int]]:
-    """Return q' and p' as nodes of a graph, or raise TypeError where they are no formulas."""
+    """Return q' and p' as nodes of a graph, or raise TypeError if they are not formulas."""
     graph, d = Graph(), kernel.dimension
     z = np.array([Symbol(graph, graph.name(name)) for name in _names(d)])
     slopes = np.array([Symbol(graph, graph.number(0.0))] * (2 * d))
@@ -334,19 +334,19 @@ def _rates(kernel: Kernel) -> tuple[Graph, list[int]]:
         one, Symbol)]) if _is_kink(graph, a)), None)
     if problem is not None:
         raise ValueError('a root of squares has a kink')
-    # Of a cyclic coordinate, on which H does not depend, the slope is a number.
+    # For a cyclic coordinate, on which H does not depend, the slope is a number.
     return graph, [one.node if isinstance(one, Symbol) else graph.number(one)
                    for one in (*slopes[d:], *-slopes[:d])]
 
 
 def _fill(kernel: Kernel, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
           ) -> None:
-    """Fill the gradient at symbols, of a formula and of potentials that join it."""
+    """Fill the gradient at symbols, for a formula and for potentials added to it."""
     kernel = _original(kernel)
     gradient: Any = getattr(kernel.gradient, 'py_func', kernel.gradient)
     inside = getclosurevars(gradient).nonlocals
     if 'add_all' in inside:
-        # One that is held; its channel is the time, and its power times -1.
+        # A force that is constant in a step; its channel is the time, and its power times -1.
         base, d = kernel.parameters[0], q.size - 1
         _fill(kernel._replace(gradient=inside['base_gradient'], parameters=base),
               q[:d], p[:d], dH_dq[:d], dH_dp[:d])
@@ -367,25 +367,25 @@ def _fill(kernel: Kernel, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp
 
 class Taylor(Integrator):
     """
-    Taylor series of the motion, of an order and in steps of its own as the tolerance asks for.
+    Taylor series of the motion, with order and internal steps determined by the tolerance.
 
-    A step goes from the state at its start to that at its end, over as many series as that takes:
-    long steps cost least. Neither symplectic nor symmetric; with small tolerances the energy is
-    kept to round-off, over long times too. For H as a formula: exact systems in scalar
-    coordinates, ``formula``, robots of up to three joints; for potentials that join it, and for
-    commands to ``external_force``, which a step holds. With ``pip install heyoka``.
+    A step maps the state at its start to that at its end with as many series as needed: long steps
+    cost least. Neither symplectic nor symmetric; with small tolerances the energy is conserved to
+    round-off, also over long times. Use it for very high accuracy if H is a formula: exact systems
+    in scalar coordinates, ``formula``, robots of up to three joints; with potentials, and commands
+    to ``external_force``, constant in a step. Needs ``pip install heyoka``.
 
     Parameters
     ----------
     tolerance : float
-        Error of a series, relative to q and to p, or to the motion to come where they are smaller;
+        Error of a series, relative to q and to p, or to the expected motion if they are smaller;
         from 1e-16 to 1e-3 [1]. The order is 1 - ln(tolerance) / 2. Series that change the energy
-        by more than that are shortened, as before walls of high powers.
+        by more than that are shortened, such as near walls of high powers.
 
     Raises
     ------
     ValueError
-        A tolerance out of its range.
+        A tolerance is out of its range.
 
     References
     ----------
@@ -403,7 +403,7 @@ class Taylor(Integrator):
         self.order = math.ceil(1.0 - 0.5 * math.log(tolerance))
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
-        """Return why it takes no such Hamiltonian, to follow its name, or ''."""
+        """Return the reason this method cannot integrate `hamiltonian`, '' if it can."""
         problem = super().refusal(hamiltonian)
         if problem:
             return problem
@@ -436,7 +436,7 @@ class Taylor(Integrator):
         d, work, total = kernel.dimension, memory[0], 0
         states = np.hstack([z.q.reshape(-1, d), z.p.reshape(-1, d)])
         for first in range(0, len(states), _LANES):
-            # The last batch of several is filled up with copies of its last state.
+            # The last batch is filled up with copies of its last state.
             rows = np.arange(first, first + (_LANES if len(states) > 1 else 1))
             rows = np.minimum(rows, len(states) - 1)
             batch = states[rows]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Short steps where forces are strong, by a transformation of time that keeps the structure."""
+"""Adaptive steps by a transformation of time that keeps the geometric structure."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +17,7 @@ from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
-# Steps of its own in one step of the clock, beyond which it is given up.
+# Maximum number of internal steps in one step of the clock.
 _MOST_STEPS = 100_000
 
 
@@ -28,12 +28,12 @@ class Ahead(NamedTuple):
     Parameters
     ----------
     count : np.ndarray, shape (1,)
-        1 if there is such a state, 0 before the first step.
+        1 if the state is stored, 0 before the first step.
     clock : np.ndarray, shape (3,)
-        The density of steps [1], how far the state is ahead of the clock [s], and what was
-        rounded off that.
+        Density of steps [1], time of the state minus time of the clock [s], and the rounding error
+        of that time.
     state : Point
-        At a time of its own.
+        The state, at a time of its own.
 
     """
 
@@ -44,16 +44,16 @@ class Ahead(NamedTuple):
 
 class ControlledWork(NamedTuple):
     """
-    The workspace of a clock; arrays of shape (n,).
+    Workspace of a clock; arrays of shape (n,).
 
     Parameters
     ----------
     kept : Ahead
-        For the next step of the clock.
+        State for the next step of the clock.
     own_step : np.ndarray, shape (1,)
-        The steps of the base where the density is 1, 0 for the steps of the clock [s].
+        Step size of the base where the density is 1, 0 for the steps of the clock [s].
     at : Point
-        The state that a step of the base begins with.
+        The state at the start of a step of the base.
     v_q, v_p, change_q, change_p : np.ndarray
         The velocity, and the product of H'' with it.
 
@@ -77,16 +77,16 @@ class ControlledWork(NamedTuple):
 @cache
 def controlled(base_step: Callable) -> Callable:
     """
-    Return the step of a clock that a symmetric method fills with steps of controlled size.
+    Return the step of a clock, which consists of steps of controlled size of a symmetric method.
 
         rho_(n+1/2) = rho_(n-1/2) + h G(z_n),  z_(n+1) = Phi_(h / rho_(n+1/2))(z_n)
         G = d/dt log(1 / g) = a (H_q . dH_q/dt) / (F^2 + abs(H_q)^2)
 
-    is an explicit rule of its own for the density rho of the steps, which follows 1 / g and reads
-    the same backwards: with a symmetric base, the map of (z, rho) is symmetric, so that in a
+    is an explicit update of the density rho of the steps, which follows 1 / g and is invariant
+    under time reversal: with a symmetric base, the map of (z, rho) is symmetric, so that in a
     reversible motion the energy does not drift.
 
-    The memory is that of the base twice, for states at the clock and for its own, then its own.
+    The memory contains that of the base twice, for clock and internal states, then its own.
 
     References
     ----------
@@ -107,7 +107,7 @@ def controlled(base_step: Callable) -> Callable:
             copy_point(z, ahead)
             clock[:] = 0.0
         copy_point(ahead, at)
-        # As long as that of the clock, unless its length is given.
+        # As long as the step of the clock, unless its length is given.
         own_step = work.own_step[0] if work.own_step[0] > 0.0 else h
         worst, gradients, density, time, carry = 0.0, 0, clock[0], clock[1], clock[2]
         for _ in range(_MOST_STEPS):
@@ -166,7 +166,7 @@ _SPACING = float(np.finfo(np.float64).eps) ** (1.0 / 3.0)
 
 class GradientWork(NamedTuple):
     """
-    Space for the gradient and the second derivatives of K, at up to s stages at once.
+    Workspace of the gradient and second derivatives of K, for up to s stages at once.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ class GradientWork(NamedTuple):
     zero, w_q, w_p : np.ndarray, shape (s d,)
         Zeros, and the product of H'' with (H_q, 0).
     ahead_q, ahead_p, behind_q, behind_p : np.ndarray, shape (s (d + 1),)
-        Where a difference is taken, and the gradient of K at the first of its ends.
+        A point of a difference, and the gradient of K at its first end.
 
     """
 
@@ -193,7 +193,7 @@ class GradientWork(NamedTuple):
 
     @classmethod
     def empty(cls, stages: int, d: int, dtype: type = np.float64) -> 'GradientWork':
-        """Return space for so many stages of d coordinates."""
+        """Return workspace for this number of stages of d coordinates."""
         return cls(*np.zeros((7, stages * d), dtype), *np.zeros((4, stages * (d + 1)), dtype))
 
 
@@ -206,7 +206,7 @@ class TransformedParameters(NamedTuple):
     kernel : Kernel
         H.
     work : GradientWork
-        Space.
+        Workspace.
     start, force, exponent : float
         H_0 [J], F and a.
 
@@ -221,16 +221,16 @@ class TransformedParameters(NamedTuple):
 
 class TransformedWork(NamedTuple):
     """
-    The workspace of a step of the clock, with t as the last coordinate of each point.
+    Workspace of a step of the clock, with t as the last coordinate of each point.
 
     Parameters
     ----------
     kept : Ahead
-        For the next step of the clock; in place of the density, H_0 [J].
+        State for the next step of the clock; H_0 [J] replaces the density.
     own_step : np.ndarray, shape (1,)
         See ControlledWork.
     at, after : Point
-        The states that a step of the base begins with and ends in.
+        The states at the start and the end of a step of the base.
 
     """
 
@@ -248,42 +248,42 @@ class TransformedWork(NamedTuple):
 
 class TimeTransformed(Integrator):
     """
-    Equal steps of a symplectic method in a time s of its own, dt = g ds, for close encounters.
+    Equal steps of a symplectic method in a transformed time s, dt = g ds, for close encounters.
 
     The method takes steps ds = h of
 
         K = g (H - H_0),  g = (1 + abs(H_q)^2 / F^2)^(-a/2) <= 1,
 
-    with H_0 the energy at the start, and t as a further coordinate. Where H = H_0, which the
-    symplectic method nearly conserves, these are Hamilton's equations with dt = g ds: steps are
-    as long as h where the force is weak, and g h where it is not. A step size that followed the
-    state without being a part of a Hamiltonian would let the energy drift.
+    with H_0 the energy at the start, and t as a further coordinate. If H = H_0, which the
+    symplectic method nearly conserves, these are Hamilton's equations with dt = g ds: step sizes
+    are h where the force is weak, and g h elsewhere. With a step size that depends on the state
+    but does not derive from a Hamiltonian, the energy would drift.
 
-    These states come at times of their own. A state at the end of a step of the clock is the next
-    of them, brought there by one step of the method in H; no step continues from it. So the states
-    that are seen are as close to the path as the method's order says, and their energy does not
-    drift; the map from one of them to the next is not itself symplectic.
+    The times of these states differ from the clock. The output at each clock time is the next of
+    these states, mapped there by one step of the method in H; no step continues from it. So the
+    output has the accuracy of the method, and its energy does not drift, but the map between
+    outputs is not itself symplectic.
 
-    Not with effects that change the state between steps, or do work.
+    Effects that change the state between steps, or do work, are not supported.
 
     Parameters
     ----------
     base : str
         ``'implicit_midpoint'``, ``'gauss4'``, ``'gauss6'`` or ``'gauss8'``.
     force : float
-        F, the size of H_q from which on steps are shortened [N, or N m for angles].
+        F, the size of H_q above which steps are shortened [N, or N m for angles].
     exponent : float
-        a >= 0 [1]. With 3/4, and H_q as r^-2, steps are as r^(3/2): as the time of a close orbit.
+        a >= 0 [1]. With 3/4, and H_q as r^-2, steps scale as r^(3/2), like the period of an orbit.
     control : str
-        ``'hamiltonian'``: by K. ``'integrating'``: by a symmetric controller, whose density of
-        steps is a further variable that follows 1 / g. It takes H unchanged, with the explicit
-        ``'stormer_verlet'`` as a base as well, for fewer evaluations; what is symmetric, and not
-        symplectic, keeps the energy of motions that are reversible.
+        ``'hamiltonian'`` uses K. ``'integrating'`` uses a symmetric controller, in which the
+        density of steps is a further variable that follows 1 / g. It integrates H itself, also
+        with the explicit base ``'stormer_verlet'``, with fewer evaluations. It is symmetric and
+        not symplectic; the energy of reversible motions does not drift.
 
     Raises
     ------
     ValueError
-        An unknown base or control, or a force or exponent that is not usable.
+        An unknown base or control, or a force or exponent out of range.
 
     References
     ----------
@@ -319,7 +319,7 @@ class TimeTransformed(Integrator):
         return f'{type(self).__name__}({self._control}, {self.base.kernel_name})'
 
     def attempts(self, n: int) -> tuple[int, ...]:
-        """Return the solvers of the base's chain, for n coordinates and the time."""
+        """Return the attempts of the base, for n coordinates and the time."""
         return self.base.attempts(n + 1)
 
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
@@ -327,12 +327,12 @@ class TimeTransformed(Integrator):
         return (self.base.options(attempt, dimension), self._force, self._exponent)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the equations of H at the clock, and the equations of its own steps."""
+        """Return the unknowns of the equations of H, then of those of the internal steps."""
         more = 0 if self._control == 'integrating' else 1
         return (*self.base.unknowns(n), *self.base.unknowns(n + more))
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
-        """Return workspaces of the base for H and for its own steps, then those around them."""
+        """Return workspaces of the base for H and for internal steps, then those around them."""
         if self._control == 'integrating':
             at_clock, own = (self.base.memory(n, dtype) or ((),) for _ in range(2))
             return (*at_clock, *own, ControlledWork.empty(n, dtype))
@@ -396,7 +396,7 @@ def _transform(base_step: Callable) -> Callable:
 @inlined
 def _gradient(parameters: TransformedParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
               dH_dp: np.ndarray) -> None:
-    """Fill the gradient of K at one or more stages, each d coordinates and then t."""
+    """Fill the gradient of K at one or more stages, each with d coordinates and then t."""
     kernel, work = parameters.kernel, parameters.work
     start, force, exponent = parameters.start, parameters.force, parameters.exponent
     d = kernel.dimension
@@ -428,7 +428,7 @@ def _gradient(parameters: TransformedParameters, q: np.ndarray, p: np.ndarray, d
 def _hessian_vector(parameters: TransformedParameters, q: np.ndarray, p: np.ndarray,
                     v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                     product_p: np.ndarray) -> None:
-    """Fill K'' v from a central difference: good enough for Newton's method to converge."""
+    """Fill K'' v from a central difference, accurate enough for Newton's method to converge."""
     work, size = parameters.work, 0.0
     for i in range(q.size):
         size = max(size, abs(v_q[i]), abs(v_p[i]))

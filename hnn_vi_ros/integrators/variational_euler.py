@@ -20,8 +20,8 @@ class VariationalEuler(EulerIntegrator):
         q_(n+1) = q_n + h H_p(q_n, p_n)
         p_(n+1) = p_n - h H_q(q_(n+1), p_(n+1))
 
-    The first equation is explicit; the second is solved for p_(n+1), and the one gradient at
-    the new state serves this step's H_q and the next step's H_p.
+    The first equation is explicit, the second is solved for p_(n+1); the gradient at the new state
+    also serves the next step. It is the default; other methods are more accurate.
 
     The map is symplectic Euler in the staggered pair (q_n, p_(n-1)). In (q_n, p_n) it conserves
     the 2-form dq ^ d(p + h H_q), not dq ^ dp: it is conjugate to symplectic. It nearly
@@ -37,7 +37,7 @@ class VariationalEuler(EulerIntegrator):
     modified_energy = staticmethod(euler_energy)
     no_solution = NO_SOLUTION_OF_EQ_6
     keeps_gradient = True
-    # Its stages are the state before and the state after.
+    # The stages are the state before and the state after.
     partitioned = tableau([[0, 0], [1, 0]], [[0, 0], [0, 1]], [1, 0], [0, 1])
 
     @staticmethod
@@ -47,6 +47,6 @@ class VariationalEuler(EulerIntegrator):
         """Take one step; see Integrator."""
         for i in range(z.q.size):
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z.dH_dp[i])
-        # The paper starts from (q_n, p_n), whose gradient is at hand.
+        # The paper starts from (q_n, p_n), whose gradient is available.
         return solve_momenta(kernel, h, Known(z1.q, z.p, z.p_carry, z.dH_dq),
                              Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)

@@ -18,7 +18,7 @@ def _set_scale(scale: np.ndarray, kernel: Kernel, h: float, z: Point) -> None:
     """
     Set the scale of q and p of each trajectory.
 
-    D holds the rounding of H over abs(u1 - u0), which W^-1 makes one of u'.
+    D contains the rounding of H over abs(u1 - u0), which W^-1 converts to one of u'.
     """
     n, d = z.q.size, kernel.dimension
     form: Any = kernel.parameters
@@ -40,10 +40,10 @@ def _equation(problem: EndProblem, x: np.ndarray, value: np.ndarray) -> None:
     fill_middle(problem, x)
     for a in range(0, n, d):
         b = a + d
-        # Each trajectory's covector and rates lie together until they are sorted below.
+        # Covector and rates of each trajectory are adjacent until they are sorted below.
         covector = value[2 * a:2 * b]
-        # Reached through its package, already loaded, since H comes from it. An import in this
-        # file would load the compiler for anyone who only reads a scene.
+        # Accessed through its package, which is already loaded, since H comes from it. An import
+        # in this file would load the compiler even to read a scene.
         models.symplectic_form.slope(
             kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
         factor = discrete_factor(problem, x, a, covector[:d], covector[d:])
@@ -59,30 +59,30 @@ def _equation(problem: EndProblem, x: np.ndarray, value: np.ndarray) -> None:
 
 class VariationalMidpoint(EnergyConserving):
     """
-    The midpoint rule for the action of theta(u) . u' - H(u): W(u~) (u1 - u0) = h D(u0, u1).
+    Midpoint rule for the action of theta(u) . u' - H(u): W(u~) (u1 - u0) = h D(u0, u1).
 
-    With u~ = (u0 + u1) / 2 the discrete Lagrangian is L_d = theta(u~) . (u1 - u0) - h H(u~), and
-    its two equations p0 = -D_1 L_d, p1 = D_2 L_d are, added and subtracted,
+    With u~ = (u0 + u1) / 2 the discrete Lagrangian is L_d = theta(u~) . (u1 - u0) - h H(u~). The
+    sum and difference of its two equations p0 = -D_1 L_d, p1 = D_2 L_d are
 
         (p0 + p1) / 2 = theta(u~),  p1 - p0 = theta'(u~)^T (u1 - u0) - h H'(u~).
 
-    L is linear in u', so that p is no free variable: it is theta(u). The two equations hold that
-    only in their middles. Taken literally, they have twice as many solutions as there are
-    motions; the others alternate in sign from step to step, and may grow: with a gradient added
-    to theta, which changes no motion, a double pendulum is lost within 2 s. So p = theta(u)
-    takes the place of the first equation, and theta(u1) - theta(u0) = theta'(u~) (u1 - u0), to
-    the order of the method, closes the second one: with W = theta'^T - theta'
+    L is linear in u', so that p is not free: p = theta(u). The two equations satisfy it only at
+    midpoints. Taken literally, they have twice as many solutions as there are motions; the
+    spurious ones alternate in sign from step to step, and may grow: with a gradient added to
+    theta, which changes no motion, a double pendulum diverges within 2 s. So p = theta(u) replaces
+    the first equation, and theta(u1) - theta(u0) = theta'(u~) (u1 - u0), to the order of the
+    method, is used in the second one: with W = theta'^T - theta'
 
         W(u~) (u1 - u0) = h H'(u~),
 
-    a one-step map that gradients in theta leave alone. W is skew, so (u1 - u0) . H'(u~) = 0 and
-    H changes by terms of third order, which need not cancel where no time reversal makes them.
-    Therefore D is the midpoint discrete gradient of H, which is H'(u~) but for those terms; see
-    DiscreteGradient. Then (u1 - u0) . D = H(u1) - H(u0) = 0: the energy is conserved, up to the
+    a one-step map that does not depend on gradients in theta. W is skew, so (u1 - u0) . H'(u~) =
+    0, and H changes by terms of third order, which need not cancel without time reversal symmetry.
+    Therefore D is the midpoint discrete gradient of H, which is H'(u~) up to those terms; see
+    DiscreteGradient. Then (u1 - u0) . D = H(u1) - H(u0) = 0: the energy is conserved up to the
     rounding of H.
 
-    Symmetric, order 2; where W is constant it is DiscreteGradient in canonical coordinates. Not
-    symplectic.
+    Symmetric, order 2, not symplectic; for models of the family `symplectic_form`. If W is
+    constant, it is DiscreteGradient in canonical coordinates.
 
     References
     ----------

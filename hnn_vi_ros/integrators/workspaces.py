@@ -4,9 +4,9 @@
 Workspaces of steps: named arrays, allocated once.
 
 The memory of a method is a tuple of workspaces, each a NamedTuple of arrays or of groups of them:
-one for each implicit equation, and one for a composition of steps, or a wrapper around them,
-after the workspaces inside. The group ``kept`` of a workspace holds the values that outlive a
-step and are part of a simulation's state; each step fills all else again.
+one for each implicit equation, and one for a composition or a wrapper of steps, which follows the
+inner workspaces. The group ``kept`` of a workspace contains the values that persist from step to
+step and are part of a simulation's state; each step fills everything else again.
 """
 
 from collections.abc import Iterator
@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# Unknowns of an equation up to which Newton's method can have a Jacobian, and up to which it takes
-# less time with one than without; and the vectors that it keeps without.
+# Maximum unknowns for which Newton's method can have a Jacobian, maximum for which it is faster
+# with one, and the dimension of the Krylov space without one.
 LARGEST_MATRIX, FAST_MATRIX, KRYLOV_DIMENSION = 512, 128, 30
 # Earlier evaluations that Anderson's method combines with the last one.
 DEPTH = 3
@@ -23,10 +23,9 @@ DEPTH = 3
 
 def forget(memory: tuple) -> None:
     """
-    Let no equation of a memory start from earlier solutions; nor a watch, from earlier steps.
+    Discard the earlier solutions of all equations in a memory, and the history of watches.
 
-    Each group ``kept`` counts in ``count`` what it knows of earlier steps. For compiled code see
-    compiled_workspaces.
+    Each group ``kept`` counts its entries in ``count``. For compiled code see compiled_workspaces.
     """
     for workspace in memory:
         kept: Any = getattr(workspace, 'kept', None)
@@ -37,14 +36,14 @@ def forget(memory: tuple) -> None:
 
 def separate(memory: tuple, row: int, width: int) -> None:
     """
-    Mark the equations of a memory as belonging to several systems, where they do.
+    Mark the equations of a memory as consisting of several independent systems, if they do.
 
     Parameters
     ----------
     memory : tuple
-        Of a method, for as many coordinates as all systems have.
+        Memory of a method, for the coordinates of all systems.
     row, width : int
-        How many coordinates that are, and how many of them one system has.
+        Number of coordinates of all systems, and of one system.
 
     """
     for workspace in memory:
@@ -55,7 +54,7 @@ def separate(memory: tuple, row: int, width: int) -> None:
 
 
 def arrays_of(name: str, group: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Return all arrays of a group, however deep in it, with their names after that of it."""
+    """Yield all arrays of a group, at any depth, with dotted names that begin with its name."""
     for field, value in group._asdict().items():
         if isinstance(value, tuple):
             yield from arrays_of(f'{name}.{field}', value)
@@ -70,9 +69,9 @@ class MemoryByAddress(NamedTuple):
     Parameters
     ----------
     words : np.ndarray of int64
-        Its workspaces as numba lays them out.
+        Its workspaces in numba's layout.
     counts : np.ndarray of int64, shape (K,)
-        The addresses of the counts in them that ``forget`` takes to zero.
+        Addresses of the counts in them that ``forget`` sets to zero.
 
     """
 
@@ -87,9 +86,9 @@ class History(NamedTuple):
     Parameters
     ----------
     count : np.ndarray, shape (1,)
-        How many of them there are.
+        Number of earlier solutions.
     increments : np.ndarray, shape (3, N)
-        They less their starting points, the newest first.
+        The solutions minus their starting points, the newest first.
 
     """
 
@@ -104,22 +103,22 @@ class History(NamedTuple):
 
 class Iterates(NamedTuple):
     """
-    Arrays that every solver of N unknowns works on.
+    Arrays that every solver of N unknowns uses.
 
     Parameters
     ----------
     scale, own_scale : np.ndarray, shape (N,)
-        Sizes to which residuals are relative: of the largest unknown of its kind, and its own.
+        Scales of relative residuals: of the largest unknown of a kind, and of each unknown.
     accepted : np.ndarray, shape (N,)
-        The last iterate that was good enough.
+        The last accepted iterate.
     slow_start : np.ndarray, shape (1,)
         1 if the first iteration of the last solve did not halve its residual, else 0.
     values, residuals : np.ndarray, shape (4, N)
         The last evaluations of the fixed-point map and their relative residuals; Newton's method
-        fills the first of them.
+        uses only the first row.
     layout : np.ndarray of int, shape (2,)
-        Unknowns lie in rows of the first number; in each row systems that do not depend on each
-        other follow one another, with the second number of unknowns each. Both are N for one.
+        Unknowns are arranged in rows of the first length; each row consists of independent systems
+        of the second length. Both are N for a single system.
 
     """
 
@@ -141,7 +140,7 @@ class AndersonWork(NamedTuple):
     basis : np.ndarray, shape (3, N)
         The changes of the residual, orthogonalised.
     triangle : np.ndarray, shape (3, 4)
-        The changes in that basis, and in the last column the residual, then the solution.
+        The changes in that basis; the last column contains the residual, then the solution.
 
     """
 
@@ -151,28 +150,28 @@ class AndersonWork(NamedTuple):
 
 class NewtonWork(NamedTuple):
     """
-    Arrays of Newton's method for N unknowns: with a Jacobian, or without one in m directions.
+    Arrays of Newton's method for N unknowns, with a Jacobian or with m Krylov directions.
 
     Parameters
     ----------
     direction, product : np.ndarray, shape (N,)
-        A unit vector, a direction of the Krylov space or a Newton step; and G' times it.
+        A unit vector, a Krylov direction or a Newton step; and G' times it.
     matrix : np.ndarray, shape (N, N) or (0, 0)
-        The Jacobian, then its factors; empty where N is too large for one.
+        The Jacobian, then its factors; empty if N is too large.
     pivots : np.ndarray, shape (N,) or (0,)
-        The rows that were exchanged to factorise it.
+        Row exchanges of the factorisation.
     known : np.ndarray, shape (N,)
-        To eps times this G is known at best.
+        Bound on the accuracy of G, in units of eps.
     solved : np.ndarray, shape (N,)
-        The last point that was solved on the way from h = 0, by continuation.
+        The last solved point on the way from h = 0, used by continuation.
     directions : np.ndarray, shape (m + 1, N) or (0, 0)
-        The Krylov space; empty where N is small.
+        Basis of the Krylov space; empty if N is small.
     hessenberg : np.ndarray, shape (m + 1, m)
         The matrix in that space, kept triangular by rotations.
     rotations : np.ndarray, shape (3, m + 1)
-        Their cosines and sines, and the right-hand side.
+        Cosines and sines of the rotations, and the right-hand side.
     weights : np.ndarray, shape (N,)
-        The sizes of unknowns, in which lengths in that space are measured.
+        Sizes of the unknowns, which weight the norm of that space.
 
     """
 
@@ -190,14 +189,14 @@ class NewtonWork(NamedTuple):
 
 class SolverWork(NamedTuple):
     """
-    Arrays of all solvers of one equation: a step may take one after another.
+    Arrays of all solvers of one equation, since a step may use several of them in turn.
 
     Parameters
     ----------
     iterates : Iterates
-        Of every solver.
+        Arrays of every solver.
     anderson, newton
-        Of Anderson's method, and of Newton's, with a Jacobian or without.
+        Arrays of Anderson's method, and of Newton's method.
 
     """
 
@@ -208,7 +207,7 @@ class SolverWork(NamedTuple):
     @classmethod
     def empty(cls, n: int, dtype: type = np.float64, largest_matrix: int = LARGEST_MATRIX
               ) -> 'SolverWork':
-        """Return the working space for n unknowns, which have a Jacobian up to the largest."""
+        """Return the workspace for n unknowns, with a Jacobian up to ``largest_matrix``."""
         def zeros(*shape: int) -> np.ndarray:
             return np.zeros(shape, dtype)
 

@@ -1,11 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The two implicit equations of the methods on a group: for the momenta inside a step, and for turns.
+The two implicit equations of the methods on a group: for momenta within a step, and for rotations.
 
-Both cover scalar coordinates as well, for which they reduce to the equations of the symplectic
-Euler method and of its adjoint. Kernel describes the layout of arrays: the momentum of a rotation
-takes three columns, its quaternion four, and the rest before the channels stays zero.
+Both also cover scalar coordinates, for which they reduce to the equations of the symplectic Euler
+method and of its adjoint. Kernel describes the layout of arrays: a rotation uses three columns for
+its momentum and four for its quaternion; unused columns before the channels stay zero.
 """
 
 from collections.abc import Callable
@@ -22,10 +22,10 @@ from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels import called, inlined, Kernel
 import numpy as np
 
-# |h omega| beyond which a step is refused: nearly half a turn, where the shortest way to the next
-# attitude changes sides.
+# Limit of |h omega|, beyond which a step is refused: nearly half a revolution, where the shortest
+# rotation to the next attitude changes direction.
 LARGEST_TURN = 3.0
-# The squares of the angle of that turn, and of its vector by the Cayley map.
+# Squares of that rotation angle, and of its vector in the Cayley map.
 FURTHEST = LARGEST_TURN * LARGEST_TURN
 FURTHEST_CAYLEY = float((2.0 * np.tan(0.5 * LARGEST_TURN)) ** 2)
 
@@ -37,7 +37,7 @@ class LieOptions(NamedTuple):
     Parameters
     ----------
     solver : SolverOptions
-        How its equations are solved.
+        Options of the solver of its equations.
     retraction : callable
         One of RETRACTIONS.
 
@@ -49,23 +49,23 @@ class LieOptions(NamedTuple):
 
 class GroupWork(NamedTuple):
     """
-    The workspace of one of the equations; arrays of shape (n,).
+    Workspace of one of the equations; arrays of shape (n,).
 
     Parameters
     ----------
     kept : History
-        Its earlier solutions.
+        Earlier solutions.
     solver : SolverWork
-        What its solvers work on.
+        Arrays of the solvers.
     origin, slope : np.ndarray
-        What earlier solutions are relative to, and how fast the unknowns change as far as known.
+        Reference of earlier solutions, and the best known rate of change of the unknowns.
     x : np.ndarray
-        The changes of coordinates over the step, of rotations the vectors that tau takes.
+        Changes of coordinates over the step; for rotations, the arguments of tau.
     momenta, change : np.ndarray
-        The momenta inside the step; and the change of the momenta apart from forces: the
-        part of their equation that does not depend on them, then all of it.
+        The momenta within the step, and their change without forces: first the part of their
+        equation that does not depend on them, then all of it.
     ahead, behind : np.ndarray
-        Points of differences.
+        Points of finite differences.
 
     """
 
@@ -86,7 +86,7 @@ class GroupWork(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """One of the equations: from z, over h, at g; it fills z1. Its tangent reads the last."""
+    """One equation, from z over h, at g; it fills z1. The last field is used by its tangent."""
 
     kernel: Kernel
     h: float
@@ -102,7 +102,7 @@ class _Problem(NamedTuple):
 
 @inlined
 def is_rotation(kernel: Kernel, i: int, passed: int) -> bool:
-    """Return whether a quaternion begins in column i of q, after some that were passed."""
+    """Return True if a quaternion begins in column i of q, after ``passed`` earlier ones."""
     return passed < len(kernel.rotations) and i == kernel.rotations[passed]
 
 
@@ -117,19 +117,19 @@ def solve_momenta_inside(kernel: Kernel, h: float, options: LieOptions, g: np.nd
     kernel, h, options
         See Integrator.
     g : np.ndarray, shape (n,)
-        The coordinates, that of z or others.
+        The coordinates, of z or of another point.
     z : Point
-        The momenta pi, and an estimate of the gradient at z.q, for the first start.
+        The momenta pi, and an estimate of the gradient at z.q, for the initial guess.
     z1 : Point
-        Its gradient is filled, at (g, mu).
+        Receives the gradient at (g, mu).
     work : GroupWork
-        Its ``change`` is added to the right-hand side. It is left with mu in ``momenta``, with
-        x = h xi, and with g^* H_g in ``slope``.
+        Its ``change`` is added to the right-hand side. On return it contains mu in ``momenta``,
+        x = h xi, and g^* H_g in ``slope``.
 
     Returns
     -------
     tuple of (int, float, int)
-        Outcome, relative residual [1], gradients.
+        Outcome, relative residual [1], number of gradients.
 
     """
     iterates, mu = work.solver.iterates, work.momenta
@@ -153,23 +153,23 @@ def solve_momenta_inside(kernel: Kernel, h: float, options: LieOptions, g: np.nd
 def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
                 work: GroupWork) -> tuple[int, float, int]:
     """
-    Solve x = h H_mu(g tau(x), mu) with mu = dtau_x^* pi; leave g tau(x) in z1.q.
+    Solve x = h H_mu(g tau(x), mu) with mu = dtau_x^* pi, and store g tau(x) in z1.q.
 
     Parameters
     ----------
     kernel, h, options
         See Integrator.
     z : Point
-        g and pi, and an estimate of H_mu, for the first start.
+        g and pi, and an estimate of H_mu, for the initial guess.
     z1 : Point
-        Filled: q, and the gradient at (q, mu).
+        Receives q, and the gradient at (q, mu).
     work : GroupWork
-        It is left with x, with mu in ``momenta``, and with g^* H_g there in ``slope``.
+        On return it contains x, mu in ``momenta``, and g^* H_g in ``slope``.
 
     Returns
     -------
     tuple of (int, float, int)
-        Outcome, relative residual [1], gradients.
+        Outcome, relative residual [1], number of gradients.
 
     """
     iterates, x = work.solver.iterates, work.x
@@ -192,7 +192,7 @@ def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Poi
 
 @called
 def turns_beyond(kernel: Kernel, x: np.ndarray, squared: float) -> bool:
-    """Return whether the square of some rotation vector in x reaches a bound."""
+    """Return True if the square of a rotation vector in x reaches a bound."""
     for start in range(0, x.size, kernel.dimension):
         for k in range(len(kernel.rotations)):
             at = start + kernel.rotations[k] - k
@@ -204,10 +204,10 @@ def turns_beyond(kernel: Kernel, x: np.ndarray, squared: float) -> bool:
 @called
 def check_turns(kernel: Kernel, retraction: Callable, x: np.ndarray, outcome: int) -> int:
     """
-    Return the outcome, or TURNED where the momentum that led to x asks for too large a turn.
+    Return the outcome, or TURNED if the momentum that led to x implies too large a rotation.
 
-    pi = (dtau^-1_x)^* mu is along mu where x is, and longer by this factor: by the Cayley map a
-    body turns less than its momentum asks for, and ever less the more it should.
+    pi = (dtau^-1_x)^* mu is parallel to mu if x is, and larger by this factor. In the Cayley map a
+    body rotates less than its momentum implies, increasingly so for large momenta.
     """
     for start in range(0, x.size, kernel.dimension):
         for k in range(len(kernel.rotations)):
@@ -221,7 +221,7 @@ def check_turns(kernel: Kernel, retraction: Callable, x: np.ndarray, outcome: in
 
 @called
 def move(kernel: Kernel, retraction: Callable, z: Point, x: np.ndarray, z1: Point) -> None:
-    """Fill z1.q with z.q moved by x: g tau(x) for a rotation, a sum for all else."""
+    """Fill z1.q with z.q moved by x: g tau(x) for a rotation, a sum for other coordinates."""
     d = kernel.dimension
     for start in range(0, x.size, d):
         i, passed, end = 0, 0, d - kernel.channels
@@ -244,8 +244,8 @@ def transport(kernel: Kernel, h: float, z: Point, work: GroupWork, z1: Point) ->
     """
     Fill z1.p with pi1 = (dtau^-1_(-x))^* mu, from pi, x, mu and g^* H_g in ``slope``.
 
-    Whether it is (dtau^-1_x)^* mu = pi - h g^* H_g or pi1 that is less by h g^* H_g: what is even
-    in x cancels, and pi1 = pi - h g^* H_g - x cross mu.
+    The force h g^* H_g is subtracted either in (dtau^-1_x)^* mu = pi - h g^* H_g or from pi1. In
+    both cases the terms even in x cancel, and pi1 = pi - h g^* H_g - x cross mu.
     """
     x, mu, change, d = work.x, work.momenta, work.change, kernel.dimension
     for i in range(x.size):
@@ -263,7 +263,7 @@ def transport(kernel: Kernel, h: float, z: Point, work: GroupWork, z1: Point) ->
 @called
 def add_bend(kernel: Kernel, retraction: Callable, x: np.ndarray, mu: np.ndarray, side: float,
              result: np.ndarray) -> None:
-    """Add what (dtau^-1_(side x))^* mu is more than mu, less in sum where side is negative."""
+    """Add (dtau^-1_(side x))^* mu - mu; terms even in x are the same for both signs of side."""
     d = kernel.dimension
     for start in range(0, x.size, d):
         for k in range(len(kernel.rotations)):
@@ -303,7 +303,7 @@ def set_turn_scale(kernel: Kernel, h: float, z: Point, x: np.ndarray, scale: np.
     for i in range(x.size):
         own_scale[i] = max(abs(x[i]), abs(h) * kernel.gradient_scale[1])
     for start in range(0, x.size, d):
-        # The largest column of a unit quaternion would say little less.
+        # The largest entry of a unit quaternion would be almost the same.
         size, end = 1.0, start + d - kernel.channels
         for i in range(start, end):
             size = max(size, abs(z.q[i]))
@@ -316,7 +316,7 @@ def set_turn_scale(kernel: Kernel, h: float, z: Point, x: np.ndarray, scale: np.
 
 @inlined
 def _inside_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
-    """Fill value with pi - h g^* H_g(g, x) less what (dtau^-1)^* x is more than x."""
+    """Fill value with pi - h g^* H_g(g, x) minus (dtau^-1)^* x - x."""
     kernel, h, z, z1, work = problem.kernel, problem.h, problem.z, problem.z1, problem.work
     kernel.gradient(kernel.parameters, problem.g, x, z1.dH_dq, z1.dH_dp)
     fill_forces(kernel, problem.g, z1.dH_dq, work.slope)
@@ -356,25 +356,24 @@ _turn_tangent = by_differences(_turn_equation)
 
 class LieIntegrator(ImplicitIntegrator):
     """
-    A variational integrator for rotations and poses, from the discrete Hamilton-Pontryagin action.
+    Variational integrator for rotations and poses, from the discrete Hamilton-Pontryagin action.
 
-    The action is the sum over k of <mu_k, tau^-1(g_k^-1 g_(k+1))> - h H(g_k, mu_k), with a
-    retraction tau from angular velocities in the body frame, times h, to rotations. Of a scalar
-    coordinate tau is the identity, and the action that of eq. (6). Attitudes are moved by
-    multiplication, so that quaternions keep their norm. A body that would turn by 3 rad or more
-    in a step fails it.
+    The action is the sum over k of <mu_k, tau^-1(g_k^-1 g_(k+1))> - h H(g_k, mu_k), where the
+    retraction tau maps angular velocities in the body frame, times h, to rotations. For a scalar
+    coordinate tau is the identity, and the action is that of eq. (6). Attitudes are updated by
+    multiplication, so quaternions keep their norm. A rotation of 3 rad or more in one step fails.
 
     Parameters
     ----------
     retraction : str
-        ``'cayley'``, or ``'exponential'``.
+        ``'cayley'`` or ``'exponential'``.
     solver, max_iterations
         See ImplicitIntegrator.
 
     Raises
     ------
     ValueError
-        An unknown retraction or solver, or less than one iteration.
+        An unknown retraction or solver, or fewer than one iteration.
 
     References
     ----------

@@ -19,14 +19,14 @@ import numpy as np
 
 class GaussSlopes(NamedTuple):
     """
-    Slopes that the next step starts from.
+    Slopes used for the initial guess of the next step.
 
     Parameters
     ----------
     count : np.ndarray, shape (1,)
-        1 if a step came before, else 0.
+        1 if slopes of a previous step are stored, else 0.
     slopes : np.ndarray, shape (2 s n,)
-        Rates of x at the stages one after another, then rates of P.
+        Rates of x at all stages, then rates of P.
     end : np.ndarray, shape (n,)
         x at the end of that step.
 
@@ -39,23 +39,23 @@ class GaussSlopes(NamedTuple):
 
 class LieGaussWork(NamedTuple):
     """
-    The workspace of the equation for the stages.
+    Workspace of the equation for the stages.
 
     Parameters
     ----------
     kept : GaussSlopes
-        For the next start.
+        Slopes for the next initial guess.
     solver : SolverWork
-        What its solvers work on.
+        Arrays of the solvers.
     stages : np.ndarray, shape (2 s n,)
-        x at the stages one after another, then P.
+        x at all stages, then P.
     q, mu, dH_dq, dH_dp : np.ndarray, shape (s n,)
-        Coordinates and momenta in the frames of bodies there, and the gradient of H.
+        Coordinates, momenta in body frames, and gradient of H at the stages.
     forces, torque, end, momenta : np.ndarray, shape (n,)
-        g^* H_g of one stage, and the weighted sum of all, of turns in the frame of the start; x
-        and P at the end of the step.
+        g^* H_g of one stage; the weighted sum over all stages, for rotations in the frame of the
+        start; x and P at the end of the step.
     ahead, behind : np.ndarray, shape (2 s n,)
-        Points of differences.
+        Points of finite differences.
 
     """
 
@@ -75,7 +75,7 @@ class LieGaussWork(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """The equation for the stages of a step from z; ``by_differences`` reads the last."""
+    """The equation for the stages of a step from z; ``by_differences`` uses the last field."""
 
     kernel: Kernel
     h: float
@@ -100,11 +100,11 @@ class LieGauss(Collocation):
         (dcay^-1_(x_1))^* P_1 = pi_k - h sum_j b_j cay(X_j) g_j^* H_g(g_j, mu_j)
         g_(k+1) = g_k cay(x_1),  pi_(k+1) = (dcay^-1_(-x_1))^* P_1
 
-    It is the variational integrator whose discrete action takes polynomials of degree s in the
-    chart for the path, and Gauss quadrature; the second line is the derivative of the action by
-    g_k, with which the chart moves: the balance of spatial momentum, which is kept where H does
-    not depend on g. Symplectic; not symmetric, for the chart is that of the start. For scalar
-    coordinates it is Gauss. A body that would turn by 3 rad or more in a step fails it.
+    Variational integrator whose discrete action uses polynomials of degree s in the chart for the
+    path, and Gauss quadrature. The second line is the derivative of the action by g_k, the origin
+    of the chart: the balance of spatial momentum, which is conserved if H is independent of g.
+    Symplectic; not symmetric, because the chart is that of the start. For scalar coordinates it is
+    Gauss. Use it for accurate rotations. A rotation of 3 rad or more in one step fails.
 
     References
     ----------
@@ -173,7 +173,7 @@ LIE_GAUSS_METHODS = {
 @inlined
 def _start(kernel: Kernel, options: Tableau, kept: GaussSlopes, z: Point, h: float,
            x: np.ndarray) -> None:
-    """Start the stages from the last step's collocation polynomial, or from the state."""
+    """Set the initial guess from the last collocation polynomial, or from the state."""
     n, s, slopes, end = z.q.size, options.weights.size, kept.slopes, kept.end
     is_kept = kept.count[0] > 0 and options.solver.extrapolate
     for j in range(s):
@@ -191,18 +191,18 @@ def _start(kernel: Kernel, options: Tableau, kept: GaussSlopes, z: Point, h: flo
 @called
 def _change_chart(kernel: Kernel, end: np.ndarray, z: Point, x: np.ndarray, s: int) -> None:
     """
-    Take turns from the chart of the step before to that of this one, and their momenta.
+    Transform rotations and momenta from the chart of the previous step to the present chart.
 
-    x are changes since the end of that step there, and the momenta P in that chart, less P at its
-    end and with pi of its end in place of it. Of Gibbs' vectors b after -a it is (b - a - a cross
-    b) / (1 + a . b).
+    On entry x contains changes since the end of the previous step in its chart; its momenta are P
+    in that chart, minus P at the end of that step, plus pi there. The composition of Gibbs
+    vectors, b after -a, is (b - a - a cross b) / (1 + a . b).
     """
     n, d = end.size, kernel.dimension
     for start in range(0, n, d):
         for k in range(len(kernel.rotations)):
             at = start + kernel.rotations[k] - k
             a0, a1, a2 = 0.5 * end[at], 0.5 * end[at + 1], 0.5 * end[at + 2]
-            # P at the end of the step before: dcay_(-x)^* of its pi, see _fill_slopes.
+            # P at the end of the previous step: dcay_(-x)^* of its pi, see _fill_slopes.
             bend = cross(end, z.p, at)
             share = 1.0 / (1.0 + a0 * a0 + a1 * a1 + a2 * a2)
             for j in range(s):
@@ -253,7 +253,7 @@ def _fill_slopes(problem: _Problem, x: np.ndarray) -> None:
         for start in range(0, n, kernel.dimension):
             for k in range(len(kernel.rotations)):
                 at = start + kernel.rotations[k] - k
-                # dcay_(-x)^* of the force, and the derivative of omega . mu by x at held P.
+                # dcay_(-x)^* of the force, and the derivative of omega . mu by x at constant P.
                 own = 1.0 / (1.0 + 0.25 * dot(there, there, at))
                 bend, turn = cross(there, work.forces, at), cross(P, omega, at)
                 turned = _turned_less(there, work.forces, at, 1.0)
@@ -267,7 +267,7 @@ def _fill_slopes(problem: _Problem, x: np.ndarray) -> None:
 
 @inlined
 def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
-    """Fill value with the stages that their slopes give; and x and P at the end."""
+    """Fill value with the stages that follow from their slopes, and x and P at the end."""
     z, work, h, s = problem.z, problem.work, problem.h, problem.matrix.shape[0]
     n, slopes, end = z.q.size, work.kept.slopes, work.end
     _fill_slopes(problem, x)

@@ -19,11 +19,11 @@ class LieVariationalEuler(LieIntegrator):
         (dtau^-1_(h xi_(k+1)))^* mu_(k+1)
             = (dtau^-1_(-h xi_k))^* mu_k - h g_(k+1)^* H_g(g_(k+1), mu_(k+1))
 
-    The first equation is explicit; the second is solved for mu_(k+1), and the one gradient at the
-    new state serves the next step as well. For scalar coordinates it is VariationalEuler.
+    The first equation is explicit; the second is solved for mu_(k+1), and the gradient at the new
+    state also serves the next step. For scalar coordinates it is VariationalEuler.
 
-    The map is LieSymplecticEuler in (g_k, pi_k) with pi_k = (dtau^-1_(-h xi_(k-1)))^* mu_(k-1); in
-    (g_k, mu_k) it is conjugate to symplectic. Order 1, not symmetric.
+    In (g_k, pi_k) with pi_k = (dtau^-1_(-h xi_(k-1)))^* mu_(k-1) the map is LieSymplecticEuler; in
+    (g_k, mu_k) it is conjugate to symplectic. Order 1, not symmetric: use `lie_leapfrog` instead.
 
     References
     ----------
@@ -55,7 +55,7 @@ class LieVariationalEuler(LieIntegrator):
             work.ahead[i] = 0.0
         add_bend(kernel, options.retraction, work.x, work.momenta, 1.0, work.ahead)
         for i in range(z.p.size):
-            # What mu lacks of the right-hand side is kept in the carry.
+            # The difference of mu to the right-hand side is kept in the carry.
             total, rest = plus(z.p[i], z.p_carry[i], work.change[i] - work.ahead[i])
             z1.p[i] = work.momenta[i]
             z1.p_carry[i] = rest + (total - z1.p[i])
@@ -64,14 +64,14 @@ class LieVariationalEuler(LieIntegrator):
 
 class LieSymplecticEuler(LieIntegrator):
     """
-    Symplectic Euler for rotations, implicit in the momentum; from the action of LieIntegrator.
+    Symplectic Euler for rotations, implicit in the momentum, from the action of LieIntegrator.
 
         (dtau^-1_(h xi))^* mu = pi_k - h g_k^* H_g(g_k, mu),  xi = H_mu(g_k, mu)
         g_(k+1) = g_k tau(h xi),  pi_(k+1) = (dtau^-1_(-h xi))^* mu
 
-    Its momentum pi_k is that of LieVariationalEuler carried over one step. It keeps the canonical
-    2-form of (g, pi): symplectic, order 1, not symmetric. Its adjoint is
-    LieSymplecticEulerAdjoint. Where H does not depend on g it keeps the spatial momentum.
+    The momentum pi_k is that of LieVariationalEuler, transported over one step. It preserves the
+    canonical 2-form of (g, pi): symplectic, order 1, not symmetric, with the adjoint
+    LieSymplecticEulerAdjoint. If H does not depend on g, spatial momentum is conserved.
     """
 
     @staticmethod
@@ -96,7 +96,7 @@ class LieSymplecticEulerAdjoint(LieIntegrator):
         g_(k+1) = g_k tau(h xi),  xi = H_mu(g_(k+1), mu),  (dtau^-1_(h xi))^* mu = pi_k
         pi_(k+1) = (dtau^-1_(-h xi))^* mu - h g_(k+1)^* H_g(g_(k+1), mu)
 
-    Symplectic, order 1, not symmetric. Where H does not depend on g it keeps the spatial momentum.
+    Symplectic, order 1, not symmetric. If H does not depend on g, spatial momentum is conserved.
     """
 
     @staticmethod
@@ -109,7 +109,7 @@ class LieSymplecticEulerAdjoint(LieIntegrator):
         return outcome, residual, gradients
 
 
-# Compiled code knows functions, not the classes that hold them.
+# Compiled code can refer to functions, but not to the classes that contain them.
 _first_step, _second_step = LieSymplecticEuler.step, LieSymplecticEulerAdjoint.step
 
 
@@ -117,11 +117,11 @@ class LieLeapfrog(LieIntegrator):
     """
     Half a step of LieSymplecticEuler, then half a step of its adjoint.
 
-    Symplectic, symmetric, order 2; for scalar coordinates it is GeneralizedLeapfrog. Where H does
-    not depend on g it keeps the spatial momentum.
+    Symplectic, symmetric, order 2; the usual choice for rotations. For scalar coordinates it is
+    GeneralizedLeapfrog. If H does not depend on g, spatial momentum is conserved.
     """
 
-    order, equations = 2, (1, 1)  # for the momenta and for the turns
+    order, equations = 2, (1, 1)  # for the momenta and for the rotations
     requirements = Requirements(symmetric=True, symplectic=True, coordinates='group')
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Störmer-Verlet on a group, explicit: kicks, and the exact motion of free bodies between them."""
+"""Explicit Störmer-Verlet on a group: kicks, and the exact motion of free bodies between them."""
 
 from typing import NamedTuple
 
@@ -16,19 +16,19 @@ import numpy as np
 
 class FlightWork(NamedTuple):
     """
-    Workspace of a step; arrays of shape (n,) but for the last.
+    Workspace of a step; all arrays but the last have shape (n,).
 
     Parameters
     ----------
     forces : np.ndarray
         g^* H_g.
     change : np.ndarray
-        Momenta of 1, at which H_p is the inverse moments of inertia; then what has changed the
-        momenta of bodies that turn by themselves.
+        Momenta of 1, at which H_p is the inverse moments of inertia; then the changes of the
+        momenta of freely rotating bodies.
     x : np.ndarray
-        The changes of coordinates, of rotations in the chart of the Cayley map.
+        The changes of coordinates; for rotations in the chart of the Cayley map.
     quaternion : np.ndarray, shape (4,)
-        How far one body has turned.
+        Rotation of one body.
 
     """
 
@@ -40,18 +40,18 @@ class FlightWork(NamedTuple):
 
 class LieStormerVerlet(Integrator):
     """
-    Störmer-Verlet (leapfrog) for H = T(p) + V(g), with bodies whose frames are principal axes.
+    Störmer-Verlet (leapfrog) for H = T(p) + V(g), with bodies in frames of principal axes.
 
         p_half = p_n - (h/2) g_n^* V_g,  (g_(n+1), p_free) = the motion by T for h,
         p_(n+1) = p_free - (h/2) g_(n+1)^* V_g
 
-    A body with two equal moments of inertia moves by T exactly: it turns about its spatial
-    angular momentum and its axis. Three different ones split the motion into one with the middle
-    moment for all axes, which commutes with all else, and the differences of the other two from
-    it, in three turns: one of half a step, one of a step, one of half a step.
+    A body with two equal moments of inertia moves by T exactly: it rotates about its spatial
+    angular momentum and its axis. With three different moments, T is split into a body with the
+    middle moment for all axes, which commutes with the rest, and the differences of the other two,
+    in three rotations: one of half a step, one of a step, one of half a step.
 
-    Symplectic, symmetric, order 2, explicit; spatial momentum is kept where V does not depend on
-    the attitude. A body that would turn by 3 rad or more in a step fails it.
+    Symplectic, symmetric, order 2; for accuracy use it as the base of `kahan_li8`. Spatial
+    momentum is conserved if V is independent of q. A rotation of 3 rad or more in a step fails.
 
     References
     ----------
@@ -89,10 +89,10 @@ class LieStormerVerlet(Integrator):
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         work = memory[0]
-        # V' does not depend on p: z.dH_dq is V'(q_n) from the step before.
+        # V' does not depend on p: z.dH_dq is V'(q_n) of the previous step.
         _kick(kernel, 0.5 * h, z.q, z.dH_dq, z, z1, work.forces)
         kernel.gradient(kernel.parameters, z.q, z1.p, z1.dH_dq, z1.dH_dp)
-        # The same momenta; but the power of a force, in a channel, depends on p.
+        # The momenta are the same; but the power of a force, in a channel, depends on p.
         _kick(kernel, 0.5 * h, z.q, z1.dH_dq, z, z1, work.forces)
         for i in range(z.q.size):
             work.x[i], work.change[i] = h * z1.dH_dp[i], 1.0
@@ -111,7 +111,7 @@ class LieStormerVerlet(Integrator):
 
 
 def _has_principal_axes(hamiltonian: Hamiltonian, columns: slice) -> bool:
-    """Return whether angular momenta in some columns of p turn a body about its own axes."""
+    """Return True if angular momenta in these columns of p rotate a body about its own axes."""
     d, turning = hamiltonian.dimension, hamiltonian.rotations
     q, p = np.zeros((3, d)), np.zeros((3, d - len(turning)))
     q[:, [at + 3 for at in turning]] = 1.0
@@ -123,7 +123,7 @@ def _has_principal_axes(hamiltonian: Hamiltonian, columns: slice) -> bool:
 @called
 def _kick(kernel: Kernel, h: float, q: np.ndarray, dH_dq: np.ndarray, z: Point, z1: Point,
           forces: np.ndarray) -> None:
-    """Fill the momenta of z1 with the momenta of z less h g^* H_g."""
+    """Fill the momenta of z1 with the momenta of z minus h g^* H_g."""
     fill_forces(kernel, q, dH_dq, forces)
     for i in range(forces.size):
         z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * forces[i])
@@ -131,14 +131,14 @@ def _kick(kernel: Kernel, h: float, q: np.ndarray, dH_dq: np.ndarray, z: Point, 
 
 @called
 def _fly(kernel: Kernel, h: float, p: np.ndarray, moments: np.ndarray, work: FlightWork) -> None:
-    """Fill ``x`` and ``change`` with how bodies of inverse moments of inertia turn for h."""
+    """Fill ``x`` and ``change`` with the free motion of bodies over h."""
     quaternion = work.quaternion
     for i in range(p.size):
         work.change[i] = 0.0
     for start in range(0, p.size, kernel.dimension):
         for k in range(len(kernel.rotations)):
             at = start + kernel.rotations[k] - k
-            # About the middle moment of inertia the others' differences are smallest.
+            # The differences to the middle moment of inertia are smallest.
             middle, first, second = _axes(moments, at)
             rate = moments[at + middle]
             size = np.sqrt(dot(p, p, at))
@@ -159,7 +159,7 @@ def _fly(kernel: Kernel, h: float, p: np.ndarray, moments: np.ndarray, work: Fli
 
 @inlined
 def _axes(moments: np.ndarray, at: int) -> tuple[int, int, int]:
-    """Return the axis of the middle moment of inertia, then the one that differs less from it."""
+    """Return the axis of the middle moment of inertia, then the axis with the closest moment."""
     middle = 0
     for i in range(2, -1, -1):
         own = moments[at + i]
@@ -174,13 +174,13 @@ def _axes(moments: np.ndarray, at: int) -> tuple[int, int, int]:
 
 @inlined
 def _turn_about(axis: int, factor: float, p: np.ndarray, at: int, work: FlightWork) -> None:
-    """Turn a body about one of its axes by its momentum there times a factor."""
+    """Rotate a body about one of its axes by its momentum there times a factor."""
     change, quaternion = work.change, work.quaternion
     b, d = (axis + 1) % 3, (axis + 2) % 3
     half = 0.5 * factor * (p[at + axis] + change[at + axis])
     s, c = np.sin(half), np.cos(half)
     sine, less_one = 2.0 * s * c, -2.0 * s * s
-    # Momenta turn the other way in the frame of the body.
+    # In the frame of the body, momenta rotate in the opposite direction.
     m_b, m_d = p[at + b] + change[at + b], p[at + d] + change[at + d]
     change[at + b] += less_one * m_b + sine * m_d
     change[at + d] += less_one * m_d - sine * m_b

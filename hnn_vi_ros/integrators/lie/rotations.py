@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rotations within the arrays of a step: quaternions (x, y, z, w), and what acts on them."""
+"""Rotations within the arrays of a step: quaternions (x, y, z, w), and operations on them."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,23 +9,23 @@ from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.kernels import inlined
 import numpy as np
 
-# Terms of a power series; for y <= 2.25, a turn of 3 rad, some 12 of them count in doubles.
+# Terms of a power series; for y <= 2.25, a rotation of 3 rad, 12 of them suffice in double.
 _MOST_TERMS = 100
 
 
 class Coefficients(NamedTuple):
     """
-    A retraction at one x.
+    Coefficients of a retraction at one x.
 
     Parameters
     ----------
     vector, less_one : float
-        The unit quaternion of tau(x) has the vector part vector x and the scalar part
-        1 + less_one.
+        The unit quaternion of tau(x) has the vector part vector x and the scalar part 1 +
+        less_one.
     along, squared : float
         (dtau^-1_x)^* m = m + x cross m / 2 + along (x . m) x - squared |x|^2 m, with the
-        right-trivialised tangent dtau: (d/dt tau(x)) tau(x)^-1 = dtau_x x'. Of -x the second term
-        has the other sign.
+        right-trivialised tangent dtau: (d/dt tau(x)) tau(x)^-1 = dtau_x x'. For -x the second term
+        has the opposite sign.
     own, cross, line : float
         dtau_x^* m = own m - cross x cross m + line (x . m) x.
 
@@ -42,7 +42,7 @@ class Coefficients(NamedTuple):
 
 @inlined
 def cayley(y: float) -> Coefficients:
-    """Return the Cayley map (1 - x^ / 2)^-1 (1 + x^ / 2), which turns by 2 atan(|x| / 2)."""
+    """Return the Cayley map (1 - x^ / 2)^-1 (1 + x^ / 2), a rotation by 2 atan(|x| / 2)."""
     root = np.sqrt(1 + y)
     share = 1 / (1 + y)
     zero = 0 * y
@@ -52,7 +52,7 @@ def cayley(y: float) -> Coefficients:
 
 @inlined
 def exponential(y: float) -> Coefficients:
-    """Return the exponential map, which turns by |x|."""
+    """Return the exponential map, a rotation by |x|."""
     # With phi = |x| / 2: sin(phi) / phi = 1 - y P and cos(phi) = 1 - y D - y P, where
     # P = sum over k of (-y)^k / (2 k + 3)! and D = sum of (2 k + 2) (-y)^k / (2 k + 3)!.
     term = 1 + 0 * y
@@ -92,10 +92,10 @@ def dot(x: np.ndarray, m: np.ndarray, at: int) -> float:
 @inlined
 def trivialised(q: np.ndarray, dH_dq: np.ndarray, at: int) -> tuple[float, float, float]:
     """
-    Return g^* H_g, the derivative of H along turns in the body frame: minus the torque [N m].
+    Return g^* H_g, the derivative of H by rotations in the body frame: minus the torque [N m].
 
-    q' = q (omega, 0) / 2 for an angular velocity omega in the body frame, so this is the half of
-    the transposed map of H_q.
+    q' = q (omega, 0) / 2 for an angular velocity omega in the body frame, so the result is half
+    the transposed map applied to H_q.
     """
     x, y, z, w = q[at], q[at + 1], q[at + 2], q[at + 3]
     a, b, c, d = dH_dq[at], dH_dq[at + 1], dH_dq[at + 2], dH_dq[at + 3]
@@ -110,9 +110,8 @@ def turn(q: np.ndarray, carry: np.ndarray, at: int, x: np.ndarray, place: int,
     """
     Fill q1 with q tau(x), for the quaternion at one place and the rotation vector at another.
 
-    A small turn adds little, so that compensated summation keeps the part that is rounded off. The
-    product of unit quaternions is one; only rounding makes its norm wrong, so that one Newton step
-    to norm 1, less than the last digits, is enough to keep it.
+    A small rotation adds little, so compensated summation keeps the rounding error. The product of
+    unit quaternions has norm 1 up to rounding, so one Newton step on the norm keeps it there.
     """
     a, b, c = (tau.vector * x[place], tau.vector * x[place + 1], tau.vector * x[place + 2])
     d = tau.less_one
