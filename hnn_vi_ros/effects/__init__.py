@@ -4,8 +4,8 @@
 """
 Effects that a scene adds to its Hamiltonian: potentials, forces, constraints, impacts.
 
-``registry`` lists them under their names in scenes; each is one file. Effects act inside a step;
-what only looks at a run is in ``simulation.guards``.
+``registry`` lists them under their names in scenes; each is one file. Effects act within a step;
+passive observers of a run are in ``simulation.guards``.
 """
 
 from typing import TYPE_CHECKING

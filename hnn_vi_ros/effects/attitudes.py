@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Vectors of a body whose attitude is a unit quaternion (x, y, z, w) = (u, w) in q.
+Rotation of body vectors by attitudes, unit quaternions (x, y, z, w) = (u, w) in q.
 
 R m = (w^2 - |u|^2) m + 2 (u . m) u + 2 w u cross m is quadratic in the quaternion. It is not
-normalised here: H is smooth around norm 1, and its derivatives must match.
+normalised here, because H must be smooth around norm 1, and its derivatives must match.
 """
 
 from hnn_vi_ros.kernels import called, inlined
@@ -27,14 +27,14 @@ def dot(a: Vector, b: Vector) -> float:
 
 @inlined
 def turned(q: np.ndarray, at: int, m: Vector) -> Vector:
-    """Return R m, a vector of the body in space, for the quaternion at column ``at``."""
+    """Return R m, the vector m of the body in space, for the quaternion at column ``at``."""
     half = turned_change(q, q, at, m)
     return 0.5 * half[0], 0.5 * half[1], 0.5 * half[2]
 
 
 @inlined
 def turned_change(q: np.ndarray, v: np.ndarray, at: int, m: Vector) -> Vector:
-    """Return the derivative of R m by q, along v."""
+    """Return the directional derivative of R m with respect to q, along v."""
     u, w = (q[at], q[at + 1], q[at + 2]), q[at + 3]
     du, dw = (v[at], v[at + 1], v[at + 2]), v[at + 3]
     own, along, change = w * dw - dot(u, du), dot(u, m), dot(du, m)
@@ -46,7 +46,7 @@ def turned_change(q: np.ndarray, v: np.ndarray, at: int, m: Vector) -> Vector:
 
 @inlined
 def add_turned_slope(q: np.ndarray, at: int, m: Vector, f: Vector, target: np.ndarray) -> None:
-    """Add the derivative of f . R m by the quaternion."""
+    """Add the derivative of f . R m with respect to the quaternion."""
     u, w = (q[at], q[at + 1], q[at + 2]), q[at + 3]
     both, along_f, along_m, lever = dot(m, f), dot(u, f), dot(u, m), cross(m, f)
     for i in range(3):
@@ -60,19 +60,19 @@ def lift_torques(rotations: np.ndarray, q: np.ndarray, forces: np.ndarray) -> No
     Convert forces with the layout of p to covectors with the layout of q, in place.
 
     A torque t in the frame of the body becomes 2 q (t, 0). The map from H_q to the rates of
-    momenta turns that into t again.
+    momenta converts that back to t.
 
     Parameters
     ----------
     rotations : np.ndarray of int
-        The columns of q at which quaternions begin.
+        Columns of q at which quaternions begin.
     q : np.ndarray, shape (d,)
         The coordinates.
     forces : np.ndarray, at least d long
         The forces, which are replaced.
 
     """
-    # Backwards, since covectors have more columns: each moves to its own column or a later one.
+    # Backwards, because covectors have more columns: each moves to its own column or a later one.
     i, before = q.size - 1, rotations.size
     while i >= 0:
         if before > 0 and i == rotations[before - 1] + 3:

@@ -20,11 +20,11 @@ import numpy as np
 
 class Place(IntEnum):
     """
-    Place where an effect acts, from the inside of a step to its outside.
+    Place where an effect acts, from the innermost to the outermost.
 
-    An effect joins H, or acts at the method's own nodes as a force, between the two halves of the
-    step, before and after the step, on the resulting state to keep it on a manifold, or around
-    all of that. Effects in the same place act in the scene's order, the first one innermost.
+    An effect is added to H, or acts as a force at the method's nodes, between the two halves of
+    the step, before and after the step, on the resulting state to keep it on a manifold, or around
+    all of these. Effects in the same place act in the scene's order, the first one innermost.
     """
 
     ENERGY = 0
@@ -46,9 +46,9 @@ class EffectState(NamedTuple):
     work : np.ndarray, shape (K, 2)
         Work of each of the scene's K effects on the system [J], and its rounding error.
     pending : np.ndarray, shape (K,)
-        Work in the step that is being attempted [J].
+        Work in the attempted step [J].
     command : np.ndarray, shape (d + 1,)
-        The last commanded force on each coordinate, and the time at which it expires [s].
+        The last commanded force on each coordinate, and its expiry time [s].
     draws : np.ndarray, shape (3,)
         Counts of random numbers drawn before the step and in it, and the number of the stream.
     gauge : np.ndarray, shape (d, d)
@@ -130,31 +130,31 @@ class Effect(ABC):
     Attributes
     ----------
     acts : Place
-        Where it acts, unless ``place`` returns another place for the method.
+        Default place; ``place`` may return another one for a method.
     conservative : bool
-        Whether it leaves the energy H, including its own potential, unchanged.
+        True if it leaves the energy H, including its own potential, unchanged.
     single : bool
-        Whether a scene can list only one effect of its kind.
+        True if a scene can list only one effect of its kind.
     lockstep : bool
-        Whether it can act on several trajectories that step together.
+        True if it can act on several trajectories that step together.
     turns : bool
-        Whether it can act on systems with rotations.
+        True if it can act on systems with rotations.
     random : bool
-        Whether it draws random numbers.
+        True if it draws random numbers.
     limits : bool
-        Whether its parameters are stops at the limits of joints, which commands must respect.
+        True if its parameters are stops at joint limits, which commands must respect.
     stops : bool
-        Whether its parameters name columns of coordinates that something rigid stops.
+        True if its parameters name columns of coordinates with rigid stops.
     by_motors : bool or None
-        Whether the numbers of a command are those of a model's motors for it, not of coordinates;
-        None where it reads none.
+        True if the numbers of a command are those of a model's motors, False if they are those of
+        coordinates, None if it accepts no numbers.
     drawn : bool
-        Whether the viewer draws its force as an arrow: it takes microseconds of plain Python.
+        True if the viewer draws its force as an arrow, which takes microseconds of plain Python.
     knots : int
         Number of knots of a path that it needs space for; see Reference.
     excludes : mapping of Place to str
-        Places where no other effect may act, each with a clause of the error that gives the
-        reason.
+        Places where no other effect may act, each with a clause of the error message that gives
+        the reason.
 
     """
 
@@ -176,13 +176,13 @@ class Effect(ABC):
         return self.acts
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the method keeps its claims together with the effect."""
+        """Return True if the method keeps its properties with this effect."""
         return integrator.requirements.hamiltonian
 
     @abstractmethod
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Parameters:
         """
-        Return the numbers and arrays that the effect's compiled functions take first.
+        Return the first argument of the effect's compiled functions: numbers and arrays.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class Effect(ABC):
         Raises
         ------
         ValueError
-            A name or a length does not fit the coordinates; the message lists the valid ones.
+            A name or a length does not match the coordinates; the message lists the valid ones.
 
         """
 
@@ -206,28 +206,28 @@ class Effect(ABC):
         Parameters
         ----------
         hamiltonian : Hamiltonian
-            H together with the effects that join it.
+            H with the effects that are added to it.
         parameters : tuple
             The result of ``resolve``.
         q : np.ndarray, shape (d,) or (m d,)
-            Coordinates of one trajectory, or of m trajectories one after another.
+            Coordinates of one trajectory, or of m trajectories in sequence.
 
         Raises
         ------
         ValueError
-            The effect cannot act there; the message gives the reason.
+            The effect cannot act at q; the message gives the reason.
 
         """
 
 
 class Joined(Effect):
     """
-    An effect that joins H.
+    An effect that is added to H.
 
     Attributes
     ----------
     keeps_separable : bool
-        Whether a separable H(q, p) = T(p) + V(q) stays separable.
+        True if a separable H(q, p) = T(p) + V(q) stays separable.
 
     """
 
@@ -240,24 +240,24 @@ class Joined(Effect):
     def compose(cls, base_energy: Energy, base_gradient: Gradient,
                 base_hessian_vector: HessianVector) -> Functions:
         """
-        Return functions of H together with the effect, from the functions of H; see Kernel.
+        Return the functions of H with the effect, from the functions of H; see Kernel.
 
-        They are plain Python in numba's subset, and the same functions for the same arguments.
-        Their parameters are a tuple (base, own, work): the parameters of H, the result of
-        ``resolve``, and an array of shape (2, d) as working memory.
+        They are plain Python in numba's subset, and cached by arguments. Their parameters are a
+        tuple (base, own, work): the parameters of H, the result of ``resolve``, and a workspace of
+        shape (2, d).
         """
 
     def formulas(self, parameters: Any) -> 'type[Joined]':
-        """Return the class whose formulas apply to the result of ``resolve``: here its own."""
+        """Return the class of the formulas for the result of ``resolve``, by default this one."""
         return type(self)
 
     def add_gauge(self, parameters: Any, gauge: np.ndarray) -> None:
-        """Add its share to the linear vector potential, shape (d, d); see EffectState."""
+        """Add the contribution to the linear vector potential, shape (d, d); see EffectState."""
 
 
 class Potential(Joined):
     """
-    A potential energy V(q), which joins H.
+    A potential energy V(q), which is added to H.
 
     The functions are plain Python in numba's subset, for one state, q of shape (d,).
 
@@ -309,20 +309,20 @@ class Potential(Joined):
 
 class Force(Effect):
     """
-    A force that acts at the method's own nodes (discrete Lagrange-d'Alembert principle).
+    A force that acts at the method's nodes (discrete Lagrange-d'Alembert principle).
 
     The equations become q' = H_p + f_q, p' = -H_q + f_p; the power is f_q . H_q + f_p . H_p.
 
     Attributes
     ----------
     depends_on_momentum : bool
-        Whether it depends on p, for given t and q.
+        True if it depends on p, for given t and q.
     depends_on_state : bool
-        Whether it depends on q or p, for given t.
+        True if it depends on q or p, for given t.
     feels_command : bool
-        Whether it depends on a command otherwise than as on a force of its coordinate.
+        True if it depends on a command other than as a force on its coordinate.
     held : bool
-        Whether it is the same all through a step.
+        True if it is constant during a step.
     add_force : callable
         ``add_force(parameters, t, q, p, velocity, f_q, f_p)`` adds f_q and f_p to the last two
         arguments; ``velocity`` is H_p. Arrays have shape (d,). Plain Python in numba's subset.
@@ -346,7 +346,7 @@ class Force(Effect):
         return 0.0, 0.0
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the method takes this force at its nodes."""
+        """Return True if the method supports this force at its nodes."""
         return integrator.requirements.take_force(self.depends_on_momentum, self.held)
 
 
@@ -357,7 +357,7 @@ class Layer:
     Attributes
     ----------
     repeats : bool
-        Whether it takes the method's step more than once in a step of its own.
+        True if it takes the method's step more than once in a step of its own.
 
     """
 
@@ -365,7 +365,7 @@ class Layer:
 
     @classmethod
     def inner_step(cls, integrator: Integrator) -> Any:
-        """Return the part of a method that ``wrap`` takes: here its step."""
+        """Return the part of a method that ``wrap`` takes, by default its step."""
         return integrator.step
 
     @staticmethod
@@ -374,26 +374,25 @@ class Layer:
         """
         Return a step with the layer around it.
 
-        It is the same function for the same arguments, and plain Python in numba's subset; see
-        Wrapped.
+        The result is plain Python in numba's subset, and cached by arguments; see Wrapped.
 
         Parameters
         ----------
         step : callable or tuple
             The result of ``inner_step``.
         keeps_gradient : bool
-            Whether the method's step reads the gradient at its start.
+            True if the method's step reads the gradient at its start.
 
         """
 
     @staticmethod
     def workspace(n: int, settings: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the workspace of the layer's step: here a point."""
+        """Return the workspace of the layer's step, by default a point."""
         return PointWork(Point.empty(n))
 
 
 class StepEffect(Effect, Layer):
-    """An effect that acts between or around steps of a method: a flow, a jump, a projection."""
+    """An effect that acts between or around steps of a method: a flow, a jump or a projection."""
 
     acts = Place.AROUND
 
@@ -403,7 +402,7 @@ class StepEffect(Effect, Layer):
         return integrator.halves if cls.acts is Place.MIDDLE else integrator.step
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the method keeps its claims and has the part that ``wrap`` takes."""
+        """Return True if the method keeps its properties and has the part that ``wrap`` takes."""
         return super().accepts(integrator) and self.inner_step(integrator) is not None
 
 

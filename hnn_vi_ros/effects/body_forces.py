@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Learned forces on a body that rotates: of its inputs, and of dissipation."""
+"""Learned forces on a rotating body: forces of inputs, and dissipation."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,14 +14,14 @@ import numpy as np
 
 class BodyNetwork(NamedTuple):
     """
-    A network of the pose whose outputs are the entries of a matrix, and working memory.
+    A network of the pose whose outputs are the entries of a matrix, and its workspace.
 
     Parameters
     ----------
     outputs : PackedOutputs
         The network.
     entries : np.ndarray
-        Its outputs.
+        Outputs of the network.
     features : np.ndarray
         (x, R, pi), or (x, R, v) with velocities instead of momenta.
     product, force : np.ndarray, shape (k,)
@@ -51,7 +51,7 @@ def body_network(model: Checkpoint, name: str, coordinates: Sequence[Coordinate]
 @kept(error_model='numpy')
 def add_body_map(own: BodyNetwork, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                  f_p: np.ndarray) -> None:
-    """Add B(g) u in the frame of the body, where u is the beginning of the command."""
+    """Add B(g) u in the frame of the body, where u is the first part of the command."""
     _evaluate(own, q, p)
     m = own.entries.size // own.force.size
     for i in range(own.force.size):
@@ -63,7 +63,7 @@ def add_body_map(own: BodyNetwork, command: np.ndarray, q: np.ndarray, p: np.nda
 
 @kept(error_model='numpy')
 def add_body_drag(own: BodyNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np.ndarray) -> None:
-    """Add -A A^T v in the frame of the body; A is given row by row, in lower triangular blocks."""
+    """Add -A A^T v in the frame of the body; A has lower triangular blocks, stored row by row."""
     force = own.force
     _evaluate(own, q, velocity)
     force[:] = 0.0
@@ -74,7 +74,7 @@ def add_body_drag(own: BodyNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np
 @inlined
 def add_drag(entries: np.ndarray, block: int, velocity: np.ndarray, product: np.ndarray,
              force: np.ndarray) -> None:
-    """Add -A A^T v, where A consists of lower triangular blocks, given row by row."""
+    """Add -A A^T v, where A consists of lower triangular blocks, stored row by row."""
     product[:] = 0.0
     k = 0
     for i in range(velocity.size):
@@ -97,7 +97,7 @@ def _evaluate(own: BodyNetwork, q: np.ndarray, p: np.ndarray) -> None:
 
 @kept(error_model='numpy')
 def _add(own: BodyNetwork, f_p: np.ndarray) -> None:
-    """Add the force, after rotating the part that acts on the position to space."""
+    """Add the force, with the part that acts on the position rotated into space."""
     for i in range(own.force.size):
         if i < own.force.size - 3:
             for j in range(3):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands to a running simulation, and the reference that servos keep of them."""
+"""Commands to a running simulation, and the resulting reference of servos."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -21,8 +21,8 @@ class JointCommand(NamedTuple):
     names : sequence of str
         Names of n coordinates.
     position, velocity, effort : np.ndarray, shape (n,)
-        In the units of the coordinates, their units per second, and the units of their
-        generalised forces, [N] or [N m]; NaN for no command.
+        Values in the units of the coordinates, per second for velocities; generalised forces in
+        [N] or [N m]; NaN for no command.
 
     """
 
@@ -34,7 +34,7 @@ class JointCommand(NamedTuple):
 
 class JointPath(NamedTuple):
     """
-    Points that joints are to pass through.
+    Points of a joint trajectory.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Observation(NamedTuple):
     Parameters
     ----------
     names : sequence of str
-        Names of n joints, possibly more than are needed.
+        Names of n joints, possibly more than needed.
     delay : float
         Time from now to the observation [s]; negative for the past.
     position, velocity : np.ndarray, shape (n,)
@@ -85,10 +85,9 @@ Command = Sequence[float] | np.ndarray | JointCommand | JointPath | Observation
 # Names of the contents of a command.
 NUMBERS, POSITION, VELOCITY, EFFORT, PATH = 'commands', 'position', 'velocity', 'effort', 'path'
 OBSERVATION = 'observation'
-# Upper bound on the numbers of a command, whatever their unit: splines and forces of such numbers
-# stay finite.
+# Upper bound on the numbers of a command in any unit, so that splines and forces stay finite.
 LARGEST = 1e12
-# The largest observed position of a joint, and velocity; far beyond, numbers overflow.
+# Upper bounds on the observed position and velocity of a joint, so that numbers do not overflow.
 _LARGEST_OBSERVED = 1e9
 
 
@@ -114,11 +113,11 @@ class Reference(NamedTuple):
     Parameters
     ----------
     modes : np.ndarray of int64, shape (d,)
-        The mode of each coordinate; see the modes of servos.
+        Mode of each coordinate; see the modes of servos.
     targets : np.ndarray, shape (2, d)
         Commanded positions and velocities.
     extent : np.ndarray of int64, shape (2,)
-        Number of knots of the path, and the degree of its polynomials.
+        Number of knots of the path, and degree of its polynomials.
     knots : np.ndarray, shape (n, 1 + 3 d)
         Time [s], positions, velocities and accelerations of the path at its knots. An observer
         uses the last row.
@@ -132,7 +131,7 @@ class Reference(NamedTuple):
 
     @classmethod
     def empty(cls, dimension: int, knots: int) -> 'Reference':
-        """Return a reference without a command, with space for some knots."""
+        """Return a reference without a command, with space for ``knots`` knots."""
         return cls(np.zeros(dimension, dtype=np.int64), np.zeros((2, dimension)),
                    np.zeros(2, dtype=np.int64), np.zeros((knots, 1 + 3 * dimension)))
 
@@ -150,7 +149,7 @@ class Aim(NamedTuple):
     targets : np.ndarray, shape (3, n)
         Their target positions, velocities and accelerations; NaN for none.
     on_path : bool
-        Whether the targets belong to a path.
+        True if the targets are on a path.
 
     """
 
@@ -162,12 +161,12 @@ class Aim(NamedTuple):
 
 class Commanded(ABC):
     """
-    An effect that takes commands while the simulation runs.
+    An effect that accepts commands while the simulation runs.
 
     Attributes
     ----------
     takes : frozenset of str
-        The contents of a command that it takes; see ``contents``.
+        The contents of a command that it accepts; see ``contents``.
     names : sequence of str
         Names of the driven joints; for plain numbers, the name of each number if it has one.
 
@@ -179,14 +178,14 @@ class Commanded(ABC):
     @abstractmethod
     def prepare(self, command: Command, parameters: Any, q: np.ndarray) -> Callable[[], None]:
         """
-        Return a function that puts the effect's part of a command into effect.
+        Return a function that applies the effect's part of a command.
 
-        Checks come first, so that a command to several effects acts on all of them or on none.
+        The checks come first, so that a command to several effects acts on all of them or on none.
 
         Parameters
         ----------
         command : Command
-            A command with contents that the effect takes.
+            A command with contents that the effect accepts.
         parameters : tuple
             The result of ``resolve``.
         q : np.ndarray, shape (d,)
@@ -195,16 +194,16 @@ class Commanded(ABC):
         Raises
         ------
         ValueError
-            The command cannot be used; the last one stays active.
+            The command is invalid; the last one stays active.
 
         """
 
     def begin(self, parameters: Any) -> None:
-        """Put into effect what acts before the first command; most effects have nothing."""
+        """Apply the settings that act before the first command; by default none."""
         return
 
     def aim(self, parameters: Any) -> Aim | None:
-        """Return the present targets; None if the effect follows none."""
+        """Return the present targets, None if the effect follows none."""
         return None
 
 
@@ -215,7 +214,7 @@ def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.n
     Raises
     ------
     ValueError
-        A joint is missing or there twice, or a number is not finite.
+        A joint is missing or listed twice, or a number is not finite.
 
     """
     given = list(command.names)
@@ -233,8 +232,8 @@ def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.n
 
 
 def whole_turns(difference: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """Return the whole turns nearest to differences of positions, where angles turn over [rad]."""
-    # What no joint can have is left for ``select`` to refuse.
+    """Return the whole turns nearest to differences of positions of rotating joints [rad]."""
+    # Impossible differences are left for ``select`` to refuse.
     turning = turning & (np.abs(difference) <= _LARGEST_OBSERVED)
     return 2.0 * math.pi * np.where(turning, np.round(difference / (2.0 * math.pi)), 0.0)
 
@@ -242,14 +241,14 @@ def whole_turns(difference: np.ndarray, turning: np.ndarray) -> np.ndarray:
 @inlined
 def plus_motors(force: float, matrix: np.ndarray, fade: np.ndarray, command: np.ndarray, i: int
                 ) -> float:
-    """Return a force plus (A u / (1 + g abs(u)))_i, where u is the beginning of the command."""
+    """Return a force plus (A u / (1 + g abs(u)))_i, where u is the first part of the command."""
     for k in range(matrix.shape[1]):
         force += matrix[i, k] * command[k] / (1.0 + fade[k] * abs(command[k]))
     return force
 
 
 def indices_of(names: Sequence[str], known: Sequence[str], wanted: np.ndarray) -> np.ndarray:
-    """Return the indices among known names of the names that are wanted, or raise ValueError."""
+    """Return the indices of wanted names in a list of known names, or raise ValueError."""
     if len(set(names)) < len(names):
         raise ValueError(f'name = [{printable(names)}] names a joint twice: give each once')
     asked = [name for name, one in zip(names, wanted, strict=True) if one]
@@ -261,5 +260,5 @@ def indices_of(names: Sequence[str], known: Sequence[str], wanted: np.ndarray) -
 
 
 def printable(names: Sequence[str]) -> str:
-    """Return the beginning of a list of names from outside, in printable characters."""
+    """Return the start of a list of names from external input, in printable characters."""
     return repr(', '.join(names)[:80])[1:-1]

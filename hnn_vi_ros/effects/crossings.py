@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The search for the first time at which a distance becomes negative within a step."""
+"""Search for the first time within a step at which a distance becomes negative."""
 
 from typing import NamedTuple
 
@@ -9,36 +9,36 @@ from hnn_vi_ros.kernels import called
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-# The next action: stop, since there is no crossing; try another length; land on the crossing; or
-# give up.
+# Next actions: FREE, there is no crossing; TRY another length; LAND on the crossing; LOST, give
+# up.
 FREE, TRY, LAND, LOST = 0, 1, 2, 3
-# A polynomial is examined in this many parts of an interval: enough to separate the roots of
+# Number of parts of an interval in which a polynomial is examined: enough to separate the roots of
 # paths that turn a few times in a step.
 _PARTS = 8
 _HALVINGS = 60
-# Upper bounds on the intervals that wait to be searched and on the trials for one crossing, which
-# fix the size of arrays. Well-behaved paths need a few of each.
+# Maximum number of intervals that wait for a search, and of trials for one crossing; they
+# determine the size of arrays. Well-behaved paths need a few of each.
 _MOST_INTERVALS = 64
 _MOST_TRIALS = 300
-# A distance that stays below zero for a shorter time than this share of the step does not cross
-# it. To search on would divide intervals without end at a path that only touches.
+# A distance that is below zero for less than this fraction of the step does not count as a
+# crossing. Otherwise a path that only touches would divide intervals indefinitely.
 _SHORTEST = 1e-10
 
 
 class Search(NamedTuple):
     """
-    Values of a distance g(t) within a step, at the ends of intervals that are not clear yet.
+    Values of a distance g(t) within a step, at the ends of intervals that are still searched.
 
     Parameters
     ----------
     nodes : np.ndarray, shape (66, 5)
-        t, g, g' and g'' at an end, and the error bound of the polynomial to its left. Row 0 is
-        the start of the first interval; then come the right ends of the intervals, the last
-        interval first.
+        t, g, g' and g'' at an end, and the error bound of the polynomial to its left. Row 0 is the
+        start of the first interval; then follow the right ends of the intervals, the last interval
+        first.
     counts : np.ndarray, shape (2,)
         Number of intervals, and of trials so far.
     widths : np.ndarray, shape (3,)
-        Width of the interval of the crossing in the last trials, the newest first [s].
+        Widths of the interval of the crossing in the last trials, the newest first [s].
 
     """
 
@@ -48,7 +48,7 @@ class Search(NamedTuple):
 
     @classmethod
     def empty(cls) -> 'Search':
-        """Return a search before its beginning."""
+        """Return a search that has not begun."""
         return cls(np.zeros((_MOST_INTERVALS + 2, 5)), np.zeros(2, dtype=np.int64), np.zeros(3))
 
     @classmethod
@@ -71,7 +71,7 @@ def begin(search: Search, distance: float, slope: float, bend: float) -> None:
 def add(search: Search, t: float, distance: float, slope: float, bend: float, rounding: float,
         high: bool) -> None:
     """
-    Add the result of a trial: first at the end of the step, then at the times of TRY.
+    Add the result of a trial, first at the end of the step, then at the times of TRY.
 
     Parameters
     ----------
@@ -82,13 +82,13 @@ def add(search: Search, t: float, distance: float, slope: float, bend: float, ro
     rounding : float
         Rounding error of g.
     high : bool
-        Whether g'' is known, so that polynomials are quintic instead of cubic.
+        True if g'' is known, so that polynomials are quintic instead of cubic.
 
     """
     nodes, counts = search.nodes, search.counts
     top = counts[0]
     if top == 0:
-        # The only information on the error of the polynomial is how much the path bends. An
+        # The only information on the error of the polynomial is the curvature of the path. An
         # error above half of that would require the path to turn more than once in the step.
         length, mean = t, 0.5 * (nodes[0, 2] + slope)
         margin = 0.5 * (abs(length * (slope - nodes[0, 2])) / 8.0
@@ -98,8 +98,8 @@ def add(search: Search, t: float, distance: float, slope: float, bend: float, ro
     else:
         length = nodes[top, 0] - nodes[0, 0]
         expected = value_at(_coefficients(search, high), (t - nodes[0, 0]) / length)
-        # The observed error of the polynomial bounds its successor, whose error is several times
-        # smaller, since its interval is shorter.
+        # The observed error of the polynomial bounds the next one, which is several times smaller,
+        # because its interval is shorter.
         margin = abs(distance - expected) + rounding
         if distance < 0.0:
             # Only the first crossing matters; later intervals are dropped.
@@ -118,8 +118,8 @@ def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, fl
     Return the next action and its time.
 
     FREE: g does not become negative. LAND: it first does at this time, to the resolution of
-    rounding and of time itself. TRY: the value of g at this time is needed. LOST: the search does
-    not end.
+    rounding and of time itself. TRY: g must be evaluated at this time. LOST: the search does not
+    terminate.
     """
     nodes, counts, widths = search.nodes, search.counts, search.widths
     while counts[0] > 0:
@@ -134,10 +134,10 @@ def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, fl
             if (-nodes[top, 1] <= rounding and nodes[top, 2] < 0.0) or end - start <= _EPS * h:
                 return LAND, end
             if theta == 0.0 and nodes[0, 1] <= rounding:
-                # g is at rest at the start and pulled down.
+                # g is at rest at the start and accelerates downwards.
                 return LAND, start
             if end - start > 0.5 * widths[2]:
-                # Three trials have not halved the interval. Interpolation alone may approach the
+                # Three trials have not halved the interval. Interpolation may approach the
                 # crossing from one side only, so bisect.
                 theta = 0.5
             widths[2], widths[1], widths[0] = widths[1], widths[0], end - start
@@ -150,7 +150,7 @@ def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, fl
                 nodes[0, k] = nodes[top, k]
             counts[0] -= 1
         else:
-            # A trial next to an end of the interval would add no information.
+            # A trial close to an end of the interval would add no information.
             return TRY, start + (theta if 0.05 < theta < 0.95 else 0.5) * (end - start)
     return FREE, 0.0
 
@@ -169,7 +169,7 @@ def _coefficients(search: Search, high: bool) -> tuple[float, ...]:
 @called
 def _look(search: Search, high: bool) -> float:
     """
-    Return the share of the first interval where g first crosses zero, or is nearest to it.
+    Return the fraction of the first interval where g first crosses zero, or is nearest to it.
 
     If g is not negative at the end, the result is -1 if g stays above zero by more than the error
     of the polynomial. The bound of that error vanishes quadratically at both ends, like the error
@@ -194,13 +194,13 @@ def _look(search: Search, high: bool) -> float:
             if x < 1.0 and excess < 0.0 and value < lowest:
                 lowest, place = value, x
         left = right
-    # A polynomial that ends below zero crosses it, even if rounding hides where.
+    # A polynomial that is negative at the end has a crossing, even if rounding hides it.
     return 0.5 if crosses and place < 0.0 else place
 
 
 @called
 def _last(c: tuple[float, ...], falling: bool, low: float, high: float) -> float:
-    """Return by bisection how far the polynomial falls, or, if not ``falling``, stays positive."""
+    """Return by bisection the end of the fall of the polynomial, or of its positive part."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         if (slope_at(c, middle) < 0.0) if falling else (value_at(c, middle) >= 0.0):

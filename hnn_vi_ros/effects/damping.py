@@ -22,10 +22,11 @@ class Damping(Force, StepEffect):
     """
     Linear damping, f = -gamma P, with one rate for each coordinate, or each component of p.
 
-    P is the kinetic momentum: p, or p - c A(q) in magnetic fields. Methods of order 1 and 2 take
+    P is the kinetic momentum: p, or p - c A(q) in magnetic fields. Methods of order 1 and 2 use
     its exact flow P -> exp(-gamma h / 2) P before and after a step (Strang splitting), which is
-    stable for any rate; others, whose order splitting would reduce, take f at their nodes. Energy
-    account: the change of H in the flow, or the power f . H_p.
+    stable for any rate; other methods, whose order splitting would reduce, evaluate f at their
+    nodes. For friction coefficients of joints use `joint_friction`. Energy account: change of H,
+    or f . H_p.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ class Damping(Force, StepEffect):
     Raises
     ------
     ModelError, ValueError
-        The model has no learned friction, or the rate cannot be used.
+        The model has no learned friction, or the rate is invalid.
 
     References
     ----------
@@ -63,7 +64,7 @@ class Damping(Force, StepEffect):
         return Place.AROUND if splits else Place.NODES
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the method takes the flow, or the force."""
+        """Return True if the method supports the flow, or the force."""
         return integrator.requirements.hamiltonian and (
             self.place(integrator) is Place.AROUND or Force.accepts(self, integrator))
 

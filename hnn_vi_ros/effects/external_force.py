@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A force that is commanded while the simulation runs."""
+"""A force commanded while the simulation runs."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -22,33 +22,33 @@ class ExternalForce(Force, Commanded):
     """
     The last commanded force on some coordinates, until the next command or its time-out.
 
-    The time-out is simulated time, in whole steps: a command acts in all steps that begin before
-    it. It keeps a controller that has died from pushing forever
-    (watchdog). With a learned input map, the command u of a model's motors drives all
-    coordinates: g(q) u, A u, or B u in the frame of a body. For a body named body, body_x to
-    body_z are forces along the axes of space, body_fx to body_fz along its own axes, and body_rx
-    to body_rz torques. Energy account: f . H_p.
+    The time-out is in simulated time, in whole steps: a command acts in all steps that start
+    before it, so that a crashed controller does not push forever (watchdog). For position or
+    velocity targets use `servo`. With a learned input map, the command u of a model's motors
+    drives all coordinates: g(q) u, A u, or B u in the frame of a body. For a body named body,
+    body_x to body_z are forces along the axes of space, body_fx to body_fz along its own axes, and
+    body_rx to body_rz torques. Energy account: f . H_p.
 
     Parameters
     ----------
     coordinates : list of str, optional
         The coordinates of the numbers of a command, in this order.
     timeout : float
-        How long a command is active, > 0 [s]; then no force acts.
+        Duration of a command, > 0 [s]; afterwards no force acts.
     initial : list of float, optional
-        The command that acts from the start of a run until the first one, in the units of the
-        coordinates' forces [N, N m] or of the model's inputs; without it no force.
+        Command that acts from the start of a run until the first one, in the units of the
+        coordinates' forces [N, N m] or of the model's inputs; by default no force.
     model : str, optional
         A model with an input map (family control_affine, or mechanical or lie_group with
         ``input_map: learned``), instead of the coordinates; an ensemble acts by its mean.
     member : int, optional
-        Number of the only member of an ensemble that acts, from 1.
+        Number of the single member of an ensemble that acts, from 1.
 
     Raises
     ------
     ModelError, ValueError
         The model has no input map or no such member, the time-out is not positive, ``initial`` is
-        no command, or coordinates, model and member do not fit together.
+        not a command, or coordinates, model and member are inconsistent.
 
     References
     ----------
@@ -91,13 +91,13 @@ class ExternalForce(Force, Commanded):
         return parameters
 
     def begin(self, parameters: 'InputParameters') -> None:
-        """Put the initial command into effect, until another comes."""
+        """Apply the initial command until the first one arrives."""
         if self.initial is not None:
             parameters.hold(parameters.columns, np.array(self.initial), np.inf)
 
     def prepare(self, command: Command, parameters: 'InputParameters', q: np.ndarray
                 ) -> Callable[[], None]:
-        """Return a function that sets forces [N], [N m], of all or of the named joints."""
+        """Return a function that sets forces [N], [N m], of all or of named joints."""
         columns = parameters.columns
         values = np.array(getattr(command, EFFORT, command), dtype=np.float64)
         if isinstance(command, JointCommand):

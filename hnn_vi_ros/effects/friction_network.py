@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 
 class FrictionNetwork(NamedTuple):
-    """The network of B, its features, and space for the entries of B and for B^T v."""
+    """The network of B, its features, and workspace for the entries of B and for B^T v."""
 
     outputs: PackedOutputs
     features: Features
@@ -27,7 +27,7 @@ class FrictionNetwork(NamedTuple):
 
 
 class Load(NamedTuple):
-    """k of each coordinate, (d,), what motors make of commands, and these; see EffectState."""
+    """Coefficients k, (d,), the input matrix of motors, and command and clock of EffectState."""
 
     share: np.ndarray
     motors: InputMatrix
@@ -42,7 +42,7 @@ class LearnedFrictionParameters(NamedTuple):
     Parameters
     ----------
     switch, offset : np.ndarray, shape (d,)
-        1 over the speed of the switch from v < 0 to v > 0, and a constant force.
+        Inverse speed of the transition from v < 0 to v > 0, and a constant force.
     viscous : np.ndarray, shape (2, d)
         b where v > 0 and where v < 0.
     coulomb : np.ndarray, shape (k, 3, d)
@@ -50,11 +50,11 @@ class LearnedFrictionParameters(NamedTuple):
     stribeck : np.ndarray, shape (l, 3, d)
         c, 1/w and 1/s of each term.
     load : Load
-        What grows with the force of motors.
+        Inputs of the friction that increases with the force of motors.
     add : callable
         The function that adds the friction of the network; see add_by_network.
     own : FrictionNetwork, BodyNetwork or tuple of int
-        Its first argument; an unused number without a network.
+        Its first argument; an unused number if there is no network.
 
     """
 
@@ -70,7 +70,7 @@ class LearnedFrictionParameters(NamedTuple):
 
 def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> LearnedFrictionParameters:
-    """Return the friction of a model, or raise ValueError if its coordinates do not fit."""
+    """Return the friction of a model, or raise ValueError if its coordinates do not match."""
     d, card = len(columns(coordinates)[0]), model.card
     none = Load(np.zeros(d), InputMatrix(np.zeros((d, 0)), np.zeros(0)), np.zeros(1), np.zeros(2))
     if card.mechanical is None:
@@ -125,7 +125,7 @@ def _together(networks: Sequence[Layers]) -> Layers:
 @kept(error_model='numpy')
 def add_by_network(own: FrictionNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np.ndarray
                    ) -> None:
-    """Add -B (B^T v) for each lower triangular B, whose entries are given row by row."""
+    """Add -B (B^T v) for each lower triangular B, whose entries are stored row by row."""
     entries, size = own.entries, q.size * (q.size + 1) // 2
     see(own.features, q)
     x = own.features.inputs

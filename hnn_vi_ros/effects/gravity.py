@@ -21,9 +21,9 @@ class GravityParameters(NamedTuple):
 
 class Gravity(Potential):
     """
-    The weight of a mass in a uniform field, V = m g q_c.
+    Weight of a mass in a uniform field, V = m g q_c.
 
-    Energy account: V joins H; the effect does no further work.
+    The gravity of a robot is already in its URDF. Energy account: V is part of H; no work.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Gravity(Potential):
     mass : float
         m > 0 [kg].
     acceleration : float
-        g [m/s^2]; negative where the coordinate points down.
+        g [m/s^2]; negative if the coordinate points down.
 
     Raises
     ------

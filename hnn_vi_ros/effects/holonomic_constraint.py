@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A holonomic constraint: a rod, plane, circle or sphere, or an equation of the user's."""
+"""Holonomic constraints: a rod, plane, circle or sphere, or a user-defined equation."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
@@ -15,7 +15,7 @@ from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
-# The options that each form requires, and those that it accepts as well.
+# The options that each form requires, and its optional ones.
 _OPTIONS = {
     'rod': (('point',), ('other', 'anchor', 'length')),
     'plane': (('point', 'anchor', 'normal'), ()),
@@ -29,14 +29,15 @@ class HolonomicConstraint(Effect):
     """
     A holonomic constraint g(q) = 0 without friction, by RATTLE: a rod, or another ``form``.
 
-    The constraints of a scene are solved together. H(q, p) is the Hamiltonian without them; the
-    initial q and p must satisfy g(q) = 0 and g' H_p = 0. Energy account: their forces do no work.
+    All constraints of a scene are solved together. H(q, p) is the Hamiltonian without them; the
+    initial q and p must satisfy g(q) = 0 and g' H_p = 0. An elastic rod is `spring`. Energy
+    account: no work.
 
     Parameters
     ----------
     form : str
-        ``rod``: g = r - l, where r is the distance of two points, or of a point and a fixed
-        one; ``plane``: g = n . (x - a); ``sphere``: g = abs(x - a) - R; ``circle``: a sphere,
+        ``rod``: g = r - l, where r is the distance of two points, or of a point and a fixed one;
+        ``plane``: g = n . (x - a); ``sphere``: g = abs(x - a) - R; ``circle``: a sphere,
         cut by a plane if there are three coordinates; ``python``: the function of a factory.
     point : list of str, optional
         Names of the coordinates of a point x [m].
@@ -59,7 +60,7 @@ class HolonomicConstraint(Effect):
     Raises
     ------
     ValueError
-        A value is out of its range, missing, or not used by the form; the factory fails.
+        A value is out of its range, missing, or not used by the form; or the factory fails.
 
     References
     ----------
@@ -81,7 +82,7 @@ class HolonomicConstraint(Effect):
         self._function = None if factory is None else _function_equation(factory)
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the method is symmetric, symplectic and of order 2, like RATTLE."""
+        """Return True if the method is symmetric, symplectic and of order 2, like RATTLE."""
         keeps = integrator.requirements
         return keeps.symmetric and keeps.symplectic and integrator.order == 2 and keeps.hamiltonian
 
@@ -94,7 +95,7 @@ class HolonomicConstraint(Effect):
 
 
 def _check_options(form: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that are given, or raise ValueError if one does not fit the form."""
+    """Return the options that are given, or raise ValueError if one does not match the form."""
     required, optional = _OPTIONS[form]
     there = {name: value for name, value in options.items() if value is not None}
     for name in required:
@@ -148,7 +149,7 @@ def _plane(ends: tuple[np.ndarray, np.ndarray, np.ndarray], normal: Sequence[flo
 
 
 def _function_equation(factory: str) -> ConstraintEquation:
-    """Return the equation of a user's function, or raise ValueError if there is none."""
+    """Return the equation of a user-defined function, or raise ValueError if there is none."""
     try:
         function = _call(import_named(factory))
     except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
@@ -158,12 +159,12 @@ def _function_equation(factory: str) -> ConstraintEquation:
         raise ValueError(f'factory = {factory!r} returned a {type(function).__name__}, expected '
                          'a function g(q, gradient)')
     none = np.zeros(0, dtype=np.int64)
-    # If the function is compiled already, its Python code is taken, to be compiled into the steps.
+    # Of a compiled function, the Python code is used, to be compiled into the steps.
     return ConstraintEquation(none, none, np.zeros(0), 0.0, np.zeros(0),
                               getattr(function, 'py_func', function))
 
 
 @cache
 def _call(factory: Callable[[], object]) -> object:
-    """Return the function of a factory, the same each time: another would be compiled again."""
+    """Return the function of a factory, cached: another one would be compiled again."""
     return factory()

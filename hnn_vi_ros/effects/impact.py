@@ -14,12 +14,12 @@ import numpy as np
 
 class Impact(RigidContact):
     """
-    A rigid wall at q_c = a: at each impact the velocity v of the coordinate turns into -e v.
+    A rigid wall at q_c = a: each impact changes the velocity v of the coordinate to -e v.
 
-    Every impact in a step is located to round-off; the momentum p_c alone jumps. With e < 1 the
-    body comes to rest where the geometric series of its flights ends, until a force pulls it
-    away. A step whose impacts cannot be resolved fails. Energy account: the change of H in the
-    jump, none for e = 1 where H is quadratic in p.
+    Every impact in a step is located to round-off; only the momentum p_c jumps. With e < 1 the
+    body comes to rest at the limit of the geometric series of its flights, until a force pulls it
+    away. A step whose impacts cannot be resolved fails; `soft_wall` is a smooth alternative.
+    Energy account: the change of H in the jump, 0 for e = 1 if H is quadratic in p.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Impact(RigidContact):
     position : float
         a, in the coordinate's unit.
     side : str
-        ``'above'`` or ``'below'``: where the motion is free.
+        Side of free motion, ``'above'`` or ``'below'``.
     restitution : float
         e, from 0 to 1 [1].
 
@@ -54,7 +54,7 @@ class Impact(RigidContact):
         self.sign = {'above': 1.0, 'below': -1.0}[side]
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Stops:
-        """Return the one stop."""
+        """Return the stop."""
         column = coordinate_index(coordinates, self.coordinate)
         return Stops.of(np.array([column]), np.array([self.position]), np.array([self.sign]),
                         self.restitution, state.pending.size)

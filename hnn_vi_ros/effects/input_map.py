@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forces of a command: on named coordinates, or on all by a learned input map."""
+"""Forces of a command: on named coordinates, or on all through a learned input map."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -36,7 +36,7 @@ def load_map(model: str, member: int | None = None) -> Checkpoint:
 
 
 def has_map(model: Checkpoint) -> bool:
-    """Return whether a model has a learned input map."""
+    """Return True if a model has a learned input map."""
     mechanical = model.card.mechanical
     return 'input_map' in model.networks or (
         mechanical is not None and mechanical.input_map is not None)
@@ -55,11 +55,11 @@ class Axes(NamedTuple):
     Parameters
     ----------
     columns : np.ndarray
-        The column in p; for a force along an axis of a body, the column of its momentum along x.
+        Column in p; for a force along an axis of a body, the column of its momentum along x.
     axes : np.ndarray
-        The axis of the body: 0, 1 or 2, or -1 for none.
+        Axis of the body: 0, 1 or 2, or -1 for none.
     quaternions : np.ndarray
-        The column in q of the body's quaternion.
+        Column in q of the body's quaternion.
 
     """
 
@@ -69,14 +69,14 @@ class Axes(NamedTuple):
 
 
 class InputMap(NamedTuple):
-    """The network of g(q), and space for its d m entries."""
+    """The network of g(q), and workspace for its d m entries."""
 
     outputs: PackedOutputs
     entries: np.ndarray
 
 
 class InputMatrix(NamedTuple):
-    """A constant input map, shape (d, m), and by how much the gain of each motor falls, (m,)."""
+    """A constant input map, shape (d, m), and the gain reduction of each motor, (m,)."""
 
     matrix: np.ndarray
     fade: np.ndarray
@@ -106,7 +106,7 @@ class InputParameters(NamedTuple):
     own: Columns | Axes | InputMap | InputMatrix | BodyNetwork
 
     def hold(self, columns: np.ndarray, values: np.ndarray, timeout: float) -> None:
-        """Put numbers of a command into effect; other numbers stay active until they expire."""
+        """Apply numbers of a command; other numbers stay active until they expire."""
         if not self.clock[0] < self.command[-1]:
             self.command[:] = 0.0
         self.command[columns], self.command[-1] = values, self.clock[0] + timeout
@@ -176,7 +176,7 @@ def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordina
 
 
 def motors_of(card: MechanicalCard) -> InputMatrix:
-    """Return what the motors of a machine make of commands: by default each its own force."""
+    """Return the input matrix of a machine's motors; by default each drives its own joint."""
     matrix = np.eye(len(card.kinds)) if card.input_map is None else np.array(
         card.input_map, dtype=np.float64)
     return InputMatrix(matrix, np.array(card.fade or np.zeros(matrix.shape[1])))
@@ -211,7 +211,7 @@ def add_by_axis(own: Axes, command: np.ndarray, q: np.ndarray, p: np.ndarray,
 @kept(error_model='numpy')
 def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                f_p: np.ndarray) -> None:
-    """Add g(q) u; g is given row by row, and u is the beginning of the command."""
+    """Add g(q) u; g is stored row by row, and u is the first part of the command."""
     entries = own.entries
     evaluate_outputs(own.outputs, q, p, entries)
     m = entries.size // f_p.size
@@ -223,7 +223,7 @@ def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
 @kept(error_model='numpy')
 def add_by_matrix(own: InputMatrix, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                   f_p: np.ndarray) -> None:
-    """Add A u / (1 + g abs(u)), where u is the beginning of the command."""
+    """Add A u / (1 + g abs(u)), where u is the first part of the command."""
     for i in range(f_p.size):
         f_p[i] = plus_motors(f_p[i], own.matrix, own.fade, command, i)
 

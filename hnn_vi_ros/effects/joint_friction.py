@@ -29,19 +29,19 @@ class JointFriction(Force):
     """
     Viscous and dry friction in joints, f = -b v - (F + k abs(a)) tanh(v / u), v = H_p of each.
 
-    A URDF calls b damping and F friction. Well above the speed u dry friction has the constant
-    size F; below, it is viscous with F / u, so that a joint under load creeps instead of
-    sticking. In a gear it grows with the load: the force a that external_force commands on this
-    coordinate passes through its teeth. Hamon et al. take the force that leaves the gear, which is
-    a less friction and inertia of the rotor, and would have to be solved for: the same to first
-    order in k. Energy account: the power f . v <= 0.
+    A URDF calls b damping and F friction. Well above the speed u, dry friction has the constant
+    magnitude F; below, it is viscous with F / u, so that a loaded joint creeps instead of
+    sticking. In a gear it increases with the load: the force a that external_force commands for
+    this coordinate passes through its teeth. Hamon et al. use the output force of the gear, a
+    minus friction and rotor inertia, which is implicit; both agree to first order in k. For fitted
+    friction use `learned_friction`. Energy account: the power f . v <= 0.
 
     Parameters
     ----------
     from_ : str, optional
         urdf: damping and friction of all joints in the URDF of H.
     damping : dict of str to float, optional
-        b >= 0 by coordinate, in addition to the URDF's or replacing them [N m s/rad], [N s/m].
+        b >= 0 by coordinate, added to the URDF's or replacing them [N m s/rad], [N s/m].
     friction : dict of str to float, optional
         F >= 0, likewise [N m], [N].
     load : dict of str to float, optional
@@ -52,7 +52,7 @@ class JointFriction(Force):
     Raises
     ------
     ValueError
-        There is no friction, or a number is negative or not finite.
+        No friction is given, or a number is negative or not finite.
 
     References
     ----------

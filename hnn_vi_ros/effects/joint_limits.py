@@ -15,20 +15,20 @@ import numpy as np
 
 class JointLimits(RigidContact):
     """
-    Rigid stops at the limits of joints: at each impact the velocity v turns into -e v.
+    Rigid stops at the limits of joints: each impact changes the velocity v to -e v.
 
     Every impact in a step is located to round-off. With e < 1 joints come to rest on their stops
     and are held there together, until a force pulls them away. The URDF's limits of velocity and
-    effort belong to motors and are not used. Energy account: the change of H in the jumps, none
-    for e = 1.
+    effort belong to motors and are ignored. For one wall of a coordinate use `impact`. Energy
+    account: the change of H in the jumps, 0 for e = 1.
 
     Parameters
     ----------
     from_ : str, optional
-        urdf: the limits of all joints in the URDF of H; continuous joints have none, and one that
-        is missing next to the other is 0.
+        urdf: the limits of all joints in the URDF of H; continuous joints have none, and a missing
+        limit next to a given one is 0.
     lower, upper : dict of str to float, optional
-        Limits by coordinate, in addition to the URDF's or replacing them [rad], [m].
+        Limits by coordinate, in addition to the URDF's values or replacing them [rad], [m].
     restitution : float
         e, from 0 to 1 [1].
 
@@ -62,7 +62,7 @@ class JointLimits(RigidContact):
                 raise ValueError(f'the limits of {coordinate.name}, {low:g} and {high:g}, leave '
                                  'no room between; change them, or hold the joint by locked')
         # Copied so that the columns are contiguous for any number of stops: compiled code is
-        # looked up by the layout of its arrays.
+        # cached by the layout of its arrays.
         rows, places = np.argwhere(np.isfinite(ends)).T.copy()
         if not places.size:
             raise ValueError('no joint of the URDF has limits; give lower or upper')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of joints, from the URDF and from the scene."""
+"""Numbers of joints from the URDF and the scene."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -32,14 +32,14 @@ def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,
     source : str or None
         ``'urdf'`` for numbers of its joints.
     of : callable
-        Returns the number of a joint, or None.
+        Function that returns the number of a joint, or None.
     given : mapping of str to float or None
-        Numbers that replace them, by coordinate.
+        Numbers that replace those of the source, by coordinate.
 
     Raises
     ------
     ValueError
-        A coordinate is no joint of a URDF, or a name is unknown.
+        A coordinate is not a joint of a URDF, or a name is unknown.
 
     """
     values = np.full(len(coordinates), np.nan)

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Kernels of a Hamiltonian together with effects that join it, or with forces.
+Kernels of a Hamiltonian with effects that are added to it, or with forces.
 
 They call the Hamiltonian by address, so that effects are compiled once for all Hamiltonians.
 """
@@ -18,13 +18,13 @@ from hnn_vi_ros.kernels import (
     Kernel, Parameters)
 import numpy as np
 
-# The cube root balances the truncation error of a central difference, spacing^2, with rounding,
-# eps / spacing.
+# The cube root balances the truncation error of a central difference, spacing^2, with the rounding
+# error, eps / spacing.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 
 
 def join(kernel: Kernel, effect: Joined, parameters: Parameters) -> Kernel:
-    """Return the kernel of H together with an effect that joins it, resolved to parameters."""
+    """Return the kernel of H with an effect added to it, resolved to parameters."""
     kernel, kind = by_address(kernel), effect.formulas(parameters)
     return composed(kernel, kind.compose(*functions_of(kernel)), (kind,),
                     (kernel.parameters, parameters, np.zeros((2, kernel.dimension))))
@@ -36,10 +36,10 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
     Return a kernel whose gradient is (H_q - f_p, H_p + f_q), extended by time and work.
 
     Each force adds a channel, a further coordinate and momentum: the coordinate is the time since
-    the start of the step, t' = 1, the momentum is the work of the force, w' = power. A quadrature
-    after the step would be simpler, but this way every method integrates both at its own nodes
-    and to its own order. For rotations, f_p holds torques in the frame of the body; they are
-    converted to covectors of quaternions before they are subtracted from H_q.
+    the start of the step, t' = 1, the momentum is the work of the force, w' = power. So every
+    method integrates both at its own nodes and to its own order, which a quadrature after the step
+    would not. For rotations, f_p contains torques in the frame of the body; they are converted to
+    covectors of quaternions before they are subtracted from H_q.
     """
     kernel = by_address(kernel)
     d, channels = kernel.dimension, len(forces)
@@ -86,9 +86,8 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
 
     def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                        v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-        # Forces are differentiated by central differences, not by formulas of their own: only
-        # the Jacobian of Newton's method uses this product, and its errors cost iterations, not
-        # accuracy.
+        # Forces are differentiated by central differences, not by formulas: only the Jacobian of
+        # Newton's method uses this product, and its errors cost iterations, not accuracy.
         base, forces, clock, space, rotations, d, channels, differ = parameters
         for a in range(0, q.size, d + channels):
             b, end = a + d, a + d + channels
@@ -96,7 +95,7 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
                                 product_q[a:b], product_p[a:b])
             product_q[b:end] = 0.0
             product_p[b:end] = 0.0
-            # Shares of the coordinates, and of a velocity of 1: momenta have no scale.
+            # Fractions of the coordinates, and of a velocity of 1: momenta have no scale.
             size = largest(q[a:b])
             reach = max(largest(v_q[a:b]) / (size if size > 0.0 else 1.0), largest(product_p[a:b]))
             reach = reach if reach > 0.0 else largest(v_p[a:b])

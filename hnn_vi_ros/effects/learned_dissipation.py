@@ -15,7 +15,7 @@ import numpy as np
 
 
 class Dissipation(NamedTuple):
-    """The kernel of D, EffectState.gauge, and space for P and the gradient of D, shape (d,)."""
+    """The kernel of D, EffectState.gauge, and workspace for P and D', shape (d,)."""
 
     network: Kernel
     gauge: np.ndarray
@@ -26,13 +26,14 @@ class Dissipation(NamedTuple):
 
 class LearnedDissipation(Force):
     """
-    The gradient of a network D(q, p), as in the dissipative HNN.
+    Gradient of a network D(q, p), as in the dissipative HNN.
 
         q' = H_p + D_q,  p' = -H_q + D_p
 
-    D is a model with the coordinates of H, or the second network of a dissipative HNN, whose
-    first network is H. In a magnetic field both are functions of P = p - c A(q), since they were
-    learned without it. Energy account: the power H_q . D_q + H_p . D_p.
+    D is a model with the coordinates of H, or the second network of a dissipative HNN, whose first
+    network is H. In a magnetic field both are functions of P = p - c A(q), because they were
+    trained without it. For joints use `learned_friction`. Energy account: the power H_q . D_q +
+    H_p . D_p.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ class LearnedDissipation(Force):
         if family not in networks:
             raise ModelError(f'{model}: a model of the family {family} holds no network D; take '
                              f'one of the family {" or ".join(networks)}')
-        # Imported here, since it loads the compiler, which reading a scene does not need.
+        # Imported lazily: reading a scene needs no compiler.
         from hnn_vi_ros.models import NeuralHamiltonian
         self.network = NeuralHamiltonian(checkpoint, networks[family])
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Friction that was learned together with a mechanism."""
+"""Friction that was trained together with a mechanism."""
 
 from collections.abc import Sequence
 import math
@@ -25,12 +25,12 @@ class LearnedFriction(Force):
         f = -b v - sum_k c_k tanh(v / w_k) - sum_l c_l tanh(v / w_l) exp(-(v / s_l)^2)
             - k abs(a) tanh(v / s) - D(q) v
 
-    The terms are viscous, Coulomb (smoothed where v changes its sign), Stribeck, that of a gear
-    which passes on the commanded force a of its motor (see JointFriction), and a network B(q), if
-    the model has it. All b, c, k >= 0 and w, s > 0, and D = B B^T, so that friction can only
-    dissipate. Of a model with directed friction b and c are those of the sign of v, and go over
-    into each other by tanh; the constant offset of its motors is added. A body that rotates has D
-    alone, in its own frame. Energy account: the power f . H_p, of friction <= 0.
+    The terms are viscous, Coulomb (smoothed at v = 0), Stribeck, that of a gear which transmits
+    the commanded force a of its motor (see JointFriction), and a network B(q), if the model has
+    it. All b, c, k >= 0 and w, s > 0, and D = B B^T, so friction can only dissipate. With directed
+    friction, b and c depend on the sign of v, with a tanh transition; the constant offset of the
+    motors is added. A rotating body has only D, in its own frame. For known coefficients use
+    `joint_friction`. Energy account: f . H_p, <= 0 for friction.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class LearnedFriction(Force):
         .safetensors file; usually the model of H. An ensemble acts by the mean friction of its
         members.
     member : int, optional
-        Number of the only member of an ensemble that acts, from 1.
+        Number of the single member of an ensemble that acts, from 1.
 
     Raises
     ------
@@ -72,7 +72,7 @@ class LearnedFriction(Force):
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> 'LearnedFrictionParameters':
         """Return the coefficients, and the function that adds the friction of the network."""
-        # Imported here, since it loads the compiler, which reading a scene does not need.
+        # Imported lazily: reading a scene needs no compiler.
         from hnn_vi_ros.effects.friction_network import friction_of
         return friction_of(self._model, coordinates, state)
 
@@ -85,7 +85,7 @@ class LearnedFriction(Force):
         acts = load.clock[0] < load.command[load.command.size - 1]
         for i in range(q.size):
             v, side = velocity[i], math.tanh(velocity[i] * switch[i])
-            # Of friction that is the same in both directions the differences are exactly zero.
+            # Without directed friction the differences are exactly zero.
             ahead = 0.5 + 0.5 * side
             friction = (viscous[1, i] + ahead * (viscous[0, i] - viscous[1, i])) * v
             for k in range(coulomb.shape[0]):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A homogeneous magnetic field across a plane."""
+"""A homogeneous magnetic field normal to a plane."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -27,7 +27,7 @@ class MagneticField(Joined):
     Minimal coupling, H(q, p - c A(q)), to the field B of A = B (-y, x) / 2 in the plane (x, y).
 
     A free particle of mass m circles with the angular frequency c B / m [rad/s]. p is the
-    canonical momentum; the velocity is H_p. Energy account: the field joins H and does no work.
+    canonical momentum; the velocity is H_p. Energy account: part of H, no work.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class MagneticField(Joined):
         self.plane, self.strength = plane, charge * field
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the method takes a nonseparable H."""
+        """Return True if the method supports a nonseparable H."""
         needs = integrator.requirements
         return needs.hamiltonian and not needs.separable
 

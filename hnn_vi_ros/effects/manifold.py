@@ -11,11 +11,11 @@ from hnn_vi_ros.kernels import DEPENDENT, Kernel
 import numba
 import numpy as np
 
-# Relative error that an initial state may have. The first step removes it; a larger one is taken
-# for a mistake instead of being projected silently.
+# Relative error that an initial state may have. The first step removes it; a larger one is treated
+# as a mistake instead of being projected silently.
 _TOLERANCE = 1e-9
-# Spacing of a central difference, and the relative error that is accepted of it, 1000 times its
-# rounding. Constraints with a larger share than _SHARE are named where another depends on them.
+# Spacing of a central difference, and its allowed relative error, 1000 times its rounding.
+# Constraints with a share above _SHARE are named if another depends on them.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 _SLOPE, _SHARE = 1e-6, 1e-6
 
@@ -36,7 +36,7 @@ class Manifold:
     Attributes
     ----------
     constraints : Constraints
-        The parameters and the space of steps.
+        Parameters and workspace of steps.
     kind : type
         The layer that Wrapped puts around a step.
 
@@ -80,7 +80,7 @@ class Manifold:
         EffectError
             A constraint depends on others there, or its gradient is wrong.
         ValueError
-            q violates a constraint, or the velocity leads off it.
+            q violates a constraint, or the velocity leaves the manifold.
 
         """
         state, (velocity, force) = np.zeros((2, 2, self._kernel.dimension))
@@ -132,7 +132,7 @@ class Manifold:
                              f'{rate:.3g} {unit}; choose p whose velocity is along the constraint')
 
     def _check_independence(self, state: np.ndarray, gradient: np.ndarray) -> None:
-        """Find the first constraint whose gradient, measured by H_pp, depends on earlier ones."""
+        """Find the first constraint whose gradient depends on earlier ones, in the metric H_pp."""
         response = np.zeros_like(gradient)
         zero, rest = np.zeros((2, gradient.shape[1]))
         for along, answer in zip(gradient, response, strict=True):
@@ -157,7 +157,7 @@ class Manifold:
 
 @cache
 def _compiles(function: object) -> str:
-    """Return the reason why numba cannot compile a user's function; empty if it can."""
+    """Return the reason numba cannot compile a user's function, '' if it can."""
     try:
         numba.njit(function).compile((numba.float64[::1], numba.float64[::1]))
     except numba.core.errors.NumbaError as problem:

@@ -12,13 +12,13 @@ from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import columns, Coordinate
 import numpy as np
 
-# Number of states near the initial one at which different rates of friction are tested. A random
+# Number of states near the initial one at which different friction rates are tested. A random
 # sample is no proof, but the mass matrices of mechanisms vary slowly.
 _STATES = 64
-# Relative coupling that is accepted: a learned mass matrix couples, by its error, coordinates that
-# the true one does not.
+# Allowed relative coupling: a learned mass matrix couples, by its error, coordinates that the true
+# one does not.
 _COUPLING = 1e-3
-# Relative difference from the mass of H that a given mass may have.
+# Allowed relative difference of a given mass from the mass of H.
 _TOLERANCE = 1e-6
 
 
@@ -59,7 +59,7 @@ def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
     base = getattr(hamiltonian, 'base', hamiltonian)
     zero = np.zeros(q.size - len(base.rotations))
     drift = np.abs(base.gradient(q, zero)[1]).max()
-    # Learned models, which have a box, are exempt: some drift is one of their errors.
+    # Learned models, which have a box, are exempt: some drift is part of their error.
     if base.box is None and drift > _COUPLING * np.abs(base.inverse_mass(q, zero)).max():
         warnings.warn(
             'damping: H_p is not 0 at p = 0, as in a frame that turns: p is not the momentum of '
@@ -68,14 +68,14 @@ def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
 
 
 class Friction(NamedTuple):
-    """The rates of friction on P = p - c A(q), one a column [1/s], and EffectState.gauge."""
+    """Friction rates on P = p - c A(q), one for each column [1/s], and EffectState.gauge."""
 
     rate: np.ndarray
     gauge: np.ndarray
 
 
 def check_masses(hamiltonian: Hamiltonian, q: np.ndarray, given: np.ndarray | None) -> None:
-    """Raise ValueError if H has no masses at q, shape (d,), or others than the given ones."""
+    """Raise ValueError if H has no masses at q, shape (d,), or they differ from the given ones."""
     inverse = hamiltonian.inverse_mass(q, np.zeros(q.size))
     if not (np.isfinite(inverse).all() and np.linalg.eigvalsh(inverse)[0] > 0.0):
         raise ValueError(

@@ -3,7 +3,7 @@
 """
 Random numbers that depend only on a seed and a count, so that any step can be repeated.
 
-A generator with a hidden state would have to be saved and restored with every attempt at a step.
+The state of a usual generator would have to be saved and restored for every attempt at a step.
 """
 
 import math
@@ -46,17 +46,17 @@ def draw_uniform(seed: int, draws: np.ndarray) -> float:
 @kept()
 def fill_normals(seed: int, draws: np.ndarray, normals: np.ndarray) -> None:
     """
-    Fill an array with standard normal numbers, by the method of Box and Muller.
+    Fill an array with standard normal numbers, by the Box-Muller method.
 
     Parameters
     ----------
     seed : int
         Seed of the random numbers.
     draws : np.ndarray, shape (3,)
-        Counts of numbers drawn in completed steps and in the present one, which is advanced, and
+        Counts of numbers drawn in completed steps and in the present one, which is increased, and
         the number of the stream. See EffectState.
     normals : np.ndarray, shape (n,)
-        The array.
+        The array to fill.
 
     References
     ----------

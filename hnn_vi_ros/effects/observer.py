@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Observer that draws a simulation towards the machine that it is the twin of."""
+"""Observer that corrects a simulation with observations of the machine whose twin it is."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -34,11 +34,10 @@ class ObserverParameters(NamedTuple):
     gain, damping, velocity_limit : float
         k, lambda and V; see Observer.
     reach : float
-        The largest q - y from which the simulation is pulled [m], [rad].
+        The largest q - y from which the simulation is corrected smoothly [m], [rad].
     knots : np.ndarray, shape (m, 1 + 3 d)
-        Knots of Reference. The last row, behind those of a path, belongs to the observer: the
-        time at which the observation expires, the time at which it was made [s], n positions and
-        n velocities.
+        Knots of Reference. The last row, after those of a path, belongs to the observer: expiry
+        time of the observation, time at which it was made [s], n positions and n velocities.
     clock : np.ndarray
         See EffectState.
 
@@ -57,34 +56,35 @@ class Observer(StepEffect, Commanded):
     """
     A Luenberger observer: q' = H_p - lambda (q - y), p' = -H_q - k (q - y), y(t) observed.
 
-    The pull and the decay to y are taken by their exact flow for half a step, before and after
-    that of a method of order 1 or 2 (Strang). Errors of a mass m decay by s^2 + lambda s + k / m.
-    y goes on at the observed velocity until the next. Where a q - y is more than V / lambda, or V
-    times the time-out if that is less, the observed coordinates are set to y, at rest: a pull from
-    so far would make them faster than the machine. Energy account: the change of H.
+    Correction and decay to y use their exact flow for half a step, before and after that of a
+    method of order 1 or 2 (Strang). Errors of a mass m decay by s^2 + lambda s + k / m. y is
+    extrapolated at the observed velocity until the next observation. If a q - y exceeds
+    V / lambda, or V times the time-out if that is less, the observed coordinates are set to y, at
+    rest: a pull from so far would move them faster than the machine. Use it for the twin of a
+    machine. Energy account: the change of H.
 
     Parameters
     ----------
     coordinates : list of str
         The observed coordinates.
     gain : float
-        k >= 0 [N/m], [N m/rad]; 0 observes and compares, and leaves the simulation alone.
+        k >= 0 [N/m], [N m/rad]; 0 only observes and compares, without changing the simulation.
     damping : float
         lambda >= 0 [1/s].
     timeout : float
-        How long an observation holds, and how old one may be, > 0 [s].
+        Time for which an observation is valid, and its maximum age, > 0 [s].
     deviations : list of float, optional
-        Standard deviations, the units of errors [m], [rad]; estimated from the observations by
-        default.
+        Standard deviations, the units of errors [m], [rad]; by default estimated from the
+        observations.
     predictions : int
-        From 1 to 40; one begins every 2 s / this.
+        Number of predictions, from 1 to 40; one starts every 2 s / this number.
     velocity_limit : float
         V > 0, the velocity limit of the machine [m/s], [rad/s]; faster observations are ignored.
 
     Raises
     ------
     ValueError
-        A parameter is out of its range, or there is no coordinate, or one is named twice.
+        A parameter is out of its range, no coordinate is named, or one is named twice.
 
     References
     ----------
@@ -103,7 +103,7 @@ class Observer(StepEffect, Commanded):
         self.timeout, self.velocity_limit = float(timeout), float(velocity_limit)
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether splitting leaves the method its order."""
+        """Return True if splitting preserves the order of the method."""
         own = integrator.requirements
         return own.from_state and integrator.order <= 2 and super().accepts(integrator)
 
@@ -116,7 +116,7 @@ class Observer(StepEffect, Commanded):
 
     def prepare(self, command: Command, parameters: ObserverParameters, q: np.ndarray
                 ) -> Callable[[], None]:
-        """Return a function that puts an observation into effect."""
+        """Return a function that applies an observation."""
         assert isinstance(command, Observation)
         position, velocity = select(command, self.names)
         now, row = parameters.clock[0], parameters.knots[-1]
@@ -125,7 +125,7 @@ class Observer(StepEffect, Commanded):
             raise ValueError(
                 f'observed {command.delay:.3g} s from the simulated time, at most '
                 f'{self.timeout:g} s are taken; stamp by simulated time, or by zero for now')
-        # An observation that was stamped ahead of time gives way to a present one.
+        # A present observation replaces one with a time stamp in the future.
         if row[0] > 0.0 and row[1] <= now and seen < row[1] - _LEAST:
             raise ValueError(
                 f'observed {row[1] - seen:.3g} s before the last observation: it is late')
@@ -158,11 +158,11 @@ def _check_reached(position: np.ndarray, velocity: np.ndarray, seen: float,
                    own: ObserverParameters, names: Sequence[str], timeout: float, q: np.ndarray
                    ) -> None:
     """
-    Raise ValueError for an observation that the velocity limit of the machine rules out.
+    Raise ValueError for an observation that the velocity limit of the machine excludes.
 
-    The machine can be where it gets to from its last observation, or from the position to which
-    the simulation is drawn: a wrong observation that looked right must not make the next right
-    one look wrong. Before the first observation it can be as far away as it gets in the time-out.
+    The machine can be anywhere it can reach from its last observation, or from the position to
+    which the simulation is corrected: an accepted outlier must not make the next correct
+    observation invalid. Before the first observation it can be as far as it gets in the time-out.
     """
     limit, row, n = own.velocity_limit, own.knots[-1], len(names)
     beyond = np.abs(position - q[own.columns]) - (own.reach if row[0] > 0.0 else limit * timeout)
@@ -180,10 +180,10 @@ def _check_reached(position: np.ndarray, velocity: np.ndarray, seen: float,
 @inlined
 def _flow(own: ObserverParameters, h: float, q: np.ndarray, p: np.ndarray, p_carry: np.ndarray
           ) -> None:
-    # Half a step from either end is the same instant: the splitting stays symmetric.
+    # Both half steps use the same instant, so the splitting stays symmetric.
     t, row = own.clock[0] + h, own.knots[own.knots.shape[0] - 1]
     n, decay = own.columns.size, math.expm1(-own.damping * h)
-    # The integral of exp(-lambda t) over h: both act together.
+    # The integral of exp(-lambda t) over h: pull and decay act together.
     pull = own.gain * (-decay / own.damping if own.damping > 0.0 else h)
     if t > row[0] or own.gain + own.damping == 0.0:
         return

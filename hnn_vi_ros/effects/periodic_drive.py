@@ -26,7 +26,8 @@ class PeriodicDrive(Force):
     """
     A harmonic drive of one coordinate, f = F cos(2 pi nu t + phi).
 
-    t is the simulated time at the method's node. Energy account: the power f v.
+    t is the simulated time at the method's node. For other time functions use `external_force`.
+    Energy account: the power f v.
 
     Parameters
     ----------

@@ -36,8 +36,8 @@ def resolve_pair(coordinates: Sequence[Coordinate], point: Sequence[str],
     Returns
     -------
     first, second, anchor : np.ndarray, shape (n,)
-        The columns of the first point; the columns of the second, -1 for an anchor; the anchor,
-        zeros for a second point.
+        Columns of the first point; columns of the second, -1 for an anchor; the anchor, zeros for
+        a second point.
 
     Raises
     ------

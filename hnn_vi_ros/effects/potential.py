@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A potential energy that is written as a formula."""
+"""A potential energy given as a formula."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -16,20 +16,20 @@ class FormulaPotential(Potential):
     """
     A potential energy V(q) as a formula of coordinates, such as ``k*(x - y)^2 / 2``.
 
-    It is written, read and compiled as H of ``hamiltonian: {kind: formula}`` is. Energy account: V
-    joins H.
+    Syntax and compilation are those of H in ``hamiltonian: {kind: formula}``. Energy account: V is
+    part of H.
 
     Parameters
     ----------
     formula : str
         V [J], at most 4000 characters.
     parameters : dict of str to float, optional
-        Values of the names in it that are no coordinates, in units of theirs.
+        Values of the names in the formula that are not coordinates, in their units.
 
     Raises
     ------
     ValueError
-        A formula that cannot be read, or a name that is not known or not used; names the column.
+        The formula is invalid, or a name is unknown or unused; the message gives the column.
 
     """
 
@@ -39,7 +39,7 @@ class FormulaPotential(Potential):
         self._formulas: type[Joined] = FormulaPotential
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> tuple[float, ...]:
-        """Return the parts of V that do not change."""
+        """Return the constant subexpressions of V."""
         columns, graph = scalar_columns(coordinates), Graph()
         own = {name: value for name, value in self.parameters.items() if name not in columns}
         if len(own) < len(self.parameters):
@@ -67,13 +67,13 @@ class FormulaPotential(Potential):
         return tuple(float(values[a]) for a in constants)
 
     def formulas(self, parameters: tuple[float, ...]) -> type[Joined]:
-        """Return those of the formula in the coordinates that were last resolved."""
+        """Return the formulas in the coordinates that were last resolved."""
         return self._formulas
 
 
 @cache
 def _bound(*functions: Callable[..., Any]) -> type[Joined]:
-    """Return a class of three functions, by a name that holds what they are made of."""
+    """Return a class of three functions, under a name that is unique to their sources."""
     names = ('energy', 'add_gradient', 'add_hessian_vector')
     digests = '_'.join(function.__qualname__.rpartition('_')[2] for function in functions)
     made = type(f'FormulaPotential_{digests}', (FormulaPotential,), {

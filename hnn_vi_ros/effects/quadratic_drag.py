@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The drag of a fast body in a fluid."""
+"""Drag of a fast body in a fluid."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -24,15 +24,15 @@ class QuadraticDrag(Force):
     """
     Newton's drag, f = -b |v| v, where v is the joint velocity H_p of some coordinates.
 
-    Energy account: the power f . v = -b |v|^3.
+    For slow motion use `damping`. Energy account: the power f . v = -b |v|^3.
 
     Parameters
     ----------
     coordinates : list of str
-        The coordinates that move through the fluid [m]; for a body its position, such as
-        body_x, or its rotation, such as body_rx, with a drag in N m s^2.
+        Coordinates that move through the fluid [m]; for a body its position, such as body_x, or
+        its rotation, such as body_rx, with a drag in N m s^2.
     coefficient : float
-        b > 0 [kg/m], half of density, area and drag coefficient.
+        b > 0 [kg/m], half the product of density, area and drag coefficient.
 
     Raises
     ------

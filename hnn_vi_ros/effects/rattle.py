@@ -3,7 +3,7 @@
 """
 RATTLE: impulses around a step that keep a system on its holonomic constraints g(q) = 0.
 
-Constraints are distances, planes and the user's functions, all solved together.
+Constraints are distances, planes and user-defined functions, all solved together.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,11 +21,11 @@ import numpy as np
 _EPS = float(np.finfo(np.float64).eps)
 _ITERATIONS = 50
 # Rounding error of a step's coordinates and of a distance, in units of eps times their size. The
-# iteration stops there if an error no longer decreases; below it nothing can be resolved.
+# iteration stops there if an error no longer decreases; smaller errors cannot be resolved.
 _ROUNDING = 64
-# The variational equation is only the Jacobian of Newton's method, so that an error of _CLOSE
-# costs less than more of its iterations would; it is solved again if an error decreases by less
-# than the factor _SLOW.
+# The variational equation only serves as the Jacobian of Newton's method, so that an error of
+# _CLOSE costs less than more of its own iterations; it is solved again if an error decreases by
+# less than the factor _SLOW.
 _VARIATIONS, _CLOSE, _SLOW = 12, 3e-3, 0.5
 
 
@@ -56,14 +56,14 @@ class ConstraintEquation(NamedTuple):
 
 class Constraints(NamedTuple):
     """
-    K constraints, and space to solve for their impulses; the user's functions come last.
+    K constraints, and workspace to solve for their impulses; user-defined functions come last.
 
     Parameters
     ----------
     first, second, anchor, normal : np.ndarray, shape (L, n)
         See ConstraintEquation; for the L distances and planes.
     sizes, planes : np.ndarray, shape (L,)
-        The number of coordinates of each, and whether it is a plane.
+        Number of coordinates of each, and True if it is a plane.
     lengths : np.ndarray, shape (L,)
         The required distances [m].
     old, new, response : np.ndarray, shape (K, D)
@@ -79,7 +79,7 @@ class Constraints(NamedTuple):
     dependent : np.ndarray, shape (1,)
         The constraint that was last found to depend on earlier ones.
     middle : np.ndarray, shape (2, D)
-        q and p half-way.
+        q and p at the middle of the step.
 
     """
 
@@ -105,7 +105,7 @@ class Constraints(NamedTuple):
     @classmethod
     def of(cls, listed: Sequence[ConstraintEquation], dimension: int, effects: int
            ) -> 'Constraints':
-        """Return constraints, functions last, with space for a kernel of this dimension."""
+        """Return constraints, functions last, with workspace for a kernel of this dimension."""
         known = [part for part in listed if part.function is None]
         n = max((part.first.size for part in known), default=0)
         first, second = np.full((2, len(known), n), -1)
@@ -173,7 +173,7 @@ _jitable = cache(inlined)
 
 @cache
 def _chain(functions: tuple[Callable[..., float], ...]) -> Callable[..., None]:
-    """Return a function that evaluates the user's functions, one after another."""
+    """Return a function that evaluates the user's functions in sequence."""
     if not functions:
         return _evaluate_none
     function, rest = _jitable(functions[0]), _chain(functions[1:])
@@ -206,7 +206,7 @@ class Multipliers(NamedTuple):
 
 class RattleWork(NamedTuple):
     """
-    The workspace of a step between two impulses.
+    Workspace of a step between two impulses.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ class RattleWork(NamedTuple):
 
 
 class Rattle(Layer):
-    """Layer of Wrapped that solves distances and planes by RATTLE; see ``rattle``."""
+    """Layer of Wrapped that satisfies the constraints by RATTLE; see ``rattle``."""
 
     functions: tuple[Callable[..., float], ...] = ()
     repeats = True
@@ -240,7 +240,7 @@ class Rattle(Layer):
 
 @cache
 def rattle_kind(functions: tuple[Callable[..., float], ...]) -> type[Rattle]:
-    """Return the layer with the user's functions, whose compiled code is not kept on disk."""
+    """Return the layer with the user's functions, whose compiled code is not cached on disk."""
     if not functions:
         return Rattle
     foreign = [function.__module__ for function in functions if not is_own(function.__module__)]
@@ -256,11 +256,11 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
         p+ = p_n - (h/2) G(q_n)^T lambda,  (q_(n+1), p-) = step(q_n, p+),  g(q_(n+1)) = 0
         p_(n+1) = p- - (h/2) G(q_(n+1))^T mu,  G(q_(n+1)) H_p(q_(n+1), p_(n+1)) = 0
 
-    The step is symplectic on the constraint manifold and symmetric if the method's step is, and
-    of order 2. lambda is found by Newton's method. The derivative of q_(n+1) by an impulse solves
-    the variational equation by the midpoint rule, with H_pp, H_qp and H_qq half-way: h H_pp alone
-    would be cheaper, but converges slowly where H is stiff. Of several solutions the one that
-    vanishes with h is taken; all leading minors of its Jacobian are positive.
+    The step is symplectic on the constraint manifold and symmetric if the method's step is, and of
+    order 2. lambda is computed by Newton's method. The derivative of q_(n+1) by an impulse solves
+    the variational equation by the midpoint rule, with H_pp, H_qp and H_qq at the middle: h H_pp
+    alone would be cheaper, but converges slowly if H is stiff. Of several solutions the one that
+    vanishes with h is chosen; all leading minors of its Jacobian are positive.
 
     References
     ----------
@@ -318,7 +318,7 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
 def _solve_for_impulses(constraints: Constraints, h: float, first: bool) -> int:
     """Fill the right-hand side with the change of the multipliers; return an outcome."""
     if first:
-        # Whether the constraints depend on each other where the step begins.
+        # Check if the constraints are independent at the start of the step.
         constraints.right[:] = 0.0
         outcome = _solve(constraints, constraints.old, h)
         if outcome != OK:
@@ -329,7 +329,7 @@ def _solve_for_impulses(constraints: Constraints, h: float, first: bool) -> int:
 
 @called
 def _end(kernel: Kernel, h: float, constraints: Constraints, z: Point) -> int:
-    """Remove the velocity off the constraints; return the number of gradients, -1 on failure."""
+    """Remove the velocity normal to the constraints; return the gradients, -1 on failure."""
     count, previous, spent = constraints.defect.size, np.inf, 0
     for _ in range(_ITERATIONS):
         kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
@@ -390,8 +390,8 @@ def _solve(constraints: Constraints, gradient: np.ndarray, factor: float) -> int
     Returns
     -------
     int
-        OK; REDUNDANT, and the row is noted, if one row depends on earlier ones; else NOT_HELD,
-        if a step is too long, or not finite.
+        OK; REDUNDANT, with the row stored, if it depends on earlier ones; else NOT_HELD, if a step
+        is too long, or not finite.
 
     """
     matrix, count = constraints.matrix, constraints.defect.size

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects that a scene can add to its Hamiltonian, by the kind that its YAML names."""
+"""Effects that a scene can add to its Hamiltonian, by their kind in YAML."""
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.damping import Damping
@@ -47,6 +47,6 @@ EFFECTS: dict[str, type[Effect]] = {
 
 
 def effect_name(effect: Effect) -> str:
-    """Return the name of an effect in a scene; the user's own effects take their class's name."""
+    """Return the name of an effect in a scene; for user-defined effects the name of the class."""
     return next((name for name, kind in EFFECTS.items() if type(effect) is kind),
                 type(effect).__name__)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motors that move joints to commanded positions, at commanded velocities, or along paths."""
+"""Servos that move joints to commanded positions, at commanded velocities, or along paths."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -18,12 +18,12 @@ from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
-# Modes of a coordinate: it has no command yet, or follows a position, a velocity or a path.
+# Modes of a coordinate: no command yet, or it follows a position, a velocity or a path.
 _IDLE, _AT_POSITION, _AT_VELOCITY, _ON_PATH = range(4)
-# Upper bound on the knots of a path. Each has a row of Reference.knots, whose size is fixed,
-# since compiled steps hold its address.
+# Maximum number of knots of a path. Each has a row of Reference.knots, whose size is fixed,
+# because compiled steps contain its address.
 MOST_KNOTS = 1024
-# A path that starts further ahead is stamped by another clock, not by simulated time [s].
+# A path that starts further ahead was stamped by another clock, not in simulated time [s].
 _LONGEST_DELAY = 3600.0
 
 
@@ -38,7 +38,7 @@ class ServoParameters(NamedTuple):
     reference, clock
         See EffectState.
     stiffness, damping, limit : np.ndarray, shape (n,)
-        k, c and F; infinite for none.
+        k, c and F; infinite for no limit.
     start : np.ndarray, shape (n,)
         Positions at which the joints are held before the first command; NaN for none.
 
@@ -57,10 +57,10 @@ class Servo(Force, Commanded):
     """
     A servo for each joint, f = k (q_r - q) + c (v_r - v), limited to -F to F, where v = H_p.
 
-    A command sets q_r and v_r: a position with a velocity, by default zero; a velocity alone,
-    which only c follows; or a path, whose splines are evaluated at the method's own nodes. It is
-    active until the next command. Angles count turns: q_r - q is not wrapped. Energy account: the
-    power f v.
+    A command sets q_r and v_r: a position with a velocity, by default zero; only a velocity, which
+    only c follows; or a path, whose splines are evaluated at the method's nodes. It is active
+    until the next command. Angles count revolutions: q_r - q is not wrapped. For efforts use
+    `external_force`. Energy account: f v.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class Servo(Force, Commanded):
 @inlined
 def _segment_at(reference: Reference, t: float) -> int:
     """Return the last knot of the path that is not after a time; 0 before all of them."""
-    # The count may come from a damaged file and must not lead beyond the knots.
+    # The count may come from a damaged file and must not exceed the knots.
     low, high = 0, min(reference.extent[0], reference.knots.shape[0]) - 1
     while low < high:
         middle = (low + high + 1) // 2
@@ -174,7 +174,7 @@ def _along(reference: Reference, segment: int, i: int, t: float) -> tuple[float,
     knots, d = reference.knots, reference.modes.size
     q0, v0, a0 = knots[segment, 1 + i], knots[segment, 1 + d + i], knots[segment, 1 + 2 * d + i]
     if segment + 1 >= min(reference.extent[0], knots.shape[0]) or t < knots[segment, 0]:
-        # The path rests at its end, and does not move before its start.
+        # The path is at rest after its end and before its start.
         return q0, 0.0, 0.0
     q1, v1, a1 = (knots[segment + 1, 1 + i], knots[segment + 1, 1 + d + i],
                   knots[segment + 1, 1 + 2 * d + i])
@@ -218,9 +218,9 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
     """
     Return a function that makes joints follow a path from now on, or raise ValueError.
 
-    The path starts at the present targets, so that the reference does not jump, and continues
-    with the points in the future. Points without velocities take the velocities of the cubic
-    spline that rests at its end. A path without points holds the joints at the start.
+    The path starts at the present targets, so that the reference does not jump, and continues with
+    the points in the future. Points without velocities get the velocities of the cubic spline that
+    ends at rest. A path without points holds the joints at the start.
     """
     _check_path(path, names)
     start = _aim(own, names).targets
@@ -246,7 +246,7 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
     if path.velocities is not None:
         slopes = np.vstack([start[1], path.velocities[ahead][:, order]])
     else:
-        # Imported here, since it is slow to import and only such paths need it.
+        # Imported lazily: the import is slow, and only such paths need it.
         from scipy.interpolate import CubicSpline
         rest = np.zeros(len(names))
         slopes = CubicSpline(t - now, points, bc_type=((1, start[1]), (1, rest)))(t - now, 1)

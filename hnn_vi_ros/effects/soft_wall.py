@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A wall that pushes back smoothly."""
+"""A smooth repulsive wall."""
 
 from collections.abc import Sequence
 import math
@@ -28,8 +28,8 @@ class SoftWall(Potential):
     A one-sided smooth spring, V = k w^2 s(x / w)^2 / 2 with s(y) = log(1 + e^y).
 
     x is the depth behind the wall. Far behind it, V approaches k x^2 / 2; far in front of it, V
-    vanishes like exp(2 x / w). It has derivatives of every order, so that methods keep theirs;
-    a spring that sets in at x = 0 has a jump in V''. Energy account: V joins H.
+    vanishes like exp(2 x / w). V is smooth, so that methods keep their order; a spring that starts
+    at x = 0 has a jump in V''. For a rigid wall use `impact`. Energy account: V is part of H.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class SoftWall(Potential):
     position : float
         Position of the wall, in the coordinate's unit.
     side : str
-        ``'above'`` or ``'below'``: where the motion is free.
+        Side of free motion, ``'above'`` or ``'below'``.
     stiffness : float
         k > 0 [N/m], [N m/rad].
     width : float

@@ -22,7 +22,7 @@ def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
     step : callable
         The step of the method.
     keeps_gradient : bool
-        Whether the step reads the gradient at its start.
+        True if the step reads the gradient at its start.
 
     References
     ----------
@@ -32,7 +32,7 @@ def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
     """
     @inlined
     def half_flow(kernel: Kernel, h: float, parameters: Parameters, z: Point) -> float:
-        """Change the state; return the work."""
+        """Change the state, and return the work."""
         before = energy_of(kernel, z)
         d = kernel.dimension - kernel.channels
         for a in range(0, z.q.size, kernel.dimension):
@@ -62,8 +62,8 @@ def largest_gain(mass: float, damping: float, h: float) -> float:
     """
     Return the largest gain for which the splitting of an observer is stable at a step size.
 
-    Half a flow, the flight of a free mass m and another half map (q - y, p) with the determinant
-    exp(-lambda h); both eigenvalues are at most 1 in size up to k = (2 m lambda / h)
+    Half a flow, the motion of a free mass m, and another half flow map (q - y, p) with the
+    determinant exp(-lambda h); both eigenvalues have modulus at most 1 up to k = (2 m lambda / h)
     coth(lambda h / 2), which is 4 m / h^2 without damping.
 
     Parameters

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A spring between two points, of coordinates or of bodies, or from a point to a fixed one."""
+"""A spring between two points of coordinates or of bodies, or to a fixed point."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -27,16 +27,16 @@ class Elastic(NamedTuple):
 
 class BodyElastic(NamedTuple):
     """
-    Two ends in space, at least one of which is on a body; stiffness k and rest length l.
+    Two ends in space, at least one of them on a body; stiffness k and rest length l.
 
     Parameters
     ----------
     columns : np.ndarray of int, shape (2, 4)
-        For each end the columns in q of its position, and of the quaternion that rotates its arm;
+        For each end, the columns in q of its position, and of the quaternion that rotates its arm;
         -1 for none.
     arms : np.ndarray, shape (2, 3)
-        The arm of each end, in the frame of its body; an end that is not on a body has the arm
-        zero, or its fixed position.
+        Arm of each end, in the frame of its body; for an end that is not on a body, zero or its
+        fixed position.
     stiffness, rest_length : float
         See Spring.
 
@@ -52,12 +52,13 @@ class Spring(Potential):
     """
     A linear spring, V = k (r - l)^2 / 2, where r is the distance of its ends.
 
-    Between points of one coordinate, r is the signed difference. Energy account: V joins H.
+    Between points of one coordinate, r is the signed difference. A rigid rod is
+    `holonomic_constraint`. Energy account: V is part of H.
 
     Parameters
     ----------
     point : list of str
-        Names of the coordinates of one end [m], or of the body that it is fixed to.
+        Names of the coordinates of one end [m], or of the body to which it is fixed.
     other : list of str, optional
         Names of the coordinates of the other end, or of its body, or
     anchor : list of float, optional
@@ -67,7 +68,7 @@ class Spring(Potential):
     rest_length : float
         l >= 0 [m].
     point_in_body, other_in_body : list of float, optional
-        Positions of the ends on their bodies, in the frame of each [m]; default: its origin.
+        Positions of the ends on their bodies, in body frames [m]; by default the origin.
 
     Raises
     ------
@@ -162,7 +163,7 @@ class Spring(Potential):
 
 
 class BodySpring(Potential):
-    """The formulas of a spring between points of bodies; never instantiated."""
+    """Formulas of a spring between points of bodies; never instantiated."""
 
     @staticmethod
     @inlined
@@ -228,7 +229,7 @@ def _resolve_end(coordinates: Sequence[Coordinate], end: str, names: Sequence[st
 
 @inlined
 def _end(parameters: BodyElastic, end: int, q: np.ndarray, v: np.ndarray, changes: bool) -> Vector:
-    """Return the position of an end, v = q, or if it ``changes`` its derivative by q, along v."""
+    """Return the position of an end, v = q, or if ``changes`` its derivative by q along v."""
     at, arms = parameters.columns, parameters.arms
     arm = (arms[end, 0], arms[end, 1], arms[end, 2])
     if at[end, 3] >= 0:

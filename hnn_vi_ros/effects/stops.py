@@ -1,11 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Rigid stops: steps that are cut where coordinates meet them, and impulses that hold what rests.
+Rigid stops: steps are cut at impacts, and impulses hold resting coordinates.
 
 All stops of an effect are treated together. Joints share a mass matrix, so that an impact at one
-stop changes the velocities at the others, and the impulses that hold several joints are coupled.
-A step that meets no stop costs one more gradient at each end, for the velocities there.
+stop changes the velocities at the others, and the impulses that hold several joints are coupled. A
+step without an impact costs one more gradient at each end, for the velocities there.
 """
 
 from collections.abc import Callable
@@ -24,24 +24,23 @@ _EPS = float(np.finfo(np.float64).eps)
 # A step with more impacts than this fails. An elastic body that bounces forever must neither be
 # brought to rest nor pass through the stop.
 MOST_IMPACTS = 10_000
-# Shorter flights, as a share of the step, are not followed one by one if the geometric series of
-# all remaining flights ends within the step. Such a flight reaches less than 3e-11 of the distance
-# that the same acceleration covers in a step, so that following it would change nothing but cost.
+# Flights shorter than this fraction of the step are not followed individually if the geometric
+# series of all remaining flights ends within the step. Such a flight reaches less than 3e-11 of
+# the distance that the same acceleration covers in a step, so following it would only add cost.
 _SHORTEST_FLIGHT = 1e-5
-# After this many impacts in a step, for each stop, short flights count as the end of a series:
-# joints that drive each other into their stops would otherwise fly and hit without end.
+# After this many impacts per stop in a step, short flights count as the end of a series: joints
+# that drive each other into their stops would otherwise bounce without end.
 _MANY = 2
-# Other joints count as driven by an impact above this share of its speed; less is rounding.
+# Other joints count as driven by an impact above this fraction of its speed; less is rounding.
 _DRIVEN = 1e-12
-# A coordinate is held if it ends within _HELD roundings of its stop. Where rounding keeps the
-# iteration from that, a share _STALLED of the first depth is accepted, for the velocity is exact
-# either way. Each stop has at most _PUSHES trials.
+# A coordinate is held if it ends within _HELD roundings of its stop. If rounding prevents that, a
+# fraction _STALLED of the first depth is accepted, because the velocity is exact either way. Each
+# stop has at most _PUSHES trials.
 _HELD, _STALLED, _PUSHES = 8.0, 1e-9, 30
 # Velocities are iterated to rounding; a larger error, up to _NEAR roundings, is accepted only if
 # the iteration no longer reduces it.
 _NEWTON_ITERATIONS, _NEAR = 50, 1e3
-# In a trial, a stop is either not touched, or it pushes, or it was released because it would have
-# to pull.
+# State of a stop in a trial: not touched, pushing, or released because it would have to pull.
 _OFF, _ON, _RELEASED = 0, 1, 2
 
 
@@ -62,7 +61,7 @@ class Stops(NamedTuple):
     nodes, counts, widths : np.ndarray, shape (W, 66, 5), (W, 2), (W, 3)
         One ``Search`` for each stop.
     kept : np.ndarray, shape (4, K)
-        Space for the pending work and the resting stops of the K effects, before the present part
+        Copies of the pending work and the resting stops of the K effects, before the present part
         of the step and before the step.
     cuts : np.ndarray, shape (1,)
         Impacts so far, including impacts in trials.
@@ -82,13 +81,13 @@ class Stops(NamedTuple):
     @classmethod
     def of(cls, columns: np.ndarray, positions: np.ndarray, signs: np.ndarray,
            restitution: float, effects: int) -> 'Stops':
-        """Return W stops with their space, in a scene with this number of effects."""
+        """Return W stops with their workspace, in a scene with this number of effects."""
         return cls(columns, positions, signs, restitution, *Search.several(columns.size),
                    np.zeros((4, effects)), np.zeros(1, dtype=np.int64))
 
 
 class Rates(NamedTuple):
-    """Space of shape (n,) for a gradient and a Hessian-vector product."""
+    """Arrays of shape (n,) for a gradient and a Hessian-vector product."""
 
     dH_dq: np.ndarray
     dH_dp: np.ndarray
@@ -98,12 +97,12 @@ class Rates(NamedTuple):
 
 class StopsWork(NamedTuple):
     """
-    The workspace of a step with W stops.
+    Workspace of a step with W stops.
 
     Parameters
     ----------
     start : Point
-        The state at the beginning of the present part of the step, with the impulses of stops.
+        State at the beginning of the present part of the step, with the impulses of stops.
     p : np.ndarray, shape (n,)
         The momenta of ``start`` without the impulses.
     rates : Rates
@@ -111,12 +110,12 @@ class StopsWork(NamedTuple):
     touch : np.ndarray of int, shape (W,)
         _OFF, _ON or _RELEASED for each stop.
     impulse, change, target : np.ndarray, shape (W,)
-        The impulse of each stop towards its free side, its last change, and the velocity that the
-        coordinate is to have.
+        The impulse of each stop towards its free side, its last change, and the target velocity of
+        the coordinate.
     gap : np.ndarray, shape (3, W)
         Distances at the end of this trial, of the previous trial, and of the first.
     inverse, masses, matrix : np.ndarray, shape (W, W)
-        Changes of impulses for changes of distances; H_pp of the stops that are touched; space.
+        Changes of impulses for changes of distances; H_pp of the touched stops; workspace.
     right : np.ndarray, shape (2, W)
         Right-hand sides.
 
@@ -146,7 +145,7 @@ class StopsWork(NamedTuple):
 
 class RigidContact(StepEffect):
     """
-    An effect whose parameters are ``Stops``: velocities v turn into -e v there.
+    An effect whose parameters are ``Stops``, which change velocities v to -e v.
 
     Parameters
     ----------
@@ -169,8 +168,8 @@ class RigidContact(StepEffect):
         self.restitution, self.conservative = float(restitution), restitution == 1.0
 
     def accepts(self, integrator: Integrator) -> bool:
-        """Return whether the energy of the method does not drift from impact to impact."""
-        # A method of order 1 errs by h at each impact, always to the same side.
+        """Return True if the energy of the method does not drift from impact to impact."""
+        # The error of a method of order 1 is h at each impact, always with the same sign.
         needs = integrator.requirements
         return needs.hamiltonian and integrator.order >= 2 and needs.from_state
 
@@ -184,7 +183,7 @@ class RigidContact(StepEffect):
 
     @staticmethod
     def inner_step(integrator: Integrator) -> tuple[Step, bool]:
-        """Return the method's step, and whether the path may turn more than once in a step."""
+        """Return the method's step, and True if the path may turn more than once in a step."""
         return integrator.step, integrator.order > 2
 
     @staticmethod
@@ -201,19 +200,19 @@ class RigidContact(StepEffect):
 
 def stop(step: Step, high: bool) -> Step:
     """
-    Return a step for one trajectory that turns velocities at stops.
+    Return a step for one trajectory that reverses velocities at stops.
 
     Each impact in a step is located on the polynomial through the step, then by steps of the
-    method that end on the stop to round-off. So are the impacts of a path that crosses the stop
-    and returns within the step. Between impacts the method takes steps, symplectic if it is.
+    method that end on the stop to round-off, also if the path crosses the stop and returns within
+    the step. Between impacts the method takes steps, symplectic if it is.
 
     Parameters
     ----------
     step : callable
         Step of the method; parts of a step are steps of another length.
     high : bool
-        Whether steps may be so long that the path turns more than once in one. The polynomial
-        then matches accelerations as well.
+        True if the path may turn more than once in a step. The polynomial then also matches
+        accelerations.
 
     """
     fly = _flight(step, high)
@@ -320,7 +319,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
 
 @inlined
 def _is_in(resting: float, k: int) -> bool:
-    """Return whether stop k belongs to the set that a number encodes as a sum of 2^k."""
+    """Return True if stop k belongs to a set encoded as a sum of 2^k."""
     return (int(resting) >> k) & 1 == 1
 
 
@@ -335,7 +334,7 @@ def _next_free(resting: float, k: int, count: int) -> int:
 @called
 def _save(state: EffectState, kept: np.ndarray, last: int) -> int:
     """Copy the account of the effects to rows 0 to ``last``; return the random numbers drawn."""
-    # Copied element by element: for slices, numba also compiles the messages of errors.
+    # Copied element by element: for slices, numba also compiles error messages.
     for row in range(0, last + 1, 2):
         for k in range(state.pending.size):
             kept[row, k], kept[row + 1, k] = state.pending[k], state.resting[k]
@@ -367,8 +366,8 @@ def _fill_held_rates(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, hi
     """
     Fill the rates at the end of a step, as ``_hold`` will leave them.
 
-    It removes the velocities of held coordinates by about the impulses at the beginning, which
-    changes those of coordinates that share a mass matrix with them.
+    ``_hold`` removes the velocities of held coordinates with nearly the impulses at the beginning,
+    which changes velocities of coordinates that share a mass matrix with them.
     """
     free = work.right[1]
     for k in range(work.touch.size):
@@ -397,8 +396,8 @@ def _begin(kernel: Kernel, stops: Stops, resting: float, work: StopsWork, met: i
         distance, slope = sign * (start.q[c] - stops.positions[k]), sign * rates.dH_dp[c]
         bend = sign * rates.product_p[c] if high else 0.0
         if k == met:
-            # The impact put the coordinate on the stop, up to rounding that must not count as
-            # another crossing.
+            # The impact put the coordinate on the stop, up to a rounding error that must not count
+            # as another crossing.
             distance, slope = 0.0, max(0.0, slope)
         begin(Search(stops.nodes[k], stops.counts[k], stops.widths[k]), distance, slope, bend)
 
@@ -442,12 +441,12 @@ def _meet(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, met: int, don
           resting: float, ends: bool, rest: float, h: float, rounding: float
           ) -> tuple[float, float]:
     """
-    Turn the velocity at the stop that was met; return the work so far [J] and the resting stops.
+    Reverse the velocity at the stop that was met; return the work so far [J] and resting stops.
 
     A coordinate that rests on another stop stays there if the impact drives it into the stop, and
-    leaves otherwise. The one that hits comes to rest if e = 0, if ``ends``, or if the series of
-    its flights is too short to be followed. After a bounce with speed v against the acceleration
-    a, the flights take 2 v / a, 2 e v / a, ..., together 2 v / (a (1 - e)).
+    leaves otherwise. The coordinate that hits comes to rest if e = 0, if ``ends``, or if the
+    series of its flights is too short to be followed. After a bounce with speed v against the
+    acceleration a, the flights take 2 v / a, 2 e v / a, ..., in total 2 v / (a (1 - e)).
     """
     c, sign, n = stops.columns[met], stops.signs[met], work.touch.size
     before = energy_of(kernel, z)
@@ -492,7 +491,7 @@ def _meet(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, met: int, don
 
 @called
 def _is_short(speed: float, pull: float, left: float, h: float, rounding: float) -> bool:
-    """Return whether a flight is lower than rounding, or too short to be followed."""
+    """Return True if a flight is lower than rounding, or too short to be followed."""
     if not pull > 0.0:
         return False
     flight = 2.0 * speed / pull
@@ -519,11 +518,11 @@ def _push(kernel: Kernel, h: float, z: Point, stops: Stops, resting: float, work
     """
     Change momenta at the beginning of a step so that resting coordinates end on their stops.
 
-    Return whether to try a step from there. With the velocities that ``_hold`` removes at the end
-    this is the method of Shake and Rattle, of order 2; to put coordinates back after a free step
-    would be of order 1. The impulses are found by Broyden's method, which needs one step a trial
-    and the masses once, where Newton's would need derivatives of the step. A stop does not pull:
-    a coordinate leaves its stop if a free step takes it away, or if its impulse became negative.
+    Return True to try a step from there. With the velocities that ``_hold`` removes at the end,
+    this is the method of Shake and Rattle, of order 2; correcting q after a free step would be of
+    order 1. The impulses are computed by Broyden's method, which needs one step per trial and the
+    masses once; Newton's needs derivatives of the step. A stop does not pull: a coordinate leaves
+    its stop if a free step takes it away, or if its impulse became negative.
     """
     touch, gap = work.touch, work.gap
     grown = False
@@ -578,7 +577,7 @@ def _apply(kernel: Kernel, stops: Stops, work: StopsWork) -> None:
 
 @called
 def _fill_masses(kernel: Kernel, z: Point, stops: Stops, work: StopsWork) -> None:
-    """Fill H_pp of the touched stops, towards their free sides; rows of others are the unit's."""
+    """Fill H_pp of the touched stops, towards their free sides; other rows are of the identity."""
     n = work.touch.size
     zero, unit, product_q, product_p = work.rates
     for j in range(n):
@@ -663,8 +662,8 @@ def _match(kernel: Kernel, z: Point, stops: Stops, work: StopsWork) -> bool:
     """
     Put touched coordinates on their stops, with momenta that give them the target velocities.
 
-    Return whether such momenta were found, by Newton's method with H_pp: one iteration where H
-    is quadratic in p, but a learned H need not be.
+    Return True if such momenta were found, by Newton's method with H_pp: one iteration if H is
+    quadratic in p, but a learned H need not be.
     """
     for k in range(work.touch.size):
         if work.touch[k] == _ON:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A heat bath: Langevin dynamics, whatever the mass matrix is."""
+"""A heat bath: Langevin dynamics with any mass matrix."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -23,7 +23,7 @@ _EPS = float(np.finfo(np.float64).eps)
 
 class Bath(NamedTuple):
     """
-    A heat bath and its working space, for d coordinates and at most K channels of forces.
+    A heat bath and its workspace, for d coordinates and at most K channels of forces.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Bath(NamedTuple):
 
     @classmethod
     def of(cls, rate: np.ndarray, temperature: float, seed: int, channels: int) -> 'Bath':
-        """Return a bath with rates of shape (d,) and space for a number of channels."""
+        """Return a bath with rates of shape (d,) and workspace for a number of channels."""
         d = rate.size
         return cls(rate, temperature, seed, np.zeros((d, d)), *np.zeros((3, d)),
                    *np.zeros((6, d + channels)))
@@ -69,8 +69,8 @@ class Thermostat(StepEffect):
     Langevin dynamics, dP = -H_q dt - gamma P dt + sqrt(2 gamma M kT) dW, by BAOAB.
 
     P = M v is the kinetic momentum; M, the inverse of H_pp, may depend on q. Friction and noise
-    act in the middle of a leapfrog step and keep the density exp(-H / kT). Energy account: the
-    heat.
+    act in the middle of a leapfrog step and preserve the density exp(-H / kT). Without noise use
+    `damping`. Energy account: the heat.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Thermostat(StepEffect):
         gamma > 0 [1/s], for all coordinates or for each. Where masses are coupled, the rates
         belong to the reduced momenta C^T P, with H_pp = C C^T and a lower triangular C.
     mass : float or list of float, optional
-        M of each coordinate [kg] or [kg m^2], only as a check: it must be the mass of H.
+        M of each coordinate [kg] or [kg m^2], only for a check: it must be the mass of H.
     seed : int
         Seed of the noise, at least 0; the same seed gives the same noise.
 
@@ -120,7 +120,7 @@ class Thermostat(StepEffect):
     @cache
     def wrap(halves: tuple[Step, Step], keeps_gradient: bool) -> Step:
         """Return the two halves with the bath between them."""
-        # Imported here, since it loads the compiler, which reading a scene does not need.
+        # Imported lazily: reading a scene needs no compiler.
         from hnn_vi_ros.effects.noise import draw_uniform, fill_normals
         first_half, second_half = halves
 
@@ -154,9 +154,9 @@ def _exchange(kernel: Kernel, h: float, bath: Bath, uniform: float, z: Point
 
     With H_pp = C C^T at rest and the kinetic momentum P = p + H_pp^-1 H_p(q, 0), the reduced
     momenta x = C^T P have the kinetic energy x . x / 2. Each follows its own Ornstein-Uhlenbeck
-    process. If H is not quadratic in p, a learned H say, that process would not keep
-    exp(-H / kT); the result is therefore accepted with the probability of Metropolis and
-    Hastings, and p is unchanged otherwise.
+    process. If H is not quadratic in p, as a learned H, that process would not preserve exp(-H /
+    kT); the result is therefore accepted with the Metropolis-Hastings probability, and p is
+    unchanged otherwise.
 
     Parameters
     ----------
@@ -165,14 +165,14 @@ def _exchange(kernel: Kernel, h: float, bath: Bath, uniform: float, z: Point
     bath : Bath
         The bath; ``drawn`` holds normal random numbers.
     uniform : float
-        A random number in (0, 1], which decides on acceptance.
+        A random number in (0, 1] that decides on acceptance.
     z : Point
         The state, which is changed.
 
     Returns
     -------
     tuple of (bool, float)
-        Whether H_pp is positive definite, and the absorbed heat [J].
+        True if H_pp is positive definite, and the absorbed heat [J].
 
     References
     ----------
@@ -209,7 +209,7 @@ def _exchange(kernel: Kernel, h: float, bath: Bath, uniform: float, z: Point
 
 @inlined
 def _factorise_inverse_mass(kernel: Kernel, bath: Bath, q: np.ndarray) -> bool:
-    """Fill H_p(q, 0) and the factor C of H_pp(q, 0) = C C^T; False if there is none."""
+    """Fill H_p(q, 0) and the factor C of H_pp(q, 0) = C C^T; return False if there is none."""
     bath.zero[:] = 0.0
     bath.unit[:] = 0.0
     n = q.size
@@ -226,10 +226,10 @@ def _factorise_inverse_mass(kernel: Kernel, bath: Bath, q: np.ndarray) -> bool:
 
 @inlined
 def _accept(kernel: Kernel, bath: Bath, uniform: float, energy: float, heat: float) -> bool:
-    """Decide by Metropolis and Hastings; a difference within rounding is always accepted."""
+    """Decide by Metropolis-Hastings; a difference within rounding is always accepted."""
     excess = heat
     for i in range(bath.rate.size):
         excess += 0.5 * (bath.before[i] * bath.before[i] - bath.after[i] * bath.after[i])
-    # Without the margin, a quadratic H would be rejected now and then by rounding alone.
+    # Without the margin, a quadratic H would sometimes be rejected because of rounding.
     rounding = _PLACES * _EPS * (abs(energy) + abs(energy + heat) + kernel.energy_scale)
     return excess <= rounding or math.log(uniform) * bath.temperature < -excess

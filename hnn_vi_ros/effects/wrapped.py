@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""An integrator with an effect around its step, and the account of effects."""
+"""An integrator with an effect around its step, and the energy account of effects."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -38,8 +38,8 @@ class Wrapped(Integrator):
     explicit, requirements = False, Requirements(symmetric=False, symplectic=False)
 
     def __init__(self, inner: Integrator, kind: type[Layer], settings: Parameters):
-        # An effect may solve the step several times and discard results, so that a solution that
-        # is not connected to h = 0 does not make the step fail.
+        # An effect may solve the step several times and discard results, so a solution that is not
+        # connected to h = 0 does not make the step fail.
         self.inner, self._kind, self._settings = copy(inner), kind, settings
         self.inner.no_solution = ''
         self.order, self.compiled, self.equations = inner.order, inner.compiled, inner.equations
@@ -52,7 +52,7 @@ class Wrapped(Integrator):
 
     @property
     def own(self) -> bool:
-        """Return whether the layer belongs to this package; the method is compiled by itself."""
+        """Return True if the layer belongs to this package; the method is compiled separately."""
         return is_own(self._kind.__module__)
 
     @property
@@ -68,7 +68,7 @@ class Wrapped(Integrator):
 
     @property
     def layer_name(self) -> str:
-        """Return a unique name for the result of ``around``, apart from the steps."""
+        """Return a unique name for the result of ``around``, without the names of the steps."""
         flags = [part for part in self._taken if not callable(part)]
         return (f'{self._kind.__module__}.{self._kind.__qualname__}'
                 f'({self.inner.keeps_gradient}, {flags})')
@@ -105,7 +105,7 @@ class Account(Layer):
 
     @staticmethod
     def workspace(n: int, settings: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return no workspace: the account is part of EffectState."""
+        """Return (): the account is part of EffectState."""
         return ()
 
     @staticmethod
@@ -135,7 +135,7 @@ class Account(Layer):
             state.clock[0], state.clock[1] = plus(state.clock[0], state.clock[1], h)
             state.draws[0] += state.draws[1]
             if start < until <= state.clock[0]:
-                # The gradient that the next step begins with contains a command that has expired.
+                # The gradient for the next step contains a command that has expired.
                 kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
                 gradients += 1
             return OK, residual, gradients
