@@ -25,8 +25,8 @@ class DryFriction(Force):
     """
     Smoothed Coulomb friction, f = -F tanh(v / u), where v = H_p of one coordinate.
 
-    Well above the speed u it has the constant magnitude F; below, it is viscous with F / u, so
-    that a loaded body creeps instead of sticking. For joints use `joint_friction`. Energy: f v.
+    Well above the speed u it has the magnitude F; below, it is viscous with F / u, so a loaded
+    body creeps instead of sticking. For joints: `joint_friction`. Energy account: f v <= 0.
 
     Parameters
     ----------

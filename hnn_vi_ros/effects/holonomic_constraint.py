@@ -159,7 +159,7 @@ def _function_equation(factory: str) -> ConstraintEquation:
         raise ValueError(f'factory = {factory!r} returned a {type(function).__name__}, expected '
                          'a function g(q, gradient)')
     none = np.zeros(0, dtype=np.int64)
-    # Of a compiled function, the Python code is used, to be compiled into the steps.
+    # The Python code of a compiled function is used, to be compiled into the steps.
     return ConstraintEquation(none, none, np.zeros(0), 0.0, np.zeros(0),
                               getattr(function, 'py_func', function))
 

@@ -4,7 +4,7 @@
 """
 Learned Hamiltonians: model files, their cards and the compiled networks.
 
-Everything that simulates a trained network, without torch. Training is in ``learning``.
+Trained networks are simulated here, without torch. Training is in ``learning``.
 """
 
 from typing import TYPE_CHECKING

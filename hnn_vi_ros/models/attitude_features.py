@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Features of a body that turns: (x, R row by row, pi), with pi = (R^T p, L).
+Features of a rotating body: (x, R row by row, pi), with pi = (R^T p, L).
 
-x and p belong to its position, if it has one; R is its attitude, quadratic in its quaternion
-(x, y, z, w); L is its angular momentum in its own frame.
+x and p belong to the position of the body, if it has one; R is its attitude, quadratic in its
+quaternion (x, y, z, w); L is its angular momentum in its own frame.
 """
 
 from hnn_vi_ros.kernels import called
@@ -14,21 +14,21 @@ import numpy as np
 
 
 def group_of(model: Checkpoint) -> LieGroupCard:
-    """Return the part of the card of a model of this family."""
+    """Return the ``lie_group`` entry of a model's card."""
     card = model.card.lie_group
     assert card is not None, 'checked with the card: the family has one'
     return card
 
 
 def widened(model: Checkpoint, network: str) -> Layers:
-    """Return a network as one of all of (x, R row by row, pi), which ignores what it sees not."""
+    """Return a network extended to all inputs (x, R row by row, pi), ignoring additional ones."""
     card = group_of(model)
     return model.networks[network].widened(
         2 * card.size + 6, card.columns(getattr(card, f'{network}_depends_on')))
 
 
 def turn_matrices(q: np.ndarray) -> np.ndarray:
-    """Return R, shape (m, 3, 3), of quaternions, shape (m, 4)."""
+    """Return rotation matrices R, shape (m, 3, 3), of quaternions, shape (m, 4)."""
     R = np.empty((len(q), 9))
     for one, row in zip(q, R, strict=True):
         fill_turn_change(one, 0.5 * one, 0, row, 0)
@@ -54,7 +54,7 @@ def see_attitude(q: np.ndarray, p: np.ndarray, z: np.ndarray) -> None:
 @called
 def see_change(q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray, z: np.ndarray,
                z_v: np.ndarray) -> None:
-    """Fill the change of (x, R, pi) along (v_q, v_p); after ``see``."""
+    """Fill the change of (x, R, pi) along (v_q, v_p); call ``see_attitude`` first."""
     places = q.size - 4
     for i in range(places):
         z_v[i] = v_q[i]
@@ -70,7 +70,7 @@ def see_change(q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray, z
 
 @called
 def fill_turn_change(q: np.ndarray, v: np.ndarray, at: int, R: np.ndarray, to: int) -> None:
-    """Fill R'(q) v, row by row, of the quaternion at a place; it is 2 R where v is q."""
+    """Fill R'(q) v, row by row, of the quaternion at an offset; it is 2 R for v = q."""
     x, y, z, w = q[at], q[at + 1], q[at + 2], q[at + 3]
     a, b, c, d = v[at], v[at + 1], v[at + 2], v[at + 3]
     R[to] = 2.0 * (w * d + x * a - y * b - z * c)
@@ -86,7 +86,7 @@ def fill_turn_change(q: np.ndarray, v: np.ndarray, at: int, R: np.ndarray, to: i
 
 @called
 def add_turn_slope(q: np.ndarray, at: int, c: np.ndarray, of: int, target: np.ndarray) -> None:
-    """Add the derivative of the sum of c_ij R_ij(q) by the quaternion at a place."""
+    """Add the derivative of the sum of c_ij R_ij(q) by the quaternion at an offset."""
     x, y, z, w = q[at], q[at + 1], q[at + 2], q[at + 3]
     xx, yy, zz = c[of], c[of + 4], c[of + 8]
     xy, xz, yz = c[of + 1] + c[of + 3], c[of + 2] + c[of + 6], c[of + 5] + c[of + 7]

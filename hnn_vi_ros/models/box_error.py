@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Error of a learned energy against the true one, over a box, and its interval."""
+"""Error of a learned energy relative to the true one, over a box, with confidence interval."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -11,7 +11,7 @@ from pydantic import Field
 
 _RESAMPLES = 1000
 _LEVEL = 95.0  # per cent
-# Fewer blocks than this say too little of how much others would vary.
+# With fewer blocks, the variation between blocks is too uncertain.
 _FEWEST_BLOCKS = 10
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -54,14 +54,14 @@ def interval_text(interval: list[float] | None) -> str:
 
 def energy_error(learned: np.ndarray, true: np.ndarray, seed: int) -> EnergyError:
     """
-    Compare energies with true ones, up to a constant: the mean of the difference.
+    Compare energies with true ones, up to a constant, the mean of the difference.
 
     Parameters
     ----------
     learned, true : np.ndarray, shape (n,)
         Energies of the same independent states [J].
     seed : int
-        Of the resampling.
+        Seed of the resampling.
 
     """
     rng, errors = np.random.default_rng(seed), learned - true
@@ -76,18 +76,18 @@ def energy_spread(learned: np.ndarray, trajectory: np.ndarray, seed: int,
                   work: np.ndarray | None = None,
                   against: Reference = 'mean along each trajectory') -> EnergyError:
     """
-    Compare energies with their expected course along each trajectory, up to a constant of it.
+    Compare energies with their expected time course along each trajectory, up to a constant.
 
     Parameters
     ----------
     learned : np.ndarray, shape (n,)
         Energies of states [J], in the order of time within each trajectory.
     trajectory : np.ndarray of int, shape (n,)
-        Of which each state is one.
+        Trajectory of each state.
     seed : int
-        Of the resampling, of blocks of time.
+        Seed of the resampling of blocks of time.
     work : np.ndarray, shape (n,), optional
-        What has been done on the system up to each state [J]; none: the motions conserve energy.
+        Work done on the system up to each state [J]; by default 0, for conserved energy.
     against : str
         Source of the work; see EnergyError.
 
@@ -105,8 +105,8 @@ def energy_spread(learned: np.ndarray, trajectory: np.ndarray, seed: int,
         errors[rows] -= mean
         reference[rows] += mean
     squares = errors**2
-    # The RMS is known as well as the mean of the squares: errors of one size throughout a motion,
-    # and of another in the next, are few independent ones whatever their signs do.
+    # The RMS has the same uncertainty as the mean of the squares: if the size of errors is
+    # constant within a motion, there are few independent values, whatever the signs.
     length = max(_correlation([errors[rows] for rows in pieces]),
                  _correlation([squares[rows] - squares.mean() for rows in pieces]))
     blocks = [rows[i:i + length] for rows in pieces for i in range(0, len(rows), length)]
@@ -128,9 +128,9 @@ def rows_of_each(trajectory: np.ndarray) -> list[np.ndarray]:
 
 def _correlation(pieces: Sequence[np.ndarray]) -> int:
     """
-    Return over how many samples a series is correlated, at least 1.
+    Return the correlation length of a series in samples, at least 1.
 
-    That is 1 + 2 sum_k rho_k, up to where the correlation rho_k first is not positive.
+    It is 1 + 2 sum_k rho_k, up to the first correlation rho_k that is not positive.
     """
     longest = max(map(len, pieces))
     products, counts = np.zeros(longest), np.zeros(longest)
@@ -147,13 +147,13 @@ def _correlation(pieces: Sequence[np.ndarray]) -> int:
 
 def _error(errors: np.ndarray, estimates: np.ndarray | None, against: Reference, spread: float
            ) -> EnergyError:
-    """Return the statistics of errors, and their intervals from resampled ones, shape (m, 2)."""
+    """Return statistics of errors, with intervals from resampled statistics, shape (m, 2)."""
     rms, sup = _statistics(errors)
     found = EnergyError(against=against, rms=rms, sup=sup, spread=spread, states=len(errors))
     if estimates is None:
         return found
     bounds = np.percentile(estimates, [50.0 - _LEVEL / 2.0, 50.0 + _LEVEL / 2.0], axis=0)
-    # One without a width says nothing of what others would be.
+    # An interval of zero width contains no information about the variation.
     intervals = [ends.tolist() if ends[0] < ends[1] else None for ends in bounds.T]
     return found.model_copy(update={'rms_interval': intervals[0], 'sup_interval': intervals[1]})
 

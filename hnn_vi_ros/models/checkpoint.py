@@ -3,12 +3,12 @@
 """
 Trained networks on disk: one safetensors file, its metadata the model card.
 
-The file holds the float64 tensors ``linear1.weight`` (outputs, inputs), ``linear1.bias``, ... in
-the order of the layers, with the card's activation between them, of the one network of a model.
-In a model of several networks, they begin with the network's name, as in
-``potential.linear1.weight``; in an ensemble of N such models, the member's number comes before
-that, from ``member1.`` to ``memberN.``. The metadata entry ``model_card`` is a
-ModelCard as JSON. Nothing in it is ever executed.
+The file contains the float64 tensors ``linear1.weight`` (outputs, inputs), ``linear1.bias``, ...
+of the single network of a model, in the order of the layers, with the card's activation between
+them. In a model with several networks, the names begin with the network's name, as in
+``potential.linear1.weight``; in an ensemble of N such models, they begin with the member, from
+``member1.`` to ``memberN.``. The metadata entry ``model_card`` is a ModelCard as JSON. No content
+of the file is ever executed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,20 +35,20 @@ MAX_BYTES = 256 << 20
 
 _DTYPES = {'F64': '<f8', 'F32': '<f4'}
 _ANEW = 'copy the file again, or train the model anew'
-# How a file begins that torch.save or pickle wrote: a zip archive, or a protocol 2 to 5 pickle.
+# First bytes of files of torch.save or pickle: a zip archive, or a pickle of protocol 2 to 5.
 _PICKLES = (b'PK\x03\x04', b'\x80\x02', b'\x80\x03', b'\x80\x04', b'\x80\x05')
 
 
 class Layers(NamedTuple):
     """
-    A multilayer perceptron, one entry a layer.
+    A multilayer perceptron, with one entry per layer.
 
     Parameters
     ----------
     weights : tuple of np.ndarray, each (outputs, inputs)
-        In float64.
+        Weights in float64.
     biases : tuple of np.ndarray, each (outputs,)
-        In float64.
+        Biases in float64.
 
     """
 
@@ -57,11 +57,11 @@ class Layers(NamedTuple):
 
     @property
     def widths(self) -> list[int]:
-        """Return the numbers of inputs and of the outputs of each layer."""
+        """Return the number of inputs and the number of outputs of each layer."""
         return [self.weights[0].shape[1], *map(len, self.weights)]
 
     def widened(self, inputs: int, places: Sequence[int]) -> 'Layers':
-        """Return the same network of so many inputs, at whose places are those that it sees."""
+        """Return the network with this number of inputs, of which it uses those at ``places``."""
         first, *others = self.weights
         wide = np.zeros((len(first), inputs))
         wide[:, [*places]] = first[:, :len(places)]
@@ -69,7 +69,7 @@ class Layers(NamedTuple):
 
 
 def widths_of(networks: Mapping[str, Layers]) -> dict[str, Any]:
-    """Return the entry of a card for the widths of networks; one alone is not named there."""
+    """Return the card's entry for the widths of networks; a single network is not named."""
     widths = {name: layers.widths for name, layers in networks.items()}
     return {'networks': widths} if len(widths) > 1 else {'widths': next(iter(widths.values()))}
 
@@ -84,11 +84,11 @@ class Checkpoint:
     card : ModelCard
         Description of the model.
     networks : mapping of str to Layers
-        Networks of the card's layout, by name.
+        Networks by the names in the card's layout.
     sha256 : str
-        Of the file that it was loaded from; empty for one that was not.
+        SHA-256 of the file that it was loaded from; '' if it was not loaded.
     members : tuple of Checkpoint
-        Those of an ensemble, which has no networks of its own; empty for one model.
+        Members of an ensemble, which has no networks of its own; empty for a single model.
 
     """
 
@@ -106,17 +106,17 @@ class Checkpoint:
                 for name, part in zip(names, parts, strict=True)}
 
     def with_tensors(self, tensors: Mapping[str, np.ndarray]) -> 'Checkpoint':
-        """Return the model with other tensors in place of those of these names."""
+        """Return the model with some tensors replaced by name."""
         return replace(self, networks=_layers(self.card, self.tensors | dict(tensors)))
 
     def member(self, number: int | None) -> 'Checkpoint':
         """
-        Return a member of an ensemble, from 1 to N; None: the whole, unchanged.
+        Return a member of an ensemble, from 1 to N; for None the whole, unchanged.
 
         Raises
         ------
         ModelError
-            There is no such member.
+            The member does not exist.
 
         """
         count = len(self.members)
@@ -139,21 +139,21 @@ def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
     path : str or Path
         A safetensors file of at most 256 MiB.
     ensembles : bool, optional
-        Whether an ensemble will do as well as one model.
+        True to accept an ensemble as well as a single model.
 
     Returns
     -------
     Checkpoint
-        Weights in float64, whatever the file holds.
+        The model, with weights converted to float64.
 
     Raises
     ------
     ModelError
-        The file is missing, damaged, or not a model of ours.
+        The file is missing, damaged, or not a model of this package.
 
     """
     with _opened(Path(path)) as stream:
-        # Before the tensors are read.
+        # This check precedes the reading of tensors.
         card = _card(path, _metadata(path, stream))
         stream.seek(0)
         raw = stream.read()
@@ -174,7 +174,7 @@ def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
 
 
 def _metadata(path: str | Path, stream: BinaryIO) -> dict[str, Any]:
-    """Return the metadata of a file, which are in its header."""
+    """Return the metadata of a file from its header."""
     begin = stream.read(32)
     refuse_pointer(begin, path, ModelError)
     stream.seek(0)
@@ -186,7 +186,7 @@ def _metadata(path: str | Path, stream: BinaryIO) -> dict[str, Any]:
 
 @contextmanager
 def _plain(path: str | Path, begin: bytes) -> Iterator[None]:
-    """Say of an error inside that a file, which begins so, is none of safetensors."""
+    """Convert errors inside to a ModelError: the file, which has these first bytes, is invalid."""
     try:
         yield
     except (safetensors.SafetensorError, ValueError) as problem:
@@ -201,33 +201,33 @@ def _plain(path: str | Path, begin: bytes) -> Iterator[None]:
 
 def _networks(path: str | Path, card: ModelCard, tensors: dict[str, Any], prefix: str = ''
               ) -> dict[str, Layers]:
-    """Take the networks of one model out of the tensors of a file."""
+    """Return the networks of one model from the tensors of a file."""
     return _layers(card, {
         name: _tensor(path, prefix + name, shape, tensors.pop(prefix + name, None))
         for name, shape in _shapes(card).items()})
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a model file, as load_checkpoint returns it; ModelError if none."""
+    """Return the SHA-256 of a model file, as in load_checkpoint; ModelError if unreadable."""
     with _opened(path) as stream:
         return hashlib.file_digest(stream, 'sha256').hexdigest()
 
 
 def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
     """
-    Write a model file, whole or not at all; never over one that exists.
+    Write a model file atomically; an existing file is never overwritten.
 
     Parameters
     ----------
     path : str or Path
-        Where to; missing folders are made.
+        Path of the file; missing folders are created.
     checkpoint : Checkpoint
-        Its tensors must be finite and fit its card.
+        The model; its tensors must be finite and match its card.
 
     Raises
     ------
     ModelError
-        The file exists, cannot be written, or the checkpoint contradicts itself.
+        The file exists or cannot be written, or the checkpoint is inconsistent.
 
     """
     path = Path(path)
@@ -236,7 +236,7 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_new(path, raw)
     except OSError as problem:
-        # A file in place of its folder exists as well.
+        # A file at the path of the folder also raises FileExistsError.
         if isinstance(problem, FileExistsError) and os.path.lexists(path):
             raise ModelError(f'{path}: exists already and is not overwritten; name another file'
                              ) from problem
@@ -245,7 +245,7 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
 
 def complete_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """
-    Write a model over the file that this process made of it, whole or not at all.
+    Replace the file that this process created by a model, atomically.
 
     Raises
     ------
@@ -323,7 +323,7 @@ def _shapes(card: ModelCard) -> dict[str, tuple[int, ...]]:
 
 
 def _layers(card: ModelCard, tensors: Mapping[str, np.ndarray]) -> dict[str, Layers]:
-    """Return the networks of these weights and biases."""
+    """Return the networks with these weights and biases."""
     return {network: Layers(*zip(*(
         (tensors[weight], tensors[bias]) for weight, bias in _names(card, network)), strict=True))
         for network in card.layout}
@@ -338,7 +338,7 @@ def _tensor(path: str | Path, name: str, shape: tuple[int, ...], found: dict[str
     if tuple(found['shape']) != shape:
         raise ModelError(f'{path}: {name} has shape {tuple(found["shape"])}, expected {shape} '
                          f'by the widths of its card; {_ANEW}')
-    # A copy, since a view of the file's bytes can neither be written to nor be relied on to align.
+    # A copy, because a view of the file's bytes is read-only and may not be aligned.
     values = np.frombuffer(found['data'], _DTYPES[found['dtype']]).astype(np.float64)
     if not np.isfinite(values).all():
         raise ModelError(f'{path}: {name} holds values that are not finite; {_ANEW}')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A learned Hamiltonian that holds its states near the box that it was trained in."""
+"""A learned Hamiltonian with walls that keep states near its training box."""
 
 from functools import cache, cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.ensemble import load_member
 import numpy as np
 
-# States on each face of the box at which the gradient is looked at.
+# Number of states on each face of the box at which the gradient is evaluated.
 _SAMPLES = 64
 
 
@@ -26,9 +26,9 @@ class ConfinedParameters(NamedTuple):
     Parameters
     ----------
     base : Parameters
-        Those of the base, by address.
+        Parameters of the base, by address.
     walls : np.ndarray, shape (2 d, 3)
-        Of each coordinate, then each momentum: the ends of its interval, and K [J].
+        For each coordinate, then each momentum: the ends of its interval, and K [J].
 
     """
 
@@ -40,32 +40,32 @@ class ConfinedHamiltonian(Hamiltonian):
     """
     H(z) + sum_i K_i (phi(y(q_i)) + phi(y(p_i))): H in the box, and a convex wall around it.
 
-    y(x) = (abs(x - c) - w) / w is how far x is outside of its interval of centre c and half-width
+    y(x) = (abs(x - c) - w) / w is the distance of x from its interval of centre c and half-width
     w, in half-widths, and
 
         phi(y) = 0 for y <= 0,  y^4 / (2 (1 + y^2)) for y > 0,
 
-    convex, three times continuously differentiable, with phi'' <= 5/4 and phi ~ y^2 / 2 far away.
-    In the box H is what it is, to the last bit. K_i = max(w_q G_q, w_p G_p), with G the largest
-    size of H's derivative by that coordinate or momentum on the faces of the box: what H changes
-    by over a half-width. One half-width outside the wall turns back with 3/4 of G at least, then
-    ever harder, and its frequencies K_i phi'' / (w_q w_p) stay those in the box.
+    is convex, three times continuously differentiable, with phi'' <= 5/4 and phi ~ y^2 / 2 far
+    away. In the box H is unchanged to the last bit. K_i = max(w_q G_q, w_p G_p), where G is the
+    largest absolute derivative of H by that coordinate or momentum on the faces of the box: K_i is
+    the change of H over a half-width. One half-width outside, the wall repels with at least 3/4 of
+    G, increasing outwards; its frequencies K_i phi'' / (w_q w_p) are similar to those in the box.
 
-    A tanh network by itself holds no state: its gradient vanishes far away, and abs(H - b) <= B,
-    with b its last bias and B the sum of the sizes of its last weights. Of a motion at the energy
-    E, the wall confines each coordinate and momentum to K_i phi(y) <= E - b + B. What the motion
-    is like outside of the box remains a guess. An angle is held like any other coordinate: it
-    does not turn over.
+    A tanh network does not confine states: its gradient vanishes far away, and abs(H - b) <= B,
+    with b its last bias and B the sum of its absolute last weights. At energy E the wall confines
+    each coordinate and momentum to K_i phi(y) <= E - b + B. Motions outside the box remain
+    extrapolations. An angle is confined like any other coordinate: it cannot rotate freely. Use it
+    for long runs of models that leave their box.
 
     Parameters
     ----------
     base : Hamiltonian
-        With a box.
+        A Hamiltonian with a box.
 
     Raises
     ------
     ModelError
-        Its coordinates are not canonical, or turn.
+        Its coordinates are not canonical, or include rotations.
     ValueError
         It has no box.
 
@@ -93,14 +93,14 @@ class ConfinedHamiltonian(Hamiltonian):
         self.energies = self._wall_energies()
 
     def copy(self) -> Self:
-        """Return the same function with working memory of its own."""
+        """Return the same function with its own workspace."""
         other = super().copy()
         other.base = self.base.copy()
         return other
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
+        """Return the functions for simulations."""
         base = by_address(self.base.kernel)
         walls = np.column_stack([np.concatenate(self.box), np.tile(self.energies, 2)])
         return composed(base, _confined(*functions_of(base)), (ConfinedHamiltonian,),
@@ -126,11 +126,11 @@ def load_learned(model: Path, confine: bool | None = None, member: int | None = 
     Parameters
     ----------
     model : Path
-        See ``load_checkpoint``, whose errors it raises.
+        Path of the model; for errors see ``load_checkpoint``.
     confine : bool, optional
-        Whether to hold states near the training box; None: as its model card says.
+        True to confine states to the training box; by default as in its model card.
     member : int, optional
-        Of an ensemble, from 1 on, in place of the mean of all.
+        Member of an ensemble, from 1 on, instead of the mean of all.
 
     """
     checkpoint = load_checkpoint(model, ensembles=True)
@@ -143,7 +143,7 @@ def load_learned(model: Path, confine: bool | None = None, member: int | None = 
     return learned
 
 
-# Parameters are not unpacked into names: each array that gets one is counted in every call.
+# Parameters are not unpacked into names: each named array is reference-counted in every call.
 @cache
 def _confined(base_energy: Energy, base_gradient: Gradient, base_hessian_vector: HessianVector
               ) -> Functions:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A learned Hamiltonian of a mass matrix and a potential that both are networks of q."""
+"""A learned Hamiltonian with networks for the mass matrix and the potential."""
 
 from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models.learned import LearnedHamiltonian
@@ -13,17 +13,17 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
     """
     H(q, p) = |A(q)^T p|^2 / 2 + V(q), with M^-1 = A A^T, of a control-affine network.
 
-    The network ``mass_inverse`` gives the entries of the lower triangular A, row by row. With
-    u = A^T p,
+    The network ``mass_inverse`` gives the entries of the lower triangular A, row by row. With u =
+    A^T p,
 
         H_p = A u,    H_q = V' + sum_ij p_i u_j A_ij'.
 
-    Its input map drives the effect external_force.
+    Its input map is used by the effect external_force.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of the family control_affine.
+        A model of the family control_affine.
 
     References
     ----------

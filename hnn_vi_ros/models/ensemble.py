@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The mean of several learned Hamiltonians, and its members."""
+"""The mean of several learned Hamiltonians, and single members."""
 
 from typing import Any, NamedTuple, Self
 
@@ -20,11 +20,11 @@ class MeanParameters(NamedTuple):
     Parameters
     ----------
     first : Target
-        The parameters of the first member, by address: what is compiled before the first step.
+        Parameters of the first member, by address; they are compiled before the first step.
     others : tuple of Target
-        Those of the others, which are of the same type and call the same code.
+        Parameters of the other members, which have the same type and call the same code.
     part_q, part_p : np.ndarray, shape (d,)
-        Space for what one member says of one state.
+        Workspace for the gradient of one member.
 
     """
 
@@ -36,19 +36,19 @@ class MeanParameters(NamedTuple):
 
 class MeanHamiltonian(LearnedHamiltonian):
     """
-    Base of the means of several networks that were trained apart.
+    Base class of the means of several networks that were trained independently.
 
-    Each is a Hamiltonian like any other, so a variational method holds its modified energy.
+    Each mean is a Hamiltonian, so a symplectic method nearly conserves its modified energy.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of an ensemble.
+        An ensemble.
 
     Attributes
     ----------
     members : tuple of LearnedHamiltonian
-        The networks, each as a Hamiltonian by itself.
+        The networks, each as a Hamiltonian.
 
     References
     ----------
@@ -64,7 +64,7 @@ class MeanHamiltonian(LearnedHamiltonian):
         self.separable = all(member.separable for member in self.members)
 
     def copy(self) -> Self:
-        """Return the same function with working memory of its own."""
+        """Return the same function with its own workspace."""
         other = super().copy()
         other.members = tuple(member.copy() for member in self.members)
         return other
@@ -72,14 +72,14 @@ class MeanHamiltonian(LearnedHamiltonian):
 
 class EnsembleHamiltonian(MeanHamiltonian):
     """
-    H = (H_1 + ... + H_N) / N of members that share their momenta.
+    H = (H_1 + ... + H_N) / N of members with the same momenta.
 
     A gradient costs N gradients of a member.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of an ensemble.
+        An ensemble.
 
     """
 
@@ -92,12 +92,12 @@ class EnsembleHamiltonian(MeanHamiltonian):
 
 def load_member(checkpoint: Checkpoint, member: int | None) -> LearnedHamiltonian:
     """
-    Return the Hamiltonian of a model: of an ensemble the mean, or a member from 1 to N.
+    Return the Hamiltonian of a model; of an ensemble the mean, or a member from 1 to N.
 
     Raises
     ------
     ModelError
-        There is no such member.
+        The member does not exist.
 
     """
     checkpoint = checkpoint.member(member)

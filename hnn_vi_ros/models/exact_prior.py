@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-An exact system whose M and V are added to learned ones: all of it comes from its own kernel.
+An exact system as a prior, whose M and V are added to learned ones; computed from its kernel.
 
 H = p . M^-1 p / 2 + V gives M as the inverse of H_pp, and with the momentum pi = M v
 
@@ -19,13 +19,13 @@ from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.kernels import Functions
 import numpy as np
 
-# Random states at which a system is looked at, and by how much p . M^-1 p may seem not to be one.
+# Number of random states of the test of p . M^-1 p, and its tolerance.
 _STATES, _ROUNDING = 5, 1e-9
 
 
 class ExactSystem(NamedTuple):
     """
-    A system by name, as far as it can be fitted.
+    A system by name, and its fit parameters.
 
     Parameters
     ----------
@@ -34,11 +34,11 @@ class ExactSystem(NamedTuple):
     defaults : dict of str to float
         Its parameters, all positive.
     dimension : int
-        How many coordinates it has.
+        Number of coordinates.
     places : list of int
-        Where those stand among what its kernel's functions take first.
+        Places of the parameters in the first argument of its kernel's functions.
     others : tuple
-        All that they take first.
+        First argument of the functions.
 
     """
 
@@ -50,7 +50,7 @@ class ExactSystem(NamedTuple):
 
 
 def create(kind: str, parameters: dict[str, float]) -> Hamiltonian:
-    """Return a system with these parameters; ValueError for any that it does not take."""
+    """Return a system with these parameters; ValueError if they are not the expected ones."""
     names = [*parameters_of(kind)]
     if sorted(parameters) != sorted(names):
         raise ValueError(f'prior: parameters {listed(parameters) or "none"}, expected '
@@ -60,7 +60,7 @@ def create(kind: str, parameters: dict[str, float]) -> Hamiltonian:
 
 
 def parameters_of(kind: str) -> dict[str, float]:
-    """Return the numbers that a system takes, and their defaults; counts and names stay."""
+    """Return the float parameters of a system and their defaults; others are not fitted."""
     signature = inspect.signature(HAMILTONIANS[kind])
     return {name: parameter.default for name, parameter in signature.parameters.items()
             if isinstance(parameter.default, float)}
@@ -74,16 +74,16 @@ def functions_of(kernel: Any) -> Functions:
 @cache
 def exact_system(kind: str) -> ExactSystem:
     """
-    Return what there is to fit of a system.
+    Return the fit parameters of a system.
 
     Raises
     ------
     ValueError
-        H is not p . M(q)^-1 p / 2 + V(q), or its functions cannot take its parameters unchanged.
+        H is not p . M(q)^-1 p / 2 + V(q), or the parameters are not arguments of its functions.
 
     """
     defaults = parameters_of(kind)
-    # Numbers that no other parameter has by chance.
+    # Distinct numbers that no other parameter has by chance.
     probes = {name: value * (1.0 + 0.1 * k) for k, (name, value) in enumerate(defaults.items(), 1)}
     hamiltonian: Hamiltonian = HAMILTONIANS[kind](**probes)
     kernel = hamiltonian.kernel
@@ -109,7 +109,7 @@ def exact_systems() -> list[str]:
 
 
 def _is_mechanical(hamiltonian: Hamiltonian) -> bool:
-    """Return whether H_p is linear in p, at random states."""
+    """Return True if H_p is linear in p at random states."""
     if hamiltonian.gauge is not None or not hamiltonian.canonical or hamiltonian.rotations:
         return False
     _, gradient, _ = functions_of(hamiltonian.kernel)

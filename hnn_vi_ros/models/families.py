@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The model families: one row names the contents of a card, the kernel and the training."""
+"""The model families: each row gives the contents of a card, the kernel and the training class."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 
 class Network(NamedTuple):
     """
-    The ends of a network of a model of d coordinates.
+    Numbers of inputs and outputs of a network in a model of d coordinates.
 
     Parameters
     ----------
     inputs : int
-        For each coordinate: 2 for a network of (q, p) or (q, v), 1 for one of q.
+        Inputs per coordinate: 2 for a network of (q, p) or (q, v), 1 for a network of q.
     outputs : callable
-        ``outputs(d, found)`` returns how many it has to have, where it has ``found``.
+        ``outputs(d, found)`` returns the required number of outputs, given the ``found`` number.
 
     """
 
@@ -28,31 +28,31 @@ class Network(NamedTuple):
 @dataclass(frozen=True)
 class Family:
     """
-    Family of models, wherever it is asked for.
+    A family of models.
 
-    Its classes are named, and imported when they are first needed: who reads a card needs no
-    compiler, who simulates no torch.
+    Classes are given by name and imported lazily: reading a card needs no compiler, and simulating
+    needs no torch.
 
     Parameters
     ----------
     networks : mapping of str to Network
-        Those in a model file; a model of one network names it nowhere.
+        Networks in a model file; a single network is not named in it.
     compiled : str
         ``room.module:Class`` of the LearnedHamiltonian.
     trained : str
         ``room.module:Class`` of the learning.families.base.Family.
     constants : tuple of str
-        Entries of the card that are learned, or needed, as well.
+        Further entries of the card that are learned or required.
     conservative : bool
-        Whether H is constant along the motions that are learned.
+        True if H is constant along the training motions.
     canonical : bool
-        Whether the coordinates are.
+        True if the coordinates are canonical.
     dissipation : str
-        The network that may be the D of the effect learned_dissipation; '' if none.
+        Network that can be the D of the effect learned_dissipation; '' if none.
     averaged : str
-        ``room.module:Class`` of the mean of several models; '' if there is no such mean.
+        ``room.module:Class`` of the mean of several models; '' if not supported.
     measured_momenta : bool
-        Whether p comes from the data; else it is the model's own, p = M(q) q' with its own M.
+        True if p is in the data; False if it is the model's own, p = M(q) q' with its own M.
 
     """
 
@@ -68,17 +68,17 @@ class Family:
 
     @property
     def hamiltonian(self) -> type:
-        """Return the class of the compiled Hamiltonian, which takes a checkpoint."""
+        """Return the class of the compiled Hamiltonian; its argument is a checkpoint."""
         return _class(self.compiled)
 
     @property
     def mean(self) -> type:
-        """Return the class of the mean of several models, which takes their checkpoint."""
+        """Return the class of the mean of several models; its argument is their checkpoint."""
         return _class(self.averaged)
 
     @property
     def trainer(self) -> Any:
-        """Return the torch module, which takes choice, hidden widths, scales and seed."""
+        """Return the torch module; its arguments are choice, hidden widths, scales and seed."""
         return _class(self.trained)
 
 
@@ -117,15 +117,15 @@ FAMILIES = {
          'input_map': Network(1, lambda d, found: -(-found // d) * d)},
         'models.control_affine:ControlAffineHamiltonian',
         'learning.families.hnn:ControlAffine', conservative=False),
-    # The inputs of its networks are features of q, by the card's ``mechanical``, which tells
-    # whether there is a third, of friction.
+    # The inputs of its networks are features of q in the card's ``mechanical`` entry, which also
+    # states if there is a third network, of friction.
     'mechanical': Family(
         {'mass': Network(1), 'potential': Network(1)}, 'models.mechanical:MechanicalHamiltonian',
         'learning.families.mechanical:MechanicalNetwork', constants=('mechanical',),
         conservative=False, averaged='models.mechanical_mean:MeanMechanism',
         measured_momenta=False),
-    # It models one body; the card's ``lie_group`` lists the inputs of its networks, and whether
-    # there are more networks: for dissipation, and for an input map.
+    # It models one body; the card's ``lie_group`` entry lists the inputs of its networks, and
+    # further networks for dissipation and for an input map.
     'lie_group': Family(
         {'mass': Network(1), 'potential': Network(1)}, 'models.lie_group:LieGroupHamiltonian',
         'learning.families.lie_group:LieGroupNetwork', constants=('lie_group',),

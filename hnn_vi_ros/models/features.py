@@ -3,8 +3,8 @@
 """
 Features of the coordinates: linear combinations y = F q, or their sine and cosine.
 
-Each row of F gives one input y_k, or the two inputs (sin y_k, cos y_k) if it is periodic. Inputs
-are padded with zeros to an even number n, since the loops of perceptron.py take two halves.
+Each row of F gives one input y_k, or two inputs (sin y_k, cos y_k) if it is periodic. Inputs are
+padded with zeros to an even number n, because the loops of perceptron.py use two halves.
 """
 
 from typing import NamedTuple
@@ -24,13 +24,13 @@ class Features(NamedTuple):
     rows : np.ndarray, shape (k, d)
         F.
     periodic : np.ndarray of int, shape (k,)
-        Whether a row is seen by its sine and cosine.
+        1 if the network uses the sine and cosine of a row.
     starts : np.ndarray of int, shape (k,)
-        The first input of each row.
+        Index of the first input of each row.
     inputs, change : np.ndarray, shape (n,)
-        Space for the inputs of the network, and their change.
+        Workspace for the inputs of the network, and their change.
     cotangent, cotangent_change : np.ndarray, shape (n,)
-        Space for a derivative by the inputs, and its change.
+        Workspace for a derivative by the inputs, and its change.
 
     """
 
@@ -44,7 +44,7 @@ class Features(NamedTuple):
 
 
 def pack_features(card: MechanicalCard, features: list[list[float]]) -> Features:
-    """Return the features of a network for the functions here, with space of their own."""
+    """Return the features of a network for the functions here, with their own workspace."""
     rows = np.array(features, dtype=np.float64).reshape(len(features), len(card.kinds))
     periodic = np.array([is_periodic(card.kinds, row) for row in features], dtype=np.int64)
     starts = np.cumsum(1 + periodic) - 1 - periodic
@@ -52,7 +52,7 @@ def pack_features(card: MechanicalCard, features: list[list[float]]) -> Features
 
 
 def even_layers(layers: Layers) -> Layers:
-    """Return the same network with an even number of inputs; one may have no effect."""
+    """Return the same network with an even number of inputs, the last one possibly unused."""
     inputs = layers.widths[0]
     return layers.widened(_even(inputs), range(inputs))
 
@@ -77,7 +77,7 @@ def see(seen: Features, q: np.ndarray) -> None:
 
 @part(error_model='numpy')
 def see_change(seen: Features, v_q: np.ndarray) -> None:
-    """Fill the change of the inputs along v_q; after ``see``."""
+    """Fill the change of the inputs along v_q; call ``see`` first."""
     rows, periodic, inputs, x_v = seen.rows, seen.periodic, seen.inputs, seen.change
     for k in range(periodic.size):
         change, at = 0.0, seen.starts[k]
@@ -92,7 +92,7 @@ def see_change(seen: Features, v_q: np.ndarray) -> None:
 @part(error_model='numpy')
 def add_covector(seen: Features, sign: float, cotangent: np.ndarray, covector: np.ndarray
                  ) -> None:
-    """Add sign times what a cotangent of the inputs is for q."""
+    """Add sign times the derivative by q that follows from a derivative by the inputs."""
     rows, periodic, inputs = seen.rows, seen.periodic, seen.inputs
     for k in range(periodic.size):
         at = seen.starts[k]
@@ -105,7 +105,7 @@ def add_covector(seen: Features, sign: float, cotangent: np.ndarray, covector: n
 
 @part(error_model='numpy')
 def add_covector_change(seen: Features, sign: float, covector: np.ndarray) -> None:
-    """Add sign times what that covector changes by with the inputs, at a held cotangent."""
+    """Add sign times the change of that derivative with the inputs, at constant cotangent."""
     rows, periodic = seen.rows, seen.periodic
     cotangent, change = seen.cotangent, seen.change
     for k in range(periodic.size):

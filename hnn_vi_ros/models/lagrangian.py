@@ -14,11 +14,11 @@ from hnn_vi_ros.models.networks.perceptron_memory import PackedPerceptron
 from hnn_vi_ros.models.outputs import part_gradient
 import numpy as np
 
-# States of the box at which the Lagrangian must be regular, and how much L_vv may vary there.
+# Number of states of the box at which L must be regular, and the allowed variation of L_vv.
 _SAMPLES = 1000
 _CONDITION = 1e8
 _ITERATIONS = 50
-# Relative changes below which Newton's method keeps the last inverse, and stops.
+# Relative changes below which Newton's method reuses the last inverse, and stops.
 _HOLD, _STOP = 1e-4, 1e-15
 
 
@@ -35,13 +35,13 @@ class LagrangianParameters(NamedTuple):
     start : np.ndarray, shape (d,)
         Newton's method starts from v = start + start_slope p.
     start_slope : np.ndarray, shape (d, d)
-        See there.
+        See ``start``.
     v, L_q, L_v : np.ndarray, shape (d,)
         The velocity, and the derivatives of L there.
     zero, unit, along_q, along_v, change : np.ndarray, shape (d,)
-        Zeros, and space for directions, products of N'' with them, and a step of Newton's method.
+        Zeros, and workspace for directions, products of N'' with them, and Newton steps.
     L_vv, inverse : np.ndarray, shape (d, d)
-        Space for its elimination, and L_vv^-1.
+        Workspace of the elimination, and L_vv^-1.
 
     """
 
@@ -65,18 +65,18 @@ class LagrangianHamiltonian(LearnedHamiltonian):
     """
     H(q, p) = p . v - L(q, v), where L_v(q, v) = p, for L = v . M v / 2 + N(q, v).
 
-    M is the mass matrix of the model card, N the network ``lagrangian``. The velocity is found
-    by Newton's method in each evaluation, from the same start whatever was evaluated before, and
+    M is the mass matrix of the model card, N the network ``lagrangian``. Each evaluation computes
+    v by Newton's method, from an initial guess that does not depend on earlier evaluations, and
 
         (H_q, H_p) = (-L_q, v),    L_vv v' = p' - L_vq q',
 
-    the latter giving the Hessian. Where no velocity is found, all values are NaN, with which a
-    step fails.
+    where the last equation gives the Hessian. If Newton's method fails, all values are NaN, which
+    makes a step fail.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of the family lagrangian.
+        A model of the family lagrangian.
 
     Raises
     ------
@@ -141,24 +141,24 @@ def midpoint_action(checkpoint: Checkpoint) -> Callable[..., Any]:
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of the family lagrangian.
+        A model of the family lagrangian.
 
     Returns
     -------
     callable
-        See DiscreteEulerLagrange.
+        Discrete Lagrangian; see DiscreteEulerLagrange.
 
     Raises
     ------
     ModelError
-        The model is of another family.
+        The model belongs to another family.
 
     """
     family = checkpoint.card.family
     if family != 'lagrangian':
         raise ModelError(f'{checkpoint.card.name}: a model of the family {family} has no '
                          'Lagrangian, as the family lagrangian has; take another integrator')
-    # Where it is needed: shipped scenes run without torch.
+    # Imported lazily: shipped scenes run without torch.
     from hnn_vi_ros.models.torch_network import Network
     import torch
     mass = torch.tensor(checkpoint.card.mass, dtype=torch.float64)
@@ -239,7 +239,7 @@ def _solve(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray) -> No
             size, length = max(size, abs(change[i])), max(length, abs(v[i]))
         if size <= _STOP * length or (size >= before and size <= 1e-10 * length):
             return
-        # Far from the solution a step that grows is halved; NaN ends here as well.
+        # A step that increases the residual is halved; NaN also ends the loop here.
         scale = 1.0 if size < before else 0.5
         held, before = size <= _HOLD * length, size
         for i in range(d):
@@ -262,7 +262,7 @@ def _invert_mass(parameters: LagrangianParameters, q: np.ndarray, v: np.ndarray)
         perceptron.hessian_vector(network, q, v, zero, unit, along_q, along_v)
         for i in range(d):
             A[i, j], inverse[i, j] = along_v[i] + mass[i, j], unit[i]
-    # Gauss and Jordan, without a search for pivots: the matrix is positive definite in the box.
+    # Gauss-Jordan without pivoting: the matrix is positive definite in the box.
     for k in range(d):
         pivot = 1.0 / A[k, k]
         for j in range(d):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Common part of all trained models, as Hamiltonians."""
+"""Base class of all trained models, as Hamiltonians."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -15,18 +15,18 @@ from hnn_vi_ros.models.networks.perceptron_memory import pack, PackedPerceptron
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
-# States of the box at which rounding is measured.
+# Number of states of the box at which rounding is measured.
 SAMPLES = 64
 _EPS = float(np.finfo(np.float64).eps)
-# How far apart these and those that they are compared with are, relative to the largest.
+# Distance of the states of a second difference, relative to the largest.
 _AWAY = 1e3 * _EPS
 
 
 class LearnedHamiltonian(Hamiltonian):
     """
-    A Hamiltonian made of the trained networks of a model.
+    A Hamiltonian of the trained networks of a model.
 
-    A subclass gives the functions of its kernel; their rounding is measured.
+    A subclass defines the functions of its kernel; their rounding error is measured.
 
     Parameters
     ----------
@@ -49,10 +49,10 @@ class LearnedHamiltonian(Hamiltonian):
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
+        """Return the functions for simulations."""
         kernel = self._kernel()
         if self._scales is None:
-            # Simulations call by address too, so that they share the functions compiled here.
+            # Simulations also call by address, so that they share the functions compiled here.
             called, z, d = by_address(kernel), self._samples(), self.dimension
             slopes = rounding(lambda z: np.hstack(
                 [*called.slopes(*_flat(z)).reshape(2, -1, d)]), z)
@@ -65,13 +65,13 @@ class LearnedHamiltonian(Hamiltonian):
     _scales: tuple[tuple[float, float], float] | None = None
 
     def _packed(self, network: str, part: str = 'both') -> PackedPerceptron:
-        """Return a network of (q, p), or of q or p alone, for the loops of perceptron.py."""
+        """Return a network of (q, p), or of only q or p, for the loops of perceptron.py."""
         return pack(*padded(self.checkpoint.networks[network], part),
                     self.checkpoint.card.activation)
 
     @abstractmethod
     def _kernel(self) -> Kernel:
-        """Return the functions, with working memory of their own."""
+        """Return the functions, with their own workspace."""
 
     def _kernel_of(self, energy: Energy, gradient: Gradient, hessian_vector: HessianVector,
                    parameters: Parameters) -> Kernel:
@@ -80,7 +80,7 @@ class LearnedHamiltonian(Hamiltonian):
                                rotations=self.rotations)
 
     def _samples(self, count: int = SAMPLES) -> np.ndarray:
-        """Return states of the box, shape (count, 2 d)."""
+        """Return random states of the box, shape (count, 2 d)."""
         low, high = np.concatenate(self.box).T
         return np.random.default_rng(0).uniform(low, high, (count, low.size))
 
@@ -89,21 +89,21 @@ def rounding(function: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.
     """
     Return a bound on the rounding errors of a function, in units of the unit round-off.
 
-    That is twice the largest f(z + e) - 2 f(z) + f(z - e), for e so small that the second
-    difference of the exact f is far below its rounding. Its standard deviation is 6^(1/2) that of
-    one rounding error. A bound by the weights would grow exponentially with their layers.
+    The bound is twice the largest f(z + e) - 2 f(z) + f(z - e), for e so small that the second
+    difference of the exact f is far below its rounding. Its standard deviation is 6^(1/2) times
+    that of one rounding error. A bound from the weights would grow exponentially with the layers.
 
     Parameters
     ----------
     function : callable
-        Returns k values at each of m states, shape (m, k).
+        Function that returns k values at each of m states, shape (m, k).
     z : np.ndarray, shape (m, 2 d)
         The states.
 
     Returns
     -------
     np.ndarray, shape (k,)
-        Of each value, over all states.
+        The bound of each value, over all states.
 
     """
     e = _AWAY * np.abs(z).max(axis=0) * np.random.default_rng(1).uniform(-1.0, 1.0, z.shape)
@@ -120,7 +120,7 @@ def _flat(z: np.ndarray) -> list[np.ndarray]:
 
 
 def warn_of_scheme(hamiltonian: Hamiltonian, integrator: str, step_size: float) -> None:
-    """Warn if H was trained through another method, or step size [s], than it runs with."""
+    """Warn if H was trained through another method or step size [s] than in this run."""
     if hamiltonian.scheme is None:
         return
     method, h = hamiltonian.scheme
@@ -131,7 +131,7 @@ def warn_of_scheme(hamiltonian: Hamiltonian, integrator: str, step_size: float) 
 
 
 def padded(layers: Layers, part: str) -> Layers:
-    """Return a network of one ``part``, q or p, as one of both; leave one of both unchanged."""
+    """Return a network of one ``part``, q or p, extended to both; one of both is unchanged."""
     if part == 'both':
         return layers
     n = layers.widths[0]

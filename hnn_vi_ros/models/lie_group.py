@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A learned Hamiltonian of a body that turns: its mass and its potential on SO(3) or SE(3)."""
+"""A learned Hamiltonian of a rotating body, with mass and potential on SO(3) or SE(3)."""
 
 from hnn_vi_ros.kernels import Kernel, part
 from hnn_vi_ros.models.attitude_features import (
@@ -19,20 +19,20 @@ class LieGroupHamiltonian(LearnedHamiltonian):
     """
     H = pi . M(g)^-1 pi / 2 + V(g), or V(g, pi), with M^-1 = S (L L^T + floor) S.
 
-    pi = (R^T p, L): the momentum of the position and that of turning, both in the frame of the
-    body. The network ``mass`` gives the entries y of the lower triangular L, a block of 3 x 3 for
-    each, with log(1 + exp(y)) or y on its diagonal; ``potential`` gives V. They see the nine
-    entries of R, and the position, as the card says. With u = S pi and w = L^T u,
+    pi = (R^T p, L): linear and angular momentum in the frame of the body. The network ``mass``
+    gives the entries y of the lower triangular L, one 3 x 3 block for each, with log(1 + exp(y))
+    or y on its diagonal; ``potential`` gives V. Their inputs are the nine entries of R, and the
+    position, as defined in the card. With u = S pi and w = L^T u,
 
         v = S (L w + floor u) + V_pi,    H_g = V_g + sum_ij u_i w_j (L_ij)_g + p . (R v)_g,
 
-    where v are the velocities in the frame of the body: H_p is R v of the position, v of turning.
-    Its friction is the effect learned_friction, its input map that of external_force.
+    where v are the velocities in the frame of the body: H_p is R v for the position and v for the
+    rotation. Its friction is the effect learned_friction, its input map that of external_force.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of the family lie_group.
+        A model of the family lie_group.
 
     References
     ----------
@@ -63,7 +63,7 @@ class LieGroupHamiltonian(LearnedHamiltonian):
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
     def _samples(self, count: int = SAMPLES) -> np.ndarray:
-        """Return states of the box with any attitude; the last column is zero."""
+        """Return random states of the box with any attitude; the last column is zero."""
         rng = np.random.default_rng(0)
         q, p = (rng.uniform(part[:, 0], part[:, 1], (count, len(part))) for part in self.box)
         attitudes = rng.normal(size=(count, 4))
@@ -128,7 +128,7 @@ def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
 
 @part(error_model='numpy')
 def _first_order(parameters: RootParameters, q: np.ndarray, p: np.ndarray) -> None:
-    """Fill the derivative c of H by (x, R) at held p, and the velocities v."""
+    """Fill the derivative c of H by (x, R) at constant p, and the velocities v."""
     c, v = parameters.work.c, parameters.work.v
     see_attitude(q, p, parameters.work.z)
     first_order(parameters)

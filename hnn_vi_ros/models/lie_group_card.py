@@ -14,7 +14,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 
 
 class LieGroupCard(StrictModel):
-    """Features that the networks of a body that turns see of (g, p), with pi = (R^T p, L)."""
+    """Inputs, functions of (g, p), of the networks of a rotating body, with pi = (R^T p, L)."""
 
     kind: Literal['rotation', 'pose'] = Field(description='of the coordinate')
     mass_scale: list[Positive] = Field(description=(
@@ -53,13 +53,13 @@ class LieGroupCard(StrictModel):
 
     @property
     def networks(self) -> dict[str, Network]:
-        """Return the ends of each network; an input map has a column of k for each input."""
+        """Return inputs and outputs of each network; an input map has k outputs for each input."""
         outputs: dict[str, Callable[[int, int], int]] = {
             'mass': lambda d, _: len(self.entries), 'potential': lambda d, _: 1,
             'dissipation': lambda d, _: len(self.entries),
             'input_map': lambda d, found: -(-found // self.size) * self.size}
         seen = {name: getattr(self, f'{name}_depends_on') for name in outputs}
-        # One that sees nothing has one input, 0.
+        # A network without inputs has one input, 0.
         return {name: Network(max(1, len(self.columns(columns))), outputs[name])
                 for name, columns in seen.items() if columns is not None}
 
@@ -73,6 +73,6 @@ class LieGroupCard(StrictModel):
 
     @property
     def entries(self) -> list[tuple[int, int]]:
-        """Return the places in L, and in the root of D, of outputs: triangles on the diagonal."""
+        """Return the places of outputs in L, and in the root of D: triangles on the diagonal."""
         return [(first + i, first + j) for first in range(0, self.size, 3)
                 for i in range(3) for j in range(i + 1)]

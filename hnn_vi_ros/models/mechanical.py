@@ -1,9 +1,9 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A learned Hamiltonian of a mechanism: H = p . M(q)^-1 p / 2 + V(q), M and V being networks of q.
+A learned Hamiltonian of a mechanism: H = p . M(q)^-1 p / 2 + V(q), with networks for M and V.
 
-``inertia``, ``slope`` and ``slope_change`` are what a mean of mechanisms needs of each member.
+``inertia``, ``slope`` and ``slope_change`` are used by the mean of several mechanisms.
 """
 
 from typing import NamedTuple
@@ -28,14 +28,14 @@ import numpy as np
 
 class MassNetwork(NamedTuple):
     """
-    The network of M of k entries.
+    The network of M with k entries.
 
     Parameters
     ----------
     outputs : PackedOutputs
         The network of y.
     seen : Features
-        Its inputs from q.
+        Its inputs, features of q.
     places : np.ndarray of int, shape (k, 2)
         Row and column of each entry in L.
     scale : np.ndarray, shape (d,)
@@ -53,7 +53,7 @@ class MassNetwork(NamedTuple):
 
 
 class PotentialNetwork(NamedTuple):
-    """The network of V, and what it sees of q."""
+    """The network of V, and its features of q."""
 
     network: PackedPerceptron
     seen: Features
@@ -61,18 +61,18 @@ class PotentialNetwork(NamedTuple):
 
 class MechanicalWork(NamedTuple):
     """
-    Space for one state; what ends in ``_v`` is a change along a direction.
+    Workspace for one state; names ending in ``_v`` are changes along a direction.
 
     Parameters
     ----------
     y, y_v, c, c_v : np.ndarray, shape (k,)
-        The entries, and their cotangent u_i w_j L_ij'(y): the derivative of -H by them.
+        The entries, and u_i w_j L_ij'(y), the derivative of -H by them.
     L, L_v, factor : np.ndarray, shape (d, d)
         L, and the Cholesky factor of S^-1 M S^-1.
     v, u, u_v, w, w_v : np.ndarray, shape (d,)
         The velocity, u = S v and w = L^T u.
     turned : np.ndarray, shape (d,)
-        L'^T u of the change L' of L.
+        L'^T u for the change L' of L.
 
     """
 
@@ -92,12 +92,12 @@ class MechanicalWork(NamedTuple):
 
     @classmethod
     def empty(cls, entries: int, d: int) -> 'MechanicalWork':
-        """Return space for so many entries and coordinates."""
+        """Return workspace for this number of entries and coordinates."""
         return cls(*np.zeros((4, entries)), *np.zeros((3, d, d)), *np.zeros((6, d)))
 
 
 class MechanicalParameters(NamedTuple):
-    """Parameters of the functions of a mechanism: M, V, what a prior adds, and space."""
+    """Parameters of the functions of a mechanism: M, V, the prior, and workspace."""
 
     mass: MassNetwork
     potential: PotentialNetwork
@@ -110,19 +110,19 @@ class MechanicalHamiltonian(LearnedHamiltonian):
     H(q, p) = p . M(q)^-1 p / 2 + V(q), with M = S (L L^T + floor) S.
 
     The network ``mass`` gives the entries y of the lower triangular L, with log(1 + exp(y)) on its
-    diagonal, and ``potential`` gives V; the card holds their inputs from q, S and the floor.
-    p = M(q) v is the model's own momentum. With u = S v and w = L^T u,
+    diagonal, and ``potential`` gives V; the card defines their inputs from q, S and the floor. p =
+    M(q) v is the model's own momentum. With u = S v and w = L^T u,
 
         H_p = v = M^-1 p,    H_q = V' - sum_ij u_i w_j L_ij',
 
     since v . M v = |w|^2 + floor |u|^2: one forward and one backward pass through each network.
     Its friction is the effect learned_friction. A prior of the card, rigid links or an exact
-    system, adds its M and V of fitted parameters, and the networks are what it lacks.
+    system, adds its M and V with fitted parameters, and the networks give the remainder.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of the family mechanical.
+        A model of the family mechanical.
 
     References
     ----------
@@ -144,7 +144,7 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         return self._kernel_of(energy, gradient, hessian_vector, self.parameters())
 
     def parameters(self) -> MechanicalParameters:
-        """Return what the compiled functions take first, with working memory of its own."""
+        """Return the first argument of the compiled functions, with its own workspace."""
         card, mechanical, networks = (
             self.checkpoint.card, self._mechanical, self.checkpoint.networks)
         mass = MassNetwork(
@@ -189,14 +189,14 @@ def gradient(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
 def hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
                    v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                    product_p: np.ndarray) -> None:
-    """Fill the change of the gradient along (v_q, v_p): that of its lines, one by one."""
+    """Fill the change of the gradient along (v_q, v_p), from the derivative of each line."""
     scale, u_v, factor = parameters.mass.scale, parameters.work.u_v, parameters.work.factor
     d = scale.size
     for a in range(0, q.size, d):
         b = a + d
         _solve(parameters, q[a:b], p[a:b])
-        # A u = S^-1 p with A = L L^T + floor + S^-1 M S^-1 of the prior, so
-        # A u' = S^-1 p' - L' w - L (L'^T u) - S^-1 M' v.
+        # A u = S^-1 p with A = L L^T + floor + S^-1 M S^-1 of the prior, so A u' = S^-1 p' - L' w
+        # - L (L'^T u) - S^-1 M' v.
         for i in range(d):
             u_v[i] = v_p[a + i] / scale[i]
         _turn_mass(parameters, q[a:b], v_q[a:b], product_q[a:b])
@@ -208,10 +208,10 @@ def hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarra
 
 def inertia(parameters: MechanicalParameters, q: np.ndarray, mass: np.ndarray) -> float:
     """
-    Fill M(q) on and below its diagonal, row by row, shape (d d,); q is padded to that size.
+    Fill the lower triangle of M(q), row by row, shape (d d,); q is padded to that size.
 
-    This, ``slope`` and ``slope_change`` are called by address, in this order: they take the arrays
-    that a kernel's three functions take.
+    This function, ``slope`` and ``slope_change`` are called by address, in this order: they have
+    the signatures of a kernel's three functions.
     """
     scale, factor = parameters.mass.scale, parameters.work.factor
     d = scale.size
@@ -224,7 +224,7 @@ def inertia(parameters: MechanicalParameters, q: np.ndarray, mass: np.ndarray) -
 
 def slope(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray, dH_dq: np.ndarray,
           unused: np.ndarray) -> None:
-    """Fill V' - (v . M v)_q / 2 at held v: H_q where p is M v."""
+    """Fill V' - (v . M v)_q / 2 at constant v, which is H_q for p = M v."""
     _set_velocity(parameters, v)
     _fill_slope(parameters, q, dH_dq)
 
@@ -232,7 +232,7 @@ def slope(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray, dH_dq:
 def slope_change(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray,
                  v_q: np.ndarray, v_change: np.ndarray, change: np.ndarray,
                  turned: np.ndarray) -> None:
-    """Fill the change of ``slope`` with q and with v, and M' v, of M that changes with q."""
+    """Fill the change of ``slope`` with q and with v, and M' v for the change M' of M."""
     scale, u_v = parameters.mass.scale, parameters.work.u_v
     _set_velocity(parameters, v)
     u_v[:] = 0.0
@@ -245,7 +245,7 @@ def slope_change(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray,
 
 @part(error_model='numpy')
 def _seen_gradient(network: PackedPerceptron, seen: Features) -> None:
-    """Fill the cotangent: the derivative of a network of one output by its inputs."""
+    """Fill the cotangent, the derivative of a network of one output by its inputs."""
     x, c = seen.inputs, seen.cotangent
     half = x.size // 2
     part_gradient(network, x[:half], x[half:], c[:half], c[half:])
@@ -253,7 +253,7 @@ def _seen_gradient(network: PackedPerceptron, seen: Features) -> None:
 
 @part(error_model='numpy')
 def _seen_hessian_vector(network: PackedPerceptron, seen: Features) -> None:
-    """Fill the change of the cotangent with that of the inputs."""
+    """Fill the change of the cotangent with the inputs."""
     x, x_v, c_v = seen.inputs, seen.change, seen.cotangent_change
     half = x.size // 2
     perceptron.hessian_vector(network, x[:half], x[half:], x_v[:half], x_v[half:],
@@ -276,7 +276,7 @@ def _differentiate_potential(potential: PotentialNetwork, q: np.ndarray, v_q: np
 @part(error_model='numpy')
 def _turn_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
                product_q: np.ndarray) -> None:
-    """Subtract S^-1 M' v from u_v, and fill the change of -sum_ij u_i w_j L_ij' at held u, w."""
+    """Subtract S^-1 M' v from u_v; fill the change of -sum_ij u_i w_j L_ij' at constant u, w."""
     mass, prior, work = parameters.mass, parameters.prior, parameters.work
     outputs, seen, places, scale = mass.outputs, mass.seen, mass.places, mass.scale
     y, y_v = work.y, work.y_v
@@ -304,7 +304,7 @@ def _turn_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
 @part(error_model='numpy')
 def _change_slope(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
                   v_change: np.ndarray, product_q: np.ndarray) -> None:
-    """Add what the slope changes by with u, w and V; after _turn_mass, of u_v = S v_change."""
+    """Add the change of the slope with u, w and V; after _turn_mass, for u_v = S v_change."""
     mass, prior, work = parameters.mass, parameters.prior, parameters.work
     outputs, seen, places = mass.outputs, mass.seen, mass.places
     L, turned = work.L, work.turned
@@ -341,7 +341,7 @@ def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> No
 
 @part(error_model='numpy')
 def _fill_mass(parameters: MechanicalParameters, q: np.ndarray) -> None:
-    """Fill y, L, and S^-1 M S^-1 on and below its diagonal in the place of its factor."""
+    """Fill y, L, and the lower triangle of S^-1 M S^-1, stored in place of its factor."""
     mass, prior, work = parameters.mass, parameters.prior, parameters.work
     seen, L, factor = mass.seen, work.L, work.factor
     see(seen, q)
@@ -359,7 +359,7 @@ def _fill_mass(parameters: MechanicalParameters, q: np.ndarray) -> None:
 
 @part(error_model='numpy')
 def _set_velocity(parameters: MechanicalParameters, velocity: np.ndarray) -> None:
-    """Fill v, u and w, of a velocity; after _fill_mass."""
+    """Fill v, u and w of a velocity; call _fill_mass first."""
     scale, work = parameters.mass.scale, parameters.work
     for i in range(scale.size):
         work.v[i] = velocity[i]
@@ -369,7 +369,7 @@ def _set_velocity(parameters: MechanicalParameters, velocity: np.ndarray) -> Non
 
 @part(error_model='numpy')
 def _fill_slope(parameters: MechanicalParameters, q: np.ndarray, dH_dq: np.ndarray) -> None:
-    """Fill V' - (v . M v)_q / 2 at held v; after _solve or _set_velocity."""
+    """Fill V' - (v . M v)_q / 2 at constant v; call _solve or _set_velocity first."""
     mass, potential, work = parameters.mass, parameters.potential, parameters.work
     prior = parameters.prior
     weigh_entries(mass.places, True, work.y, work.u, work.w, work.c)

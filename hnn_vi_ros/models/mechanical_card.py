@@ -20,14 +20,14 @@ from pydantic import Field, model_validator
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Kind = Literal['revolute', 'continuous', 'prismatic']
-# An ensemble has at most this many members.
+# Maximum number of members of an ensemble.
 MOST_MEMBERS = 64
-# The members of an ensemble agree in these fields.
+# Fields that are equal in all members of an ensemble.
 _SHARED = 'kinds', 'features', 'mass_features', 'diagonal_mass', 'friction_features', 'delay'
 
 
 class CoulombTerm(StrictModel):
-    """A friction -c tanh(v / w) at each coordinate."""
+    """Friction -c tanh(v / w) at each coordinate."""
 
     force: list[NotNegative] = Field(description='c, in the unit of the generalised force')
     width: list[Positive] = Field(description='w, in the unit of the velocity')
@@ -35,7 +35,7 @@ class CoulombTerm(StrictModel):
 
 
 class StribeckTerm(StrictModel):
-    """A friction -c tanh(v / w) exp(-(v / s)^2) at each coordinate: what breaking away adds."""
+    """Friction -c tanh(v / w) exp(-(v / s)^2) at each coordinate: the breakaway part."""
 
     force: list[NotNegative] = Field(description='c, in the unit of the generalised force')
     width: list[Positive] = Field(description='w, in the unit of the velocity')
@@ -46,8 +46,8 @@ class FrictionCard(StrictModel):
     """
     Friction at each coordinate, whose power is never positive, and the offset of a motor.
 
-    Where it differs by the sign of v, b and c of Coulomb terms go over by
-    c_- + (c_+ - c_-) (1 + tanh(v / s)) / 2.
+    If b and c of Coulomb terms depend on the sign of v, the transition is c_- + (c_+ - c_-) (1 +
+    tanh(v / s)) / 2.
     """
 
     viscous: list[NotNegative] = Field(description='b of the friction -b v')
@@ -87,7 +87,7 @@ class Quantity(StrictModel):
 
 
 class PriorCard(StrictModel):
-    """A parametric system; M and V of the networks are added to its own."""
+    """A parametric system whose M and V are added to those of the networks."""
 
     kind: str = Field(description=(
         'rigid links in a plane, a rigid_body of its tree, or an exact system of the coordinates '
@@ -135,12 +135,12 @@ class PriorCard(StrictModel):
 
 
 def is_periodic(kinds: Sequence[Kind], row: Sequence[float]) -> bool:
-    """Return whether a network sees the sine and cosine of a combination of coordinates."""
+    """Return True if a network uses sine and cosine of a combination of coordinates."""
     return any(x and kind == 'continuous' for x, kind in zip(row, kinds, strict=True))
 
 
 def check_row(key: str, kinds: Sequence[Kind], row: Sequence[float]) -> None:
-    """Raise ValueError for a combination of coordinates that no network can see."""
+    """Raise ValueError for a combination of coordinates that cannot be a feature."""
     if not any(row):
         raise ValueError(f'{key}: a row of zeros sees nothing; leave it out')
     turning = [x for x, kind in zip(row, kinds, strict=True) if kind == 'continuous' and x]
@@ -152,7 +152,7 @@ def check_row(key: str, kinds: Sequence[Kind], row: Sequence[float]) -> None:
 
 
 def check_prior(kind: str, kinds: Sequence[Kind], angles: Sequence[Sequence[float]]) -> None:
-    """Raise ValueError for a prior that there is not, or not of these coordinates."""
+    """Raise ValueError for a prior that does not exist or does not match these coordinates."""
     d = len(kinds)
     if kind in CHAINS:
         if not is_chain(kind, angles, kinds):
@@ -174,7 +174,7 @@ _FEATURES = 'features', 'mass_features', 'friction_features'
 
 
 class MechanicalCard(StrictModel):
-    """Features that the networks of M, of V and of friction see of the coordinates."""
+    """Features of the coordinates that are inputs of the networks of M, V and friction."""
 
     kinds: list[Kind] = Field(description='of each coordinate')
     features: list[list[float]] = Field(min_length=1, description=(
@@ -254,7 +254,7 @@ class MechanicalCard(StrictModel):
 
     @property
     def networks(self) -> dict[str, Network]:
-        """Return the ends of each of the networks."""
+        """Return inputs and outputs of each network."""
         found = {'mass': Network(self.inputs(self.mass_features), lambda d, _: len(self.entries)),
                  'potential': Network(self.inputs(self.features))}
         if self.friction_features is not None:
@@ -264,7 +264,7 @@ class MechanicalCard(StrictModel):
         return found
 
     def inputs(self, features: list[list[float]]) -> int:
-        """Return the inputs of a network that sees these; one that sees nothing has one, 0."""
+        """Return the number of inputs for these features; without features it is one, 0."""
         return max(1, sum(2 if is_periodic(self.kinds, row) else 1 for row in features))
 
     @property
@@ -279,7 +279,7 @@ def entries_of(d: int, diagonal: bool) -> list[tuple[int, int]]:
 
 
 def check_alike(one: MechanicalCard, other: MechanicalCard) -> None:
-    """Raise ValueError if two cards are not of models whose mean is one of that kind."""
+    """Raise ValueError if two models cannot form a mean of the same kind."""
     for name in _SHARED:
         if getattr(one, name) != getattr(other, name):
             raise ValueError(f'ensemble: {name} of a member are not those of the others')
@@ -295,8 +295,8 @@ def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:
     """
     Return the card of the mean of models, with the mean's friction and input map.
 
-    The friction is all their terms, with an N-th of their forces. Scales and parameters of priors
-    are means for the reader; the members themselves supply M and V.
+    The friction consists of the terms of all members, with forces divided by N. Scales and prior
+    parameters are means, only for information; M and V come from the members themselves.
     """
     count, first = len(cards), cards[0]
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The mean of several learned mechanisms: that of their masses and potentials."""
+"""The mean of several learned mechanisms, with the mean of their masses and potentials."""
 
 from typing import NamedTuple
 
@@ -19,15 +19,15 @@ class MeanParameters(NamedTuple):
     Parameters
     ----------
     first : Target
-        The first of the members: what is compiled before the first step.
+        Parameters of the first member, by address; they are compiled before the first step.
     members : tuple of Target
-        Of each ``inertia``, ``slope`` and ``slope_change`` of mechanical.py, by address.
+        ``inertia``, ``slope`` and ``slope_change`` of mechanical.py for each member, by address.
     wholes : tuple of Target
-        Of each its Hamiltonian, whose energy at rest is V.
+        The Hamiltonian of each member, whose energy at rest is V.
     factor : np.ndarray, shape (d, d)
         The Cholesky factor of M.
     v, v_change, part, turned, zero : np.ndarray, shape (d,)
-        The velocity, its change, what one member says, M' v, and zeros.
+        The velocity, its change, the result of one member, M' v, and zeros.
     wide_q, wide_mass : np.ndarray, shape (d d,)
         q, padded, and M of one member.
 
@@ -50,20 +50,20 @@ class MeanMechanism(MeanHamiltonian):
     """
     H(q, p) = p . M(q)^-1 p / 2 + V(q), with M = (M_1 + ... + M_N) / N, and V in the same way.
 
-    That is the mean of the members' Lagrangians, which are functions of the measured q and q'.
-    With the mean of their friction and input maps, the force that the mean needs for a
-    motion is the mean of the members' forces: a motion that all of them have is one of the
-    mean's, even where they differ by a factor of M, V and friction, which motions of little force
-    hardly tell. M is positive definite as each M_k is. With v = M^-1 p and p_k = M_k v
+    This is the mean of the members' Lagrangians, which are functions of the measured q and q'.
+    With the mean of friction and input maps, the force that the mean needs for a motion is the
+    mean of the members' forces: a motion of all members is also one of the mean, even if they
+    differ by a common factor of M, V and friction, which motions with small forces hardly
+    determine. M is positive definite because each M_k is. With v = M^-1 p and p_k = M_k v
 
         H_p = v,    H_q = (sum_k V_k' - (v . M_k v)_q / 2) / N,
 
-    where each term is H_k,q(q, p_k): a gradient costs N gradients of a member.
+    where each term is H_k,q(q, p_k). A gradient costs N gradients of a member.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of an ensemble of the family mechanical.
+        An ensemble of the family mechanical.
 
     """
 
@@ -111,7 +111,7 @@ def gradient(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, dH_dq: np
 
 def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    """Fill the change of the gradient along (v_q, v_p), where M v' = p' - M' v."""
+    """Fill the change of the gradient along (v_q, v_p), using M v' = p' - M' v."""
     v, v_change, own = parameters.v, parameters.v_change, parameters.part
     turned, d = parameters.turned, parameters.v.size
     share = 1.0 / len(parameters.members)
@@ -136,7 +136,7 @@ def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, v_q
 
 @part(error_model='numpy')
 def _solve(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> None:
-    """Fill the factor of M, and v; NaN if no factor exists."""
+    """Fill the factor of M, and v; v is NaN if no factor exists."""
     factor, v, mass = parameters.factor, parameters.v, parameters.wide_mass
     d, share = v.size, 1.0 / len(parameters.members)
     for i in range(d):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The model card: what a trained model is, for people and for the loader."""
+"""The model card: the description of a trained model, for people and for the loader."""
 
 from typing import Annotated, Any, Literal
 
@@ -63,7 +63,7 @@ class Scheme(StrictModel):
 
 
 class Units(StrictModel):
-    """In what units the networks saw the data: x enters them as (x - centre) / scale."""
+    """Normalisation of the network inputs: (x - centre) / scale."""
 
     centre: list[float] = Field(description='of the states (q, p)')
     scale: list[float] = Field(description='of the states (q, p)')
@@ -87,7 +87,7 @@ class PredictionError(StrictModel):
 
 
 class ModelCard(StrictModel):
-    """Card of a model: what it is, what it was learned from, and how well."""
+    """Description of a model: its type, training data and accuracy."""
 
     format_version: Literal[1] = 1
     name: str = Field(min_length=1, max_length=255)
@@ -204,7 +204,7 @@ class ModelCard(StrictModel):
 
 
 class EnsembleCard(StrictModel):
-    """The members of an ensemble, and how their spread is scaled to the error of their mean."""
+    """The members of an ensemble, and the scale from their spread to the error of their mean."""
 
     members: list[ModelCard] = Field(min_length=2, max_length=MOST_MEMBERS)
     factors: list[Annotated[float, Field(gt=0.0)]] | None = Field(None, description=(
@@ -219,7 +219,7 @@ class EnsembleCard(StrictModel):
     @model_validator(mode='before')
     @classmethod
     def _with_one_factor(cls, data: Any) -> Any:
-        """Take the one factor of files of version 0.2.0 for all coordinates and momenta."""
+        """Apply the single factor of files of version 0.2.0 to all coordinates and momenta."""
         match data:
             case {'factor': factor, 'members': [{'coordinates': [*coordinates]}, *_], **others}:
                 return {**others, 'members': data['members'],

@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Networks as parts of a Hamiltonian; the compiled loops for one output also serve several.
+Networks of several outputs as parts of a Hamiltonian, using the loops for one output.
 
-A network y = Y a_K + b of k outputs is packed as the network w . a_K of one, whose last weights w
-are set to c^T Y for the sum c . y of its outputs with any numbers c, its gradient included.
+A network y = Y a_K + b of k outputs is packed as the network w . a_K of one output, whose last
+weights w are set to c^T Y for a weighted sum c . y of its outputs, including its gradient.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ class PackedOutputs(NamedTuple):
     Parameters
     ----------
     network : PackedPerceptron
-        That of one output, w . a_K; see ``weigh``.
+        Network of one output, w . a_K; see ``weigh``.
     last : np.ndarray, shape (k, n)
         Y.
     bias : np.ndarray, shape (k,)
@@ -44,9 +44,9 @@ def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> Packe
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of the model.
+        A model.
     network : str
-        The name of its network, with k outputs.
+        Name of its network, with k outputs.
     part : str
         Its arguments: ``'q'``, ``'p'`` or ``'both'``.
 
@@ -55,7 +55,7 @@ def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> Packe
 
 
 def pack_layers(layers: Layers, activation: str) -> PackedOutputs:
-    """Return the same of a network of an even number of inputs."""
+    """Return a network with an even number of inputs for the functions here."""
     weights, biases = layers
     one = np.zeros((1, weights[-1].shape[1]))
     packed = pack((*weights[:-1], one), (*biases[:-1], np.zeros(1)), activation)
@@ -66,7 +66,7 @@ def pack_layers(layers: Layers, activation: str) -> PackedOutputs:
 @part(error_model='numpy')
 def part_gradient(network: PackedPerceptron, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                   dH_dp: np.ndarray) -> None:
-    """Fill the gradient of one network: a call, since inlining several compiles for long."""
+    """Fill the gradient of one network; not inlined, because inlining several compiles slowly."""
     perceptron.gradient(network, q, p, dH_dq, dH_dp)
 
 
@@ -95,7 +95,7 @@ def output_tangents(outputs: PackedOutputs, y: np.ndarray) -> None:
 
 @part(error_model='numpy')
 def weigh(outputs: PackedOutputs, c: np.ndarray) -> None:
-    """Make the network of one output c . y."""
+    """Set the weights of the network of one output c . y."""
     last = outputs.last
     sizes, rows = outputs.network.sizes, outputs.network.rows
     at = sizes[0] + sizes.size - 1

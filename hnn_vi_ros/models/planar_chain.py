@@ -1,9 +1,9 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Mass matrix and potential of a chain of rigid links in a plane, by its parameters.
+Mass matrix and potential of a planar chain of rigid links, from its parameters.
 
-Links turn, and the first of them may hang on carts that move along straight rails. phi = A q are
+Links rotate, and the first may be mounted on carts that move along straight rails. phi = A q are
 the angles of links from the vertical, zero for carts; F has the rows of A, and e_i for a cart:
 
     M = sum_i I_i F_i F_i^T + sum_(i<j) C_ij cos(phi_i - phi_j) (F_i F_j^T + F_j F_i^T)
@@ -12,11 +12,11 @@ the angles of links from the vertical, zero for carts; F has the rows of A, and 
 
 I_i = J_i + m_i c_i^2 + l_i^2 sum_(k>i) m_k, C_ij = l_i (m_j c_j + l_j sum_(k>j) m_k) and
 G_i = g (m_i c_i + l_i sum_(k>i) m_k), for masses m, lengths l, centres of mass c and inertias J
-about them; R_i is the inertia of a motor that turns with joint i. No motion tells more of it.
-Of a cart I_i is all that it carries, C_ij = m_j c_j + l_j sum_(k>j) m_k, and G_i a weight along
-its rail. All of it is linear in these parameters. G_i < 0 where zero is upright.
+about them; R_i is the inertia of a motor on joint i. Only these combinations are identifiable.
+For a cart, I_i is all that it carries, C_ij = m_j c_j + l_j sum_(k>j) m_k, and G_i a weight along
+its rail. M and V are linear in these parameters. G_i < 0 if zero is upright.
 
-M is positive definite at all q if, and without motors only if, the matrix K of I_i and C_ij is:
+M is positive definite at all q if the matrix K of I_i and C_ij is, and without motors only if:
 cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
 """
 
@@ -27,8 +27,8 @@ from hnn_vi_ros.hamiltonians import Graph, mass_kernel, Symbol
 from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
-# How many coordinates they have. The angles of the first two, of files and configurations from
-# before 0.4, are the features of V.
+# Minimum and maximum number of coordinates. In files and configurations from before 0.4, the
+# angles of the first two kinds are the features of V.
 PLANAR_CHAIN = 'planar_chain'
 CHAINS = {'pendulum': (1, 1), 'double_pendulum': (2, 2), PLANAR_CHAIN: (1, 4)}
 
@@ -62,16 +62,16 @@ class Terms(NamedTuple):
 def chain_angles(kinds: Sequence[str], features: Sequence[Sequence[float]] = ()
                  ) -> list[list[list[float]]]:
     """
-    Return the angles A that the links of a chain may have, the likelier first.
+    Return candidates for the angles A of the links of a chain, the likelier first.
 
-    Those are the features, if they can be; each coordinate; and each with all before it.
+    Candidates are the features, if valid; each coordinate; and sums up to each coordinate.
 
     Parameters
     ----------
     kinds : sequence of str
-        Of the coordinates.
+        Kinds of the coordinates.
     features : sequence of sequence of float, optional
-        What is known of the angles.
+        Known combinations of coordinates.
 
     """
     turns = np.array([kind != 'prismatic' for kind in kinds])
@@ -90,7 +90,7 @@ def chain_angles(kinds: Sequence[str], features: Sequence[Sequence[float]] = ()
 
 def is_chain(kind: str, angles: Sequence[Sequence[float]] | np.ndarray, kinds: Sequence[str]
              ) -> bool:
-    """Return whether these can be the angles of the links of a chain, its carts first."""
+    """Return True if these can be the angles of the links of a chain, with carts first."""
     d, (least, most) = len(kinds), CHAINS[kind]
     A, carts = np.array(angles), [*kinds].count('prismatic')
     return bool(least <= d <= most and A.shape == (d, d)
@@ -112,7 +112,7 @@ def parameter_names(angles: Sequence[Sequence[float]]) -> list[str]:
 
 
 def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Terms:
-    """Return M and V of a chain of these parameters."""
+    """Return M and V of a chain with these parameters."""
     A = np.array(angles, dtype=np.float64)
     d, slides = len(A), ~A.any(axis=1)
     F = A + np.diag(slides)
@@ -130,13 +130,13 @@ def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, floa
 
 
 def unit_terms(angles: Sequence[Sequence[float]]) -> list[Terms]:
-    """Return M and V, which are linear in the parameters, of each where it alone is one."""
+    """Return M and V, linear in the parameters, for each parameter at 1 and others at 0."""
     names = parameter_names(angles)
     return [chain_terms(angles, dict(zip(names, row, strict=True))) for row in np.eye(len(names))]
 
 
 def chain_kernel(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Kernel:
-    """Return the functions of H of a chain, as straight code."""
+    """Return the functions of H of a chain, as code without loops."""
     graph, d = Graph(), len(angles)
     names, momenta = ([f'{kind}{i}' for i in range(d)] for kind in 'qp')
     q, p = ([Symbol(graph, graph.name(name)) for name in both] for both in (names, momenta))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""M and V of a prior of the family mechanical, added to its networks: its kernel by address."""
+"""M and V of a prior of the family mechanical, added to its networks; its kernel by address."""
 
 from typing import NamedTuple
 
@@ -15,20 +15,20 @@ import numpy as np
 
 class Prior(NamedTuple):
     """
-    A system by address, and space for one state.
+    A system by address, and workspace for one state.
 
     Parameters
     ----------
     present : bool
-        Whether there is one; without, none of the functions here may be called.
+        False if there is no prior; then none of the functions here may be called.
     target : Target
         Its functions and parameters.
     inverse, mass : np.ndarray, shape (d, d)
-        M^-1, overwritten by its Cholesky factor; and M at the coordinates seen last.
+        M^-1, overwritten by its Cholesky factor; and M at the last coordinates.
     momentum, turned : np.ndarray, shape (d,)
         pi = M v, and M' v.
     unit, zero, at_q, at_p : np.ndarray, shape (d,)
-        What its functions take and fill.
+        Arguments and results of its functions.
 
     """
 
@@ -47,7 +47,7 @@ class Prior(NamedTuple):
 def prior_of(card: MechanicalCard) -> Prior:
     """Return the prior of a card."""
     d = len(card.kinds)
-    # Where there is none, a kernel whose functions are neither called nor, hence, compiled.
+    # Without a prior, a kernel whose functions are neither called nor, hence, compiled.
     kernel = create('free_particle', {'mass': 1.0}).kernel if card.prior is None else \
         _kernel(card.prior, card.angles)
     target = by_address(kernel).parameters
@@ -64,7 +64,7 @@ def _kernel(prior: PriorCard, angles: list[list[float]]) -> Kernel:
 
 @part(error_model='numpy')
 def add_mass(prior: Prior, q: np.ndarray, scale: np.ndarray, gram: np.ndarray) -> None:
-    """Add S^-1 M S^-1 on and below the diagonal; M is kept for all others."""
+    """Add the lower triangle of S^-1 M S^-1; M is stored for the other functions."""
     inverse, mass, unit, d = prior.inverse, prior.mass, prior.unit, q.size
     for j in range(d):
         unit[:] = 0.0
@@ -94,7 +94,7 @@ def prior_potential(prior: Prior, q: np.ndarray) -> float:
 @part(error_model='numpy')
 def add_prior_slope(prior: Prior, q: np.ndarray, v: np.ndarray, covector: np.ndarray
                     ) -> None:
-    """Add V_q - (v . M v)_q / 2 at held v, after add_mass."""
+    """Add V_q - (v . M v)_q / 2 at constant v; call add_mass first."""
     momentum = prior.momentum
     for i in range(q.size):
         momentum[i] = 0.0
@@ -108,7 +108,7 @@ def add_prior_slope(prior: Prior, q: np.ndarray, v: np.ndarray, covector: np.nda
 @part(error_model='numpy')
 def subtract_turned_mass(prior: Prior, q: np.ndarray, v_q: np.ndarray, v: np.ndarray,
                          scale: np.ndarray, right: np.ndarray) -> None:
-    """Subtract S^-1 M' v, M' being the change of M along v_q, after add_mass."""
+    """Subtract S^-1 M' v, where M' is the change of M along v_q; call add_mass first."""
     momentum, turned, unit = prior.momentum, prior.turned, prior.unit
     for i in range(q.size):
         unit[i] = v_q[i]
@@ -126,7 +126,7 @@ def subtract_turned_mass(prior: Prior, q: np.ndarray, v_q: np.ndarray, v: np.nda
 @part(error_model='numpy')
 def add_prior_slope_change(prior: Prior, q: np.ndarray, v: np.ndarray, v_q: np.ndarray,
                            v_change: np.ndarray, covector: np.ndarray) -> None:
-    """Add the change of H_q(q, M v) along changes of q and v, after subtract_turned_mass."""
+    """Add the change of H_q(q, M v) with q and v; call subtract_turned_mass first."""
     unit, turned = prior.unit, prior.turned
     for i in range(q.size):
         prior.zero[i] = v_q[i]

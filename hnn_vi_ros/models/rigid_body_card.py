@@ -1,12 +1,12 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A robot in a model card: its tree of bodies, and what was identified of it.
+A robot in a model card: its tree of bodies, and its identified parameters.
 
-Each body is all that is rigid together behind a moving joint. Its parameters are numbers in the
-frame of the link that the joint carries, whose origin lies on the joint: mass m, first moment
-h = m c, moments of inertia about that origin, the inertia of the rotor behind the joint, and a
-constant force that the motor is off by. M and V are linear in all of them.
+A body consists of all links that are rigidly connected behind a moving joint. Its parameters are
+given in the frame of the link on the joint, with origin on the joint: mass m, first moment h = m
+c, moments of inertia about that origin, inertia of the rotor behind the joint, and a constant
+offset of the motor's force. M and V are linear in all of them.
 """
 
 from collections.abc import Mapping
@@ -30,7 +30,7 @@ Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class BodyCard(StrictModel):
-    """A body of a tree, and the joint before it."""
+    """A body of a tree, and its joint to the parent."""
 
     link: str = Field(min_length=1, max_length=200)
     joint: str = Field(min_length=1, max_length=200)
@@ -71,7 +71,7 @@ class TreeCard(StrictModel):
 
     @property
     def units(self) -> dict[str, str]:
-        """Return the parameters of all bodies, one after another, and their units."""
+        """Return the parameters of all bodies in sequence, with their units."""
         found: dict[str, str] = {}
         for body in self.bodies:
             own = Units.of(SLIDING if body.prismatic else TURNING[0])
@@ -83,7 +83,7 @@ class TreeCard(StrictModel):
 
 
 class BaseParameter(StrictModel):
-    """A linear combination of parameters that the motions determine by itself."""
+    """A linear combination of parameters that the motions determine uniquely."""
 
     combination: dict[str, float] = Field(description='factors of parameters')
     value: float
@@ -115,11 +115,11 @@ def tree_card(bodies: Bodies, joints: Mapping[int, Joint], robot: str) -> TreeCa
     Parameters
     ----------
     bodies : Bodies
-        Of a robot.
+        Bodies of a robot.
     joints : mapping of int to Joint
-        By coordinate.
+        Joints by coordinate.
     robot : str
-        Its name.
+        Name of the robot.
 
     """
     frames = [np.eye(3)]
@@ -138,7 +138,7 @@ def tree_card(bodies: Bodies, joints: Mapping[int, Joint], robot: str) -> TreeCa
 
 
 def values_of(tree: TreeCard, bodies: Bodies) -> np.ndarray:
-    """Return the parameters of bodies, shape (d, 12), with offsets of zero."""
+    """Return the parameters of bodies, shape (d, 12), with zero offsets."""
     found = np.zeros((len(tree.bodies), EACH))
     for i, (row, body) in enumerate(zip(found, tree.bodies, strict=True), start=1):
         row[:INERTIAL] = turned(bodies.inertia[i], frame_of(np.array(body.axis)))
@@ -147,7 +147,7 @@ def values_of(tree: TreeCard, bodies: Bodies) -> np.ndarray:
 
 
 def bodies_of(tree: TreeCard, values: np.ndarray) -> Bodies:
-    """Return the bodies of a tree, for parameters of shape (d, 12)."""
+    """Return the bodies of a tree with parameters of shape (d, 12)."""
     frames = [np.eye(3), *(frame_of(np.array(body.axis)) for body in tree.bodies)]
     placement, inertia = [np.r_[np.eye(3).ravel(), np.zeros(3)]], [np.zeros(INERTIAL)]
     for body, own, row in zip(tree.bodies, frames[1:], values, strict=True):
@@ -163,13 +163,13 @@ def bodies_of(tree: TreeCard, values: np.ndarray) -> Bodies:
 
 
 def turned(inertial: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Return mass, first moment and moments of inertia, shape (10,), in turned axes."""
+    """Return mass, first moment and moments of inertia, shape (10,), in rotated axes."""
     second = rotation @ symmetric(inertial[4:]) @ rotation.T
     return np.r_[inertial[0], rotation @ inertial[1:4], second[np.tril_indices(3)]]
 
 
 def symmetric(entries: np.ndarray) -> np.ndarray:
-    """Return the symmetric matrix of xx, xy, yy, xz, yz, zz."""
+    """Return the symmetric matrix with entries xx, xy, yy, xz, yz, zz."""
     matrix = np.empty((3, 3))
     matrix[np.tril_indices(3)] = entries
     matrix.T[np.tril_indices(3)] = entries
@@ -178,10 +178,10 @@ def symmetric(entries: np.ndarray) -> np.ndarray:
 
 def pseudo_inertia(inertial: np.ndarray) -> np.ndarray:
     """
-    Return the moments of the mass itself, shape (4, 4), of (m, h, I).
+    Return the second moments of the mass distribution, shape (4, 4), from (m, h, I).
 
-    It is positive semidefinite if, and only if, a body can have these moments (P. Wensing,
-    S. Kim, J.-J. Slotine, IEEE Robotics and Automation Letters 3, 2018).
+    The matrix is positive semidefinite if, and only if, a body with these moments exists (P.
+    Wensing, S. Kim, J.-J. Slotine, IEEE Robotics and Automation Letters 3, 2018).
     """
     second = symmetric(inertial[4:])
     found = np.empty((4, 4))
@@ -192,7 +192,7 @@ def pseudo_inertia(inertial: np.ndarray) -> np.ndarray:
 
 
 def check_values(tree: TreeCard, values: np.ndarray) -> None:
-    """Raise ValueError for parameters that no robot can have."""
+    """Raise ValueError for parameters that are physically impossible."""
     for body, row in zip(tree.bodies, values, strict=True):
         eigenvalues = np.linalg.eigvalsh(pseudo_inertia(row[:INERTIAL]))
         if not eigenvalues[0] >= -_ROUNDING * abs(eigenvalues[-1]):

@@ -1,14 +1,14 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A lower triangular L whose entries are a network's outputs y, compiled, and what is made of it.
+Compiled functions of a lower triangular L whose entries are the outputs y of a network.
 
-With u of shape (k,) and w = L^T u, the derivative of |w|^2 / 2 by y at held u is u_i w_j L_ij'(y).
-A momentum whose inverse mass has such a root,
+With u of shape (k,) and w = L^T u, the derivative of |w|^2 / 2 by y at constant u is u_i w_j
+L_ij'(y). A momentum whose inverse mass has such a root,
 
     H = u . (L L^T + floor) u / 2 + V(z),    u = S pi,    z = (x, pi),    L = L(x),
 
-moves with v = S (L w + floor u) + V_pi, and H_x = V_x + sum_ij u_i w_j (L_ij)_x.
+has v = S (L w + floor u) + V_pi, and H_x = V_x + sum_ij u_i w_j (L_ij)_x.
 """
 
 from typing import NamedTuple
@@ -23,13 +23,13 @@ import numpy as np
 
 class RootWork(NamedTuple):
     """
-    Space for one state; what ends in ``_v`` is a change along a direction.
+    Workspace for one state; names ending in ``_v`` are changes along a direction.
 
     Parameters
     ----------
     z, z_v, c, c_v, m, m_v : np.ndarray, shape (n,)
-        (x, pi), what the networks see; the derivative of H by it; and that of the network of L
-        alone.
+        (x, pi), the inputs of the networks; the derivative of H by it; and the derivative of only
+        the network of L.
     y, y_v, a, a_v : np.ndarray, shape (e,)
         The entries of L, as outputs of the network, and the derivative of H by them.
     L, L_v : np.ndarray, shape (k, k)
@@ -60,7 +60,7 @@ class RootWork(NamedTuple):
 
     @classmethod
     def empty(cls, n: int, entries: int, k: int) -> 'RootWork':
-        """Return space for z of shape (n,), so many entries, and pi of shape (k,)."""
+        """Return workspace for z of shape (n,), this number of entries, and pi of shape (k,)."""
         return cls(*np.zeros((6, n)), *np.zeros((4, entries)), *np.zeros((2, k, k)),
                    *np.zeros((6, k)))
 
@@ -74,7 +74,7 @@ class RootParameters(NamedTuple):
     mass : PackedOutputs
         The network of y.
     potential : PackedPerceptron
-        That of V.
+        The network of V.
     places : np.ndarray of int, shape (e, 2)
         Row and column of each entry in L.
     scale : np.ndarray, shape (k,)
@@ -82,9 +82,9 @@ class RootParameters(NamedTuple):
     floor : float
         Constant added to the diagonal of L L^T.
     positive : bool
-        Whether the diagonal of L is log(1 + exp(y)), not y.
+        True if the diagonal of L is log(1 + exp(y)), False if it is y.
     work : RootWork
-        Space.
+        Workspace.
 
     """
 
@@ -131,7 +131,7 @@ def first_order(parameters: RootParameters) -> None:
 
 @part(error_model='numpy')
 def second_order(parameters: RootParameters) -> None:
-    """Fill the changes of c and of v along z_v; after first_order."""
+    """Fill the changes of c and of v along z_v; call first_order first."""
     work, places, scale = parameters.work, parameters.places, parameters.scale
     z, z_v, c_v, m, m_v = work.z, work.z_v, work.c_v, work.m, work.m_v
     L, L_v = work.L, work.L_v
@@ -176,7 +176,7 @@ def _fill_root(parameters: RootParameters) -> None:
 @part(error_model='numpy')
 def evaluate_root(outputs: PackedOutputs, places: np.ndarray, positive: bool, q: np.ndarray,
                   p: np.ndarray, y: np.ndarray, L: np.ndarray) -> None:
-    """Fill y and L at the two halves of what the network sees."""
+    """Fill y and L at the two halves of the network's inputs."""
     evaluate_outputs(outputs, q, p, y)
     for k in range(y.size):
         i, j = places[k]
@@ -219,7 +219,7 @@ def turn_root(places: np.ndarray, positive: bool, y: np.ndarray, y_v: np.ndarray
 def weigh_entry_changes(places: np.ndarray, positive: bool, y: np.ndarray, y_v: np.ndarray,
                         u: np.ndarray, u_v: np.ndarray, w: np.ndarray, w_v: np.ndarray,
                         c_v: np.ndarray) -> None:
-    """Fill the change of what weigh_entries fills."""
+    """Fill the change of the result of weigh_entries."""
     for k in range(y.size):
         i, j = places[k]
         c_v[k] = u_v[i] * w[j] + u[i] * w_v[j]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Domain of the model of a machine, and how the model was chosen: entries of its card."""
+"""Domain of the model of a machine, and its selection among candidates: entries of its card."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,14 +10,14 @@ from hnn_vi_ros.models.box_error import Interval
 import numpy as np
 from pydantic import Field
 
-# Units of forces, of momenta in base units.
+# Units of forces, as momenta in base units.
 _FORCES = {'kg m/s': 'N', 'kg m2/s': 'N m', '1': '1'}
 
 Errors = dict[str, list[float | None]]
 
 
 class DomainCard(StrictModel):
-    """The ranges [low, high] of the motions that a model was learned from."""
+    """Ranges [low, high] of the motions that a model was trained on."""
 
     q: list[Interval] = Field(min_length=1, description='of each coordinate')
     v: list[Interval] = Field(min_length=1, description='of each velocity')
@@ -34,16 +34,16 @@ class DomainCard(StrictModel):
 
 class Domain:
     """
-    The domain of a machine's model, for whoever looks at its motions.
+    The domain of a machine's model, for checks of motions.
 
     Parameters
     ----------
     card : DomainCard
         Its ranges.
     kinds : sequence of str
-        Of the coordinates; the range of a continuous one is on its circle.
+        Kinds of the coordinates; the range of a continuous one is on its circle.
     names : sequence of (str, str, str)
-        Of each coordinate its name, its unit and that of its momentum.
+        Name and unit of each coordinate, and unit of its momentum.
 
     """
 
@@ -53,25 +53,25 @@ class Domain:
         self._motors = len(card.forces)
         self._low, self._high = np.array([*card.q, *card.v, *card.forces]).T
         self._turns = np.flatnonzero([kind == 'continuous' for kind in kinds])
-        # Round-off of a coordinate that hardly moves is nothing to be outside by.
+        # The round-off of a nearly constant coordinate must not count as outside.
         self._half = np.maximum(0.5 * (self._high - self._low), 1e-9)
 
     def excess(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> np.ndarray:
         """
-        Return how far samples are outside, in half-widths, shape (..., k); 0 inside.
+        Return the distance of samples from the domain, in half-widths, shape (..., k); 0 inside.
 
         Parameters
         ----------
         q, v : np.ndarray, shape (..., d)
             Coordinates and velocities.
         tau : np.ndarray, shape (..., m), optional
-            Forces; they count if there were as many in the data.
+            Forces; they are used if their number is the same as in the data.
 
         """
         x = np.concatenate(
             [q, v] if tau is None or tau.shape[-1] != self._motors else [q, v, tau], axis=-1)
         low, high, half = (part[:x.shape[-1]] for part in (self._low, self._high, self._half))
-        # The turn of an angle that is least beyond.
+        # The revolution of an angle that is least outside.
         turns = self._turns
         middle = 0.5 * (low + high)[turns]
         x[..., turns] = middle + np.remainder(
@@ -79,7 +79,7 @@ class Domain:
         return np.maximum(np.maximum(low - x, x - high), 0.0) / half
 
     def beyond(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> list[str]:
-        """Say what goes beyond, the furthest first, as "elbow to 30 rad/s, seen 15"."""
+        """Describe what is outside, the furthest first, as in "elbow to 30 rad/s, seen 15"."""
         excess, d = self.excess(q, v, tau), len(self._names)
         values = np.hstack([q, v] if tau is None else [q, v, tau])
         found = []
@@ -99,7 +99,7 @@ class Domain:
 
 
 def domain_of(model: Any) -> Domain | None:
-    """Return the domain of a Hamiltonian, None unless it is of a machine whose card has one."""
+    """Return the domain of a Hamiltonian, None if it is not of a machine with a domain."""
     card = getattr(getattr(getattr(model, 'base', model), 'checkpoint', None), 'card', None)
     if card is None or card.domain is None or card.mechanical is None:
         return None
@@ -119,7 +119,7 @@ class CandidateCard(StrictModel):
 
 
 class SelectionCard(StrictModel):
-    """Choice of a model among candidates, by motions that were held out."""
+    """Choice of a model among candidates, using motions that were held out."""
 
     held_out: str = Field(max_length=1000)
     candidates: list[CandidateCard] = Field(min_length=1)
@@ -128,7 +128,7 @@ class SelectionCard(StrictModel):
 
     @property
     def text(self) -> str:
-        """Return the whole table, as Markdown, and what to trust the model for."""
+        """Return the table as Markdown, with the range in which to trust the model."""
         first = next(one for one in self.candidates if not one.failed)
         heads = [f'{part}, {horizon} s' for part in ('ordinary', 'furthest')
                  for horizon in getattr(first, part)]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A learned Hamiltonian whose kinetic and potential energies are networks of their own."""
+"""A learned Hamiltonian with separate networks for kinetic and potential energy."""
 
 from typing import NamedTuple
 
@@ -22,12 +22,12 @@ class SeparableParameters(NamedTuple):
 
 class SeparableHamiltonian(LearnedHamiltonian):
     """
-    H(q, p) = T(p) + V(q), of the networks ``kinetic`` and ``potential``.
+    H(q, p) = T(p) + V(q), with the networks ``kinetic`` and ``potential``.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of the family separable_hnn.
+        A model of the family separable_hnn.
 
     References
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A learned one-form and energy, whose motions follow in coordinates that are not canonical."""
+"""A learned one-form and energy, which define motions in non-canonical coordinates."""
 
 from typing import NamedTuple
 
@@ -13,11 +13,11 @@ from hnn_vi_ros.models.networks.perceptron_memory import PackedPerceptron
 from hnn_vi_ros.models.outputs import pack_outputs, PackedOutputs, weigh
 import numpy as np
 
-# States of the box at which W is looked at.
+# Number of states of the box at which W is tested.
 _STATES = 1024
-# Condition of W in units in which the box is a cube; beyond it, u' keeps too few digits.
+# Maximum condition number of W in units in which the box is a cube; beyond, u' is inaccurate.
 _LARGEST_CONDITION = 1e6
-# Motions fix W only along their paths, and it varies freely elsewhere; these keep it regular.
+# Motions determine W only along their paths; these remedies keep it regular elsewhere.
 REMEDY = ('give linearity (0.01, then more), a weight that keeps the field plain where data leave '
           'it open; or take data from more motions, or from a smaller box')
 _EPS = float(np.finfo(np.float64).eps)
@@ -28,28 +28,28 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
     """
     The one-form theta(u) and the energy H(u) of a neural symplectic form, u = (q, p) in R^2d.
 
-    The p of u may be any quantity measured with q, often velocities: u need not be canonical. The
-    motions make the integral of theta(u) . u' - H(u) over time stationary. Its variation is
-    zero where
+    The p of u may be any quantity measured with q, often velocities: u need not be canonical.
+    Motions make the integral of theta(u) . u' - H(u) over time stationary. Its variation is zero
+    if
 
         d/dt theta_i(u) = sum_j d_i theta_j(u) u'_j - d_i H(u),  that is,
         W(u) u' = H'(u),  W_ij = d_i theta_j - d_j theta_i,
 
-    so H is conserved, since W is skew. With theta = (p, 0) these are Hamilton's equations. Here
+    so H is conserved, because W is skew. With theta = (p, 0) these are Hamilton's equations. Here
     theta = (M p, 0) + N(u): M is the mass matrix of the model card, N the network ``one_form``,
     and H the network ``energy``.
 
-    In place of (H_q, H_p) it returns (-p', q'), with u' = W^-1 H'.
+    Instead of (H_q, H_p) it returns (-p', q'), with u' = W^-1 H'.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of the family symplectic_form.
+        A model of the family symplectic_form.
 
     Raises
     ------
     ModelError
-        W is singular somewhere in the box: u' is not defined there.
+        W is singular somewhere in the box, where u' is undefined.
 
     References
     ----------
@@ -85,7 +85,7 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
             energy_rounding=float(error), inverse_norm=float(norm)))
 
     def _parameters(self) -> 'FormParameters':
-        """Return the networks, with working memory of their own."""
+        """Return the networks, with their own workspace."""
         n = 2 * self.dimension
         return FormParameters(
             self._packed('energy'), pack_outputs(self.checkpoint, 'one_form', 'both'),
@@ -95,9 +95,9 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
 
 def irregularity(two_forms: np.ndarray, half: np.ndarray) -> str:
     """
-    Say what is wrong with a W that is to be inverted all over a box; empty if nothing.
+    Describe why W is not invertible all over a box, '' if it is.
 
-    A W that is singular on a surface is regular at almost every sample, but its Pfaffian, whose
+    If W is singular on a surface, it is regular at almost every sample, but its Pfaffian, whose
     square is its determinant, has both signs.
 
     Parameters
@@ -105,7 +105,7 @@ def irregularity(two_forms: np.ndarray, half: np.ndarray) -> str:
     two_forms : np.ndarray, shape (m, 2 d, 2 d)
         W at samples of the box.
     half : np.ndarray, shape (2 d,)
-        Half of the sides of the box, the units in which W is judged.
+        Half the side lengths of the box, the units in which W is tested.
 
     """
     scaled = two_forms * np.outer(half, half)
@@ -119,7 +119,7 @@ def irregularity(two_forms: np.ndarray, half: np.ndarray) -> str:
 
 
 def _pfaffian(matrix: np.ndarray) -> float:
-    """Return the Pfaffian of a skew matrix, by elimination with pivots."""
+    """Return the Pfaffian of a skew matrix, by elimination with pivoting."""
     a, value = matrix.copy(), 1.0
     for k in range(0, len(a), 2):
         pivot = k + 1 + int(np.abs(a[k, k + 1:]).argmax())
@@ -148,11 +148,11 @@ class FormParameters(NamedTuple):
     mass : np.ndarray, shape (d, d)
         M.
     rows, two_form : np.ndarray, shape (2 d, 2 d)
-        Space for theta' and for W.
+        Workspace for theta' and W.
     unit : np.ndarray, shape (2 d,)
-        Space for a unit vector.
+        Workspace for a unit vector.
     energy_rounding, inverse_norm : float
-        The rounding error of H in units of the unit round-off [J], and the largest norm of W^-1.
+        Rounding error of H in units of the unit round-off [J], and the largest norm of W^-1.
 
     """
 
@@ -205,7 +205,7 @@ def _fill_forms(parameters: FormParameters, z: np.ndarray, two_forms: np.ndarray
 @part(error_model='numpy')
 def raise_index(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covector: np.ndarray
                 ) -> None:
-    """Turn a covector c, shape (2 d,), into W(u)^-1 c at one state; NaN if W is singular."""
+    """Replace a covector c, shape (2 d,), by W(u)^-1 c at one state; NaN if W is singular."""
     _fill_form(parameters, q, p)
     if not solve_linear(parameters.two_form, covector):
         covector[:] = np.nan

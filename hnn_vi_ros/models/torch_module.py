@@ -19,34 +19,34 @@ if TYPE_CHECKING:
 
 class TorchHamiltonian(Hamiltonian):
     """
-    H(q, p) as any torch module of one input vector (q, p), with autograd for its gradient.
+    H(q, p) as a torch module of one input vector (q, p), with autograd for its gradient.
 
-    This is the slow, general way: it calls autograd in every step, from Python. A
-    multilayer perceptron runs many times faster as a NeuralHamiltonian.
+    This way is general but slow: it calls autograd in every step, from Python. A multilayer
+    perceptron is many times faster as a NeuralHamiltonian.
 
     Parameters
     ----------
     module : torch.nn.Module
-        A copy of it in float64 and in evaluation mode is used. It maps a tensor of shape
-        (n, 2 d), with rows (q, p), to H of each row or to their sum [J].
+        A module that maps a tensor of shape (n, 2 d), with rows (q, p), to H of each row or to
+        their sum [J]. A copy of it in float64 and in evaluation mode is used.
     coordinates : sequence of Coordinate
-        One for each of the d degrees of freedom.
+        Coordinates of the d degrees of freedom.
 
     Raises
     ------
     ModelError
-        When it is called: the module raises an error, or is no such function.
+        When it is called: the module raises an error, or is not such a function.
 
     """
 
     def __init__(self, module: 'torch.nn.Module', coordinates: Sequence[Coordinate]):
-        # In float32 the steps' equations could not be solved to the state's precision.
+        # In float32 the equations of steps could not be solved to the precision of the state.
         self.module = deepcopy(module).double().eval()
         self.coordinates = tuple(coordinates)
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions that simulations call, in plain Python."""
+        """Return the functions for simulations, in plain Python."""
         return Kernel(self._energy, self._gradient, self._hessian_vector, (), self.dimension,
                       (0.0, 0.0), compiled=False)
 
@@ -59,7 +59,7 @@ class TorchHamiltonian(Hamiltonian):
         return torch.tensor(rows, dtype=dtype, device=device)
 
     def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
-        """Raise ModelError unless the module is a function of each row that autograd takes."""
+        """Raise ModelError unless the module is a differentiable function of each row."""
         other = 1.25 * q + 0.125
         rows = np.array([[q, p], [other, p], [q, p]])
         one, same, another = (np.array(self._slopes(*row)) for row in rows[[0, 2, 1]])
@@ -67,7 +67,7 @@ class TorchHamiltonian(Hamiltonian):
         if not np.array_equal(one, same, equal_nan=True):
             self._refuse('has another gradient when it is called again: make it a function of its '
                          'input alone')
-        # Matrix products of one row and of two are rounded differently.
+        # Matrix products of one row and of two have different rounding errors.
         if not np.allclose(both, np.stack([one, another], axis=1), 1e-6, 1e-9, equal_nan=True):
             self._refuse('mixes the rows of its input, or takes the first alone: index columns as '
                          'in x[:, 0], and let no layer use the others of a batch')
@@ -98,7 +98,7 @@ class TorchHamiltonian(Hamiltonian):
 
     def _derivative(self, value: 'torch.Tensor', x: 'torch.Tensor', more: bool = False
                     ) -> 'torch.Tensor':
-        """Return the derivative of a number by rows; with ``more``, it is differentiated again."""
+        """Return the derivative of a number by rows; with ``more``, it is differentiable again."""
         import torch
         try:
             (slopes,) = torch.autograd.grad(value, x, create_graph=more)
@@ -127,7 +127,7 @@ class TorchHamiltonian(Hamiltonian):
                         product_p: np.ndarray) -> None:
         x = self._input(q, p).requires_grad_(True)
         gradient = self._derivative(self._values(x), x, more=True)
-        # Of relu, and where H is linear, the gradient does not depend on x: its product is zero.
+        # For relu, and if H is linear, the gradient does not depend on x: its product is zero.
         gradient = gradient + 0.0 * x
         product = self._derivative((gradient * self._input(v_q, v_p)).sum(), x)
         self._split(product, product_q, product_p)

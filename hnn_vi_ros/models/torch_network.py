@@ -7,7 +7,7 @@ import torch
 
 _ACTIVATIONS = {
     'tanh': torch.tanh, 'sine': torch.sin, 'relu': torch.relu,
-    # torch.nn.functional.softplus cuts off 2e-9 of it.
+    # torch.nn.functional.softplus has a cut-off error of 2e-9.
     'softplus': lambda z: torch.logaddexp(z, torch.zeros_like(z))}
 
 
@@ -15,14 +15,14 @@ class Network(torch.nn.Module):
     """
     A network of a model file: N(x), shape (..., outputs), of inputs x, shape (..., inputs).
 
-    Its parameters are named as in the file of one network: ``linear1.weight``.
+    Its parameters have the names of a file with one network: ``linear1.weight``.
 
     Parameters
     ----------
     layers : Layers
         The network.
     activation : str
-        Between its layers.
+        Activation between its layers.
 
     """
 

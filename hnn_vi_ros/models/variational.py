@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A learned Hamiltonian of a constant mass matrix and a potential network."""
+"""A learned Hamiltonian with a constant mass matrix and a potential network."""
 
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ class VariationalHamiltonian(LearnedHamiltonian):
     Parameters
     ----------
     checkpoint : Checkpoint
-        Of the family vin.
+        A model of the family vin.
 
     References
     ----------

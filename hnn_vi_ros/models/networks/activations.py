@@ -1,12 +1,12 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Functions between the layers of a network: their value, slope and curvature.
+Activation functions of a network: their value, slope and curvature.
 
-Each class of PackedPerceptron has one activation, by which the compiler chooses among the loops
-below, so that a network of one activation holds nothing of the others. tanh needs no memory of
-its own: its slope is 1 - a^2. The others keep their slope in a fifth group of rows of
-``nodes``, and in a sixth its derivative along a_0' = v.
+Each class of PackedPerceptron has one activation, by which the compiler selects among the loops
+below, so that a network contains no code of other activations. tanh needs no further memory: its
+slope is 1 - a^2. The others store their slope in a fifth group of rows of ``nodes``, and in a
+sixth its derivative along a_0' = v.
 """
 
 from typing import Any
@@ -25,8 +25,8 @@ _LN2_HIGH = 6.93147180369123816490e-01
 _LN2_LOW = 1.90821492927058770002e-10
 # Adding this rounds a small double to an integer and leaves the integer in its low bits.
 _ROUNDING = 6755399441055744.0
-# (exp(r) - 1) / r as a polynomial, lowest power first: interpolation in the 11 Chebyshev nodes
-# of abs(r) <= 1.0001 ln(2) / 2, which test_vector_tanh.py repeats; relative error 2.4e-17.
+# (exp(r) - 1) / r as a polynomial, lowest power first: interpolation in the 11 Chebyshev nodes of
+# abs(r) <= 1.0001 ln(2) / 2, recomputed in test_vector_tanh.py; relative error 2.4e-17.
 _EXP = (
     1.0, 0.5000000000000006, 0.1666666666666667, 0.041666666666573066, 0.008333333333326136,
     0.001388888893251478, 0.00019841269874820627, 2.480150431378554e-05, 2.7557255400206422e-06,
@@ -43,8 +43,8 @@ def _exponential(x: float) -> tuple[float, float]:
     """
     Return 2^k and exp(r) - 1, for x = k ln 2 + r with abs(r) <= ln(2) / 2.
 
-    exp(r) - 1 is r times a polynomial of degree 10, summed by Estrin's scheme, whose chain of
-    dependent operations is shorter than Horner's.
+    exp(r) - 1 is r times a polynomial of degree 10, evaluated by Estrin's scheme, which has a
+    shorter dependency chain than Horner's.
     """
     rounded = np.float64(x * _LOG2_E + _ROUNDING)
     k = rounded - _ROUNDING
@@ -63,8 +63,8 @@ def tanh(x: float) -> float:
     """
     Return the tanh of x, to about two units in the last place; NaN stays NaN.
 
-    With m = exp(2 x) - 1 = 2^k (exp(r) - 1) + (2^k - 1), tanh x = m / (m + 2). It is free of
-    branches and calls, and inlined: a loop over it becomes vector instructions.
+    With m = exp(2 x) - 1 = 2^k (exp(r) - 1) + (2^k - 1), tanh x = m / (m + 2). It has no branches
+    or calls and is inlined, so a loop over it is vectorised.
 
     """
     doubled = 2.0 * x
@@ -80,11 +80,11 @@ _TWO_OVER_PI = 0.6366197723675814
 _HALF_PI_HIGH = 1.5707963267341256
 _HALF_PI_MIDDLE = 6.077100506303966e-11
 _HALF_PI_LOW = 2.0222662487959506e-21
-# What no remainder reaches; of numbers too large to be reduced, something small is left.
+# Bound that no remainder reaches; arguments too large to be reduced are clipped to it.
 _LARGEST_REST = 0.8
 # (sin(r) / r - 1) / r^2 and (cos(r) - 1 + r^2 / 2) / r^4 as polynomials of r^2, lowest power
-# first: interpolation in six Chebyshev nodes of 0 <= r^2 <= (1.0001 pi / 4)^2, which
-# test_vector_functions.py repeats; error 2.0e-17, of the sine relative.
+# first: interpolation in six Chebyshev nodes of 0 <= r^2 <= (1.0001 pi / 4)^2, recomputed in
+# test_vector_functions.py; error 2.0e-17, relative for the sine.
 _SIN = (
     -0.16666666666666666, 0.008333333333330946, -0.0001984126983675497, 2.755731610068303e-06,
     -2.5051131455427946e-08, 1.591810123027412e-10)
@@ -98,9 +98,9 @@ def sine_and_cosine(x: float) -> tuple[float, float]:
     """
     Return the sine and the cosine of x; NaN stays NaN, and infinity becomes NaN.
 
-    Write x = k pi / 2 + r, abs(r) <= pi / 4: the polynomials give sin r and cos r, and k mod 4
-    decides which of them is which and its sign. The error is 1.5 units of round-off for
-    abs(x) < 1e6; beyond, x's own last digit. There is no branch and no call, as in vector_tanh.
+    With x = k pi / 2 + r, abs(r) <= pi / 4, the polynomials give sin r and cos r, and k mod 4
+    selects function and sign. The error is 1.5 units of round-off for abs(x) < 1e6; beyond, one
+    unit in the last place of x. There are no branches or calls, as in tanh.
 
     """
     rounded: Any = np.float64(x * _TWO_OVER_PI + _ROUNDING)
@@ -116,17 +116,17 @@ def sine_and_cosine(x: float) -> tuple[float, float]:
     quadrant = rounded.view(np.int64)
     swapped = (quadrant & 1) != 0
     first, second = cosine if swapped else sine, sine if swapped else cosine
-    # The second bit is the sign of the sine; that of the cosine is one quadrant ahead.
+    # The second bit is the sign of the sine; the sign of the cosine is one quadrant ahead.
     sign, ahead = (quadrant & 2) << 62, ((quadrant + 1) & 2) << 62
     return (np.int64(np.float64(first).view(np.int64) ^ sign).view(np.float64),
             np.int64(np.float64(second).view(np.int64) ^ ahead).view(np.float64))
 
 
-# Where exp is still far from the smallest numbers, and softplus from what can be told from 0.
+# Below this, exp is still far from underflow, and softplus is indistinguishable from 0.
 _LOWEST = -700.0
 # (artanh(t) / t - 1) / t^2 as a polynomial of t^2, lowest power first: interpolation in the ten
-# Chebyshev nodes of 0 <= t^2 <= 1.0001 / 9, which test_vector_functions.py repeats; relative
-# error 7e-18.
+# Chebyshev nodes of 0 <= t^2 <= 1.0001 / 9, recomputed in test_vector_functions.py; relative error
+# 7e-18.
 _LOG = (
     0.3333333333333333, 0.20000000000007298, 0.1428571428355253, 0.11111111358900891,
     0.09090894708663223, 0.07692785296456121, 0.06657067775440581, 0.06000577591428889,
@@ -138,9 +138,9 @@ def softplus_and_slope(x: float) -> tuple[float, float]:
     """
     Return log(1 + exp(x)) and its derivative, 1 / (1 + exp(-x)); NaN stays NaN.
 
-    With u = exp(-abs(x)) and t = u / (2 + u), log(1 + u) = 2 artanh(t), which is added to x
-    where x is positive. The relative error of both is about four units of round-off for
-    x > -700; below, both are what they are at -700, 1e-304.
+    With u = exp(-abs(x)) and t = u / (2 + u), log(1 + u) = 2 artanh(t), which is added to x if x
+    is positive. The relative error of both is about four units of round-off for x > -700; below,
+    both are constant at their values at -700, 1e-304.
 
     """
     low = x if x < 0.0 else -x
@@ -159,14 +159,14 @@ def softplus_and_slope(x: float) -> tuple[float, float]:
     return positive + 2.0 * (t + t * t2 * tail), (u if x < 0.0 else 1.0) * ratio
 
 
-# Sums may be reordered to vectorise; NaN and infinity keep their meaning, or the checks for
-# non-finite states would be optimised away.
+# Sums may be reordered to vectorise; NaN and infinity keep their meaning, because the checks for
+# non-finite states would otherwise be optimised away.
 FASTMATH = {'contract', 'reassoc', 'nsz', 'arcp'}
 _OPTIONS: dict[str, Any] = {'fastmath': FASTMATH, 'error_model': 'numpy', 'forceinline': True}
 _inlined = part(**_OPTIONS)
 
 
-# Whether the slope of an activation is continuous.
+# True if the slope of an activation is continuous.
 SMOOTH = {'tanh': True, 'sine': True, 'relu': False, 'softplus': True}
 
 
@@ -208,7 +208,7 @@ def scale(network: PackedPerceptron, s: int, layer: int, row: int, first: int, l
 
 
 def scale_forth(network: PackedPerceptron, s: int, layer: int, first: int, last: int) -> None:
-    """Replace z_l' by a_l', and keep the derivative of the slope, in the tiles first to last."""
+    """Replace z_l' by a_l', and store the derivative of the slope, in the tiles first to last."""
     raise NotImplementedError('compiled code only')
 
 
@@ -217,8 +217,8 @@ def scale_tangent(network: PackedPerceptron, s: int, layer: int, first: int, las
     raise NotImplementedError('compiled code only')
 
 
-# In the loops below, an index without a sign cannot count from the end of an array, the check of
-# which would keep them from vectorising.
+# In the loops below, an unsigned index cannot be negative; the wrap-around check for negative
+# indices would prevent vectorisation.
 @overload(activate, jit_options={**_OPTIONS, **LINK_ONLY})
 def _activate(network: Any, s: int, layer: int, first: int, last: int) -> Any:
     def of_tanh(network: Any, s: int, layer: int, first: int, last: int) -> None:

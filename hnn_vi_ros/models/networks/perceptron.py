@@ -5,11 +5,11 @@ A network, its gradient and its second derivative as compiled loops over plain a
 
 With a_0 = (q, p), z_l = W_l a_(l-1) + b_l, a_l = f(z_l) and H = w . a_K + b, the gradient is
 propagated back by g_K = w, delta_l = f'(z_l) g_l, g_(l-1) = W_l^T delta_l, so (H_q, H_p) = g_0.
-The derivatives of these lines along a_0' = v, marked by a dash, end in H''(q, p) v = g_0'.
+The derivatives of these lines along a_0' = v, marked by a prime, end in H''(q, p) v = g_0'.
 
-A network is a PackedPerceptron of perceptron_memory: a_l of state s is nodes[s, l], and with K + 1
-rows for each, g_l, a_l' and g_l' follow; activations has what depends on f. Layers are done in
-tiles of eight rows of weights.
+A network is a PackedPerceptron of perceptron_memory: a_l of state s is nodes[s, l], followed by
+g_l, a_l' and g_l' in K + 1 rows each; activations.py contains all code that depends on f. Layers
+are processed in tiles of eight rows of weights.
 """
 
 from hnn_vi_ros.kernels import kept, part
@@ -19,12 +19,12 @@ from hnn_vi_ros.models.networks.perceptron_memory import MAX_STATES, PackedPerce
 import numpy as np
 
 _compiled = kept(fastmath=FASTMATH, error_model='numpy')
-# The gradient is inlined even into the caller's loop: behind a call nothing is known of the arrays
-# that it is given, and each is counted, which is as slow as twenty additions.
+# The gradient is inlined even into the caller's loop: behind a call the compiler knows nothing
+# about the arrays and counts a reference for each, which is as slow as twenty additions.
 _inlined = kept(fastmath=FASTMATH, error_model='numpy', forceinline=True)
 _part = part(fastmath=FASTMATH, error_model='numpy', forceinline=True)
 
-# Weights that are used forward and back while they stay in the nearest cache, 32 KiB.
+# Number of weights used forwards and backwards while they stay in the L1 cache, 32 KiB.
 _BLOCK = 4096
 
 
@@ -45,7 +45,7 @@ def energy(network: PackedPerceptron, q: np.ndarray, p: np.ndarray) -> float:
 @_inlined
 def gradient(network: PackedPerceptron, q: np.ndarray, p: np.ndarray,
              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    """Fill dH_dq and dH_dp, all of shape (m d,): m states one after another."""
+    """Fill dH_dq and dH_dp, all of shape (m d,): m states in sequence."""
     sizes = network.sizes
     n_states = 2 * q.size // sizes[0]
     for chunk in range((n_states + MAX_STATES - 1) // MAX_STATES):
@@ -95,7 +95,7 @@ def _store(network: PackedPerceptron, first: int, n_states: int, row: int, q: np
 
 @_part
 def _propagate(network: PackedPerceptron, n_states: int, tangent: bool) -> None:
-    """Fill g_0 from a_0 of the first states; with tangent, g_0' from a_0' too."""
+    """Fill g_0 from a_0 of the first states; with ``tangent``, also g_0' from a_0'."""
     sizes, rows, nodes = network.sizes, network.rows, network.nodes
     n_layers, g = sizes.size - 1, sizes.size
     at = _forward(network, n_states, max(1, n_layers - 1), tangent)
@@ -119,7 +119,7 @@ def _propagate(network: PackedPerceptron, n_states: int, tangent: bool) -> None:
 
 @_part
 def _forward(network: PackedPerceptron, n_states: int, n_layers: int, tangent: bool) -> int:
-    """Fill a_1 to the activations of layer n_layers; return the tile where the next begins."""
+    """Fill a_1 to the activations of layer n_layers; return the first tile of the next layer."""
     sizes = network.sizes
     for s in range(n_states):
         _columns(network, s, 0)
@@ -142,7 +142,7 @@ def _forward(network: PackedPerceptron, n_states: int, n_layers: int, tangent: b
 @_part
 def _back(network: PackedPerceptron, n_states: int, at: int, layer: int, forth: bool, tangent: bool
           ) -> None:
-    """Go back through a layer, and first forth if it is the last: its weights are read once."""
+    """Propagate back through a layer, first forward if it is the last: one read of its weights."""
     sizes = network.sizes
     n_tiles = sizes[layer] // TILE
     n_blocks, size = _blocks(sizes[layer - 1], n_tiles)
@@ -156,7 +156,7 @@ def _back(network: PackedPerceptron, n_states: int, at: int, layer: int, forth: 
 
 @_part
 def _blocks(n_in: int, n_tiles: int) -> tuple[int, int]:
-    """Return how many blocks n_tiles tiles of n_in columns make, and the tiles of each."""
+    """Return the number of blocks of n_tiles tiles of n_in columns, and the tiles of a block."""
     size = max(1, _BLOCK // (TILE * n_in))
     return (n_tiles + size - 1) // size, size
 
@@ -186,7 +186,7 @@ def _block_back(network: PackedPerceptron, at: int, s: int, layer: int, first: i
 
 @_part
 def _columns(network: PackedPerceptron, s: int, row: int) -> None:
-    """Set row + 1 to W_1 times row: W_1 has few columns, too few to vectorise along its rows."""
+    """Set row + 1 to W_1 times row; W_1 has too few columns to vectorise along its rows."""
     sizes, rows, nodes = network.sizes, network.rows, network.nodes
     for j in range(0, sizes[0], 2):
         x, y = nodes[s, row, j], nodes[s, row, j + 1]
@@ -210,7 +210,7 @@ def _transposed_columns(network: PackedPerceptron, s: int, row: int) -> None:
 @_part
 def _product(network: PackedPerceptron, at: int, s: int, row: int, n_in: int, first: int, last: int
              ) -> None:
-    """Set tiles first to last of a row to W_l times the row before."""
+    """Set tiles first to last of a row to W_l times the previous row."""
     tiles, nodes, node_tiles = network.tiles, network.nodes, network.node_tiles
     whole = (n_in + ROW - 1) & -ROW
     for t in range(first, last):
@@ -233,7 +233,7 @@ def _product(network: PackedPerceptron, at: int, s: int, row: int, n_in: int, fi
 @_part
 def _transposed_product(network: PackedPerceptron, at: int, s: int, row: int, n_in: int,
                         first: int, last: int) -> None:
-    """Add to the row before what tiles first to last of a row contribute by W_l^T."""
+    """Add the contribution of tiles first to last of a row, by W_l^T, to the previous row."""
     tiles, nodes, node_tiles = network.tiles, network.nodes, network.node_tiles
     for t in range(first, last):
         w, d = at + t, node_tiles[s, row, t]

@@ -1,40 +1,40 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Memory of the compiled loops of perceptron.py: the weights, and their scratch."""
+"""Memory of the compiled loops of perceptron.py: weights and workspace."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-# Eight rows of weights, used together, are a tile; layers are padded with zeros to whole tiles.
+# Eight rows of weights, used together, are a tile; layers are zero-padded to whole tiles.
 TILE = 8
-# Numbers in a cache line of 64 bytes, the widest vector too: no load shall cross a line.
+# Numbers in a cache line of 64 bytes, also the widest vector: no load should cross a line.
 _LINE = 8
-# Rows are whole pairs of lines, which the compiler takes at once: nothing is left over.
+# Rows are whole pairs of lines, which the compiler loads at once: there is no remainder.
 ROW = 2 * _LINE
-# States that go through the network together. Measured on a 2-200-200-1 network, 32 cost 7 % less
-# a state than 8; their activations still fit into a second-level cache.
+# States that pass through the network together. Measured on a 2-200-200-1 network, 32 cost 7 %
+# less per state than 8; their activations still fit into the L2 cache.
 MAX_STATES = 32
 
 
 class PackedPerceptron(NamedTuple):
     """
-    Parameters of the functions of perceptron.py: a network of K hidden layers, and scratch.
+    Parameters of the functions of perceptron.py: a network of K hidden layers, and workspace.
 
-    The activation between its layers is in the type, by which compiled code knows it: a network
-    is one of the classes below.
+    The activation between its layers is part of the type, so that compiled code knows it: a
+    network is an instance of one of the classes below.
 
     Parameters
     ----------
     sizes : np.ndarray of int, shape (K + 1,)
         2 d, then the padded widths n_1, ..., n_K of the hidden layers.
     rows, tiles : np.ndarray
-        The same memory, (rows, width) and (rows / 8, 8, width). Rows: the 2 d columns of W_1,
-        the biases b_1, ..., b_K, w, b; from the next whole tile on the rows of W_2, ..., W_K.
+        The same memory, (rows, width) and (rows / 8, 8, width). Rows: the 2 d columns of W_1, the
+        biases b_1, ..., b_K, w, b; from the next whole tile on the rows of W_2, ..., W_K.
     nodes, node_tiles : np.ndarray
-        The same scratch memory, (MAX_STATES, 4 K + 4, width) and (MAX_STATES, 4 K + 4,
-        width / 8, 8): a_0, ..., a_K of each state, then all g, then all a', then all g'. If it
-        is not Tanh, 2 K + 2 rows more: all slopes f'(z_l), then their derivatives f'(z_l)'.
+        The same workspace, (MAX_STATES, 4 K + 4, width) and (MAX_STATES, 4 K + 4, width / 8, 8):
+        a_0, ..., a_K of each state, then all g, all a', and all g'. Other classes than Tanh have 2
+        K + 2 more rows: all slopes f'(z_l), then their derivatives f'(z_l)'.
 
     """
 
@@ -76,9 +76,9 @@ _KINDS: dict[str, type[PackedPerceptron]] = {
 def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
          activation: str = 'tanh') -> PackedPerceptron:
     """
-    Return a network for the functions of perceptron.py, with scratch memory of its own.
+    Return a network for the functions of perceptron.py, with its own workspace.
 
-    All rows are as long as the widest layer, padded.
+    All rows are as long as the widest layer, zero-padded.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
     biases : tuple of np.ndarray, each (outputs,)
         b_1, ..., b_K and b.
     activation : str
-        What stands between the layers.
+        Activation between the layers.
 
     """
     first, *middle, last = weights
@@ -112,7 +112,7 @@ def _padded(n: int, multiple: int) -> int:
 
 
 def _aligned(*shape: int) -> np.ndarray:
-    """Return zeros that begin at a cache line."""
+    """Return zeros aligned to a cache line."""
     size = int(np.prod(shape))
     memory = np.zeros(size + _LINE)
     start = (-memory.ctypes.data // memory.itemsize) % _LINE
