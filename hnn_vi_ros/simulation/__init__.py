@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 # flake8: noqa: F401
 """
-Simulations: compiled loops over the steps of a scene, and what is computed with them.
+Simulations: compiled loops over the steps of a scene, and computations based on them.
 
-``Simulation`` advances a state; ``rescue`` takes steps that fail; ``events`` finds events. Inside:
-``trajectory`` (whole runs), ``accuracy`` (errors, costs, the automatic choice), ``guards``
-(alarms), ``lockstep`` (many runs in torch) and ``gradients`` (sensitivities and adjoints).
+``Simulation`` advances a state; ``rescue`` retries failed steps; ``events`` locates events.
+Sub-packages: ``trajectory`` (whole runs), ``accuracy`` (errors, costs, `integrator: auto`),
+``guards`` (alarms), ``lockstep`` (many runs in torch), ``gradients`` (sensitivities, adjoints).
 """
 
 from typing import TYPE_CHECKING

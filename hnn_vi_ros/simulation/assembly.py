@@ -1,12 +1,12 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Loops over the steps of a method, put together for one Hamiltonian and the effects around it.
+Loops over the steps of a method, assembled for one Hamiltonian and the effects around it.
 
-A method by itself is compiled into its loop, for all Hamiltonians. With effects the loop is that
-of the account around the outermost effect, and each effect calls what is inside of it by address:
-methods and effects are compiled once each, whatever they are combined with. So are the steps by
-which failed ones are rescued, where one loop serves all methods.
+Without effects, a method is compiled into its loop, for all Hamiltonians. With effects, the loop
+is that of Account around the outermost effect, and each effect calls the step inside it by
+address: methods and effects are compiled once each, for all combinations. The same holds for the
+steps that rescue failed ones, for which one loop serves all methods.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ import numpy as np
 
 
 def compile_forget(memory: Any) -> Callable[[Any], None]:
-    """Return forget for one type of memory, whose workspaces are each of a type of its own."""
+    """Return the implementation of `forget` for one type of memory, a tuple of workspaces."""
     def forget_first(memory: Any) -> None:
         memory[0].kept.count[0] = 0
         forget(memory[1:])
@@ -61,7 +61,7 @@ overload(forget, jit_options={'forceinline': True, **LINK_ONLY})(compile_forget)
 def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int, every: int,
             z: Point, z1: Point, memory: tuple, q_out: np.ndarray, p_out: np.ndarray,
             last: int) -> tuple[int, int, int, float, int, int, int]:
-    """Take the steps from the first to before the last, and sample; stop before one that fails."""
+    """Take steps first to last - 1, and record samples; stop before a step that fails."""
     kernel, options, z, z1, memory, q_out, p_out = bare(
         (kernel, options, z, z1, memory, q_out, p_out))
     gradients, residual, spent, most, costliest = 0, 0.0, 0, 0, first
@@ -85,7 +85,7 @@ def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int
 def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, parts: int,
                   most: int, z: Point, z1: Point, memory: tuple
                   ) -> tuple[bool, int]:
-    """Go by equal sub-steps, while they take at most so many gradients; end in z and z1."""
+    """Take a step in equal sub-steps, with at most `most` gradients; z and z1 hold the result."""
     kernel, options, z, z1, memory = bare((kernel, options, z, z1, memory))
     gradients = 0
     for _ in range(parts):
@@ -100,28 +100,28 @@ def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, p
 
 class Loop:
     """
-    A loop over the steps of a method, over one Hamiltonian.
+    Loop over the steps of a method, for one Hamiltonian.
 
     Parameters
     ----------
     loop : callable
-        One of the module loops.
+        Loop function, such as those of this module.
     kernel : Kernel
-        Of the Hamiltonian.
+        Kernel of the Hamiltonian.
     method : Integrator
-        With the effects around it.
+        Method with the effects around it.
     attempt : int, optional
-        Which of the attempts at a step.
+        Index of the attempt at a step; see ``Integrator.options``.
     apart : bool, optional
-        Whether the step is called by address even where no effect is around it, as suits what
-        runs seldom: the loop is one for all methods, the step that of scenes with effects.
+        Call the step by address even without effects, for code that runs rarely: one loop serves
+        all methods, and the compiled step is shared with scenes with effects.
     provide : bool, optional
-        Whether to compile what the step calls of H now, not when it is called.
+        Compile the functions of H that the step calls now, not at the first call.
 
     Attributes
     ----------
     function : callable
-        What runs, once it has run: compiled or, where H or the method is not, the loop itself.
+        After the first run the compiled loop; the loop itself if H or the method is not compiled.
 
     """
 
@@ -140,7 +140,7 @@ class Loop:
 
     def __call__(self, h: float, first: int, second: int, z: Point, z1: Point,
                  memory: tuple[Any, ...], *others: Any) -> Any:
-        """Run it; it takes the arguments of the loop, without step, kernel and options."""
+        """Run the loop; takes its arguments except step, kernel and options."""
         if self._entry is None:
             self.compile(h, first, second, z, z1, memory, *others)
         assert self._entry is not None
@@ -151,7 +151,7 @@ class Loop:
 
     def compile(self, h: float, first: int, second: int, z: Point, z1: Point,  # noqa: A003
                 memory: tuple[Any, ...], *others: Any) -> None:
-        """Compile it for such arguments, or find it on disk."""
+        """Compile the loop for arguments of these types, or load it from the disk cache."""
         if self._entry is not None:
             return
         if not self._compiled:
@@ -171,11 +171,11 @@ class Loop:
                              self._apart or method.own)
         entry = entry_point(loop, step, kernel, h, options, first, second, z, z1,
                             self._taken(memory), *others)
-        # Nothing has changed if that was refused: it is compiled when it is asked for again.
+        # Assigned last: after a failed compilation the next call compiles again.
         self.function, self._step, self._options, self._entry = loop, step, options, entry
 
     def _taken(self, memory: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the workspaces of the method as the loop takes them; of the same arrays."""
+        """Return the workspaces in the form that the loop takes, on the same arrays."""
         if not self._compiled:
             return memory
         taken = _memory_of(self._method, memory)
@@ -183,7 +183,7 @@ class Loop:
 
 
 def _memory_of(method: Integrator, memory: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the workspaces of a method whose steps are called by address."""
+    """Return the workspaces for a method whose steps are called by address."""
     if not isinstance(method, Wrapped):
         return memory
     return memory_by_address(_memory_of(method.inner, memory[:-1])), memory[-1]
@@ -191,7 +191,7 @@ def _memory_of(method: Integrator, memory: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _layer(kernel: Kernel, method: Wrapped, options: Parameters
            ) -> tuple[Step, Parameters, str]:
-    """Return the step of an effect around steps by address, its options and its name."""
+    """Return the step of an effect around steps by address, its options, and its name."""
     inner_options, *settings = options
     inside = _inside(kernel, method.inner, inner_options, method.inner_steps)
     return (method.around(CALLERS), (inside, *compiled_options(tuple(settings))),
@@ -200,7 +200,7 @@ def _layer(kernel: Kernel, method: Wrapped, options: Parameters
 
 def _inside(kernel: Kernel, method: Integrator, options: Parameters, steps: tuple[Step, ...]
             ) -> StepsByAddress:
-    """Return steps of a method by address; of one with effects, that of the outermost."""
+    """Return the steps of a method by address; with effects, the step of the outermost one."""
     if isinstance(method, Wrapped):
         step, options, name = _layer(kernel, method, options)
         steps = (step,)

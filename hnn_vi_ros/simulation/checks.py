@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of what Python callers hand in, told in a sentence."""
+"""Validation of arguments from Python callers."""
 
 from numbers import Integral, Real
 import sys
@@ -11,14 +11,14 @@ import numpy as np
 
 def check_seconds(name: str, value: float) -> None:
     """
-    Raise unless a value is a number of seconds, at least 0.
+    Check that a value is a non-negative number of seconds.
 
     Parameters
     ----------
     name : str
-        Of the argument.
+        Name of the argument.
     value : float
-        The caller's value [s].
+        Value of the argument [s].
 
     Raises
     ------
@@ -34,19 +34,19 @@ def check_seconds(name: str, value: float) -> None:
 
 def check_count(name: str, value: int) -> None:
     """
-    Raise unless a value is a whole number, at least 1.
+    Check that a value is a positive integer.
 
     Parameters
     ----------
     name : str
-        Of the argument.
+        Name of the argument.
     value : int
-        The caller's argument.
+        Value of the argument.
 
     Raises
     ------
     TypeError, ValueError
-        Not a whole number; less than 1.
+        Not an integer; less than 1.
 
     """
     if isinstance(value, bool) or not isinstance(value, Integral):
@@ -57,24 +57,24 @@ def check_count(name: str, value: int) -> None:
 
 def check_numbers(name: str, values: Any) -> np.ndarray:
     """
-    Return numbers as a fresh array of float64, or raise.
+    Return numbers as a new float64 array, or raise TypeError.
 
     Parameters
     ----------
     name : str
-        Of the argument.
+        Name of the argument.
     values : sequence of float, of any depth
-        The caller's argument.
+        Value of the argument.
 
     Raises
     ------
     TypeError
-        Not numbers, some that are masked or too large, or lists of different lengths.
+        Values that are not numbers, masked or too large, or lists of different lengths.
 
     """
     try:
         array = np.asarray(values)
-        # numpy would drop imaginary parts, and read texts and dates.
+        # numpy would discard imaginary parts and convert strings and dates.
         if array.dtype.kind not in 'biufO' or np.ma.is_masked(values):
             raise TypeError
         return np.array(array, dtype=np.float64)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a scene to a simulation."""
+"""Construction of simulations from scenes."""
 
 from hnn_vi_ros.integrators import Point
 from hnn_vi_ros.models import warn_of_scheme
@@ -15,18 +15,18 @@ from numpy.typing import ArrayLike
 
 def build(scene: Scene | Parts) -> Simulation:
     """
-    Return a simulation of a scene, in its initial state.
+    Return a simulation of a scene in its initial state.
 
     Parameters
     ----------
     scene : Scene or Parts
-        That names its method and its step size; ``automatic_choice.resolve`` replaces auto. From
-        parts the simulation takes H itself, not a copy.
+        Scene with a method and a step size (``automatic_choice.resolve`` replaces auto), or its
+        parts; the simulation then uses their H itself, not a copy.
 
     Raises
     ------
     HnnViRosError
-        The parts of the scene do not fit together, or cannot be made.
+        The parts of the scene are incompatible or cannot be created.
 
     """
     scene, hamiltonian, integrator, effects = scene if isinstance(scene, Parts) else scene.parts()
@@ -38,14 +38,14 @@ def build(scene: Scene | Parts) -> Simulation:
 
 
 def build_at(parts: Parts, q: ArrayLike, p: ArrayLike) -> Simulation:
-    """Return a simulation, with H of its own, in a state or in several; see Simulation."""
+    """Return a simulation with its own copy of H, in one or several states; see Simulation."""
     scene, hamiltonian, integrator, effects = parts.copy()
     return Simulation(hamiltonian, integrator, scene.known_step_size, q, p, effects,
                       scene.on_failure)
 
 
 def compile_loop(parts: Parts) -> None:
-    """Compile the loop over steps of a scene, or find it on disk: nothing of its H."""
+    """Compile the loop over steps of a scene, or load it from disk, without its H."""
     system = System(parts.hamiltonian, parts.effects, parts.integrator)
     rescue = Rescue(system, parts.scene.on_failure)
     n = system.kernel.dimension

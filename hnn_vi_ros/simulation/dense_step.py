@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""States between the steps of a simulation."""
+"""Dense output: states between the steps of a simulation."""
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -15,17 +15,17 @@ import numpy as np
 if TYPE_CHECKING:
     from hnn_vi_ros.simulation.simulation import Simulation
 
-# From this many stages on the collocation polynomial is no worse than quintic Hermite's.
+# Minimum number of stages for the collocation polynomial to be as good as quintic Hermite.
 _STAGES = 5
-# Where in a part of a step its polynomial is looked at, in shares of it.
+# Fractions of each part of a step at which its polynomial is evaluated.
 _PLACES = np.linspace(0.0, 1.0, 9)
-# Share of a step, and roundings of a count of steps: a time nearer to a step's end is at its end,
-# such as 0.3 / 0.1.
+# Tolerance, as a share of a step and in roundings of the number of steps, for a time to count as
+# the end of a step, such as 0.3 / 0.1.
 _SHARE, _ROUNDINGS = 1e-9, 4.0 * float(np.finfo(np.float64).eps)
 
 
 class _Look(NamedTuple):
-    """A state and the gradient of H there, each of shape (d,) or (m, d)."""
+    """State and gradient of H at it, each of shape (d,) or (m, d)."""
 
     q: np.ndarray
     p: np.ndarray
@@ -35,37 +35,37 @@ class _Look(NamedTuple):
 
 class DenseStep:
     """
-    One step of a simulation, which it takes, and the states inside of it.
+    Step of a simulation, taken by the constructor, with dense output.
 
-    Two continuous extensions of the step are at hand. ``polynomial`` costs next to nothing:
-    cubic Hermite for methods of order up to 3, for rotations and wherever forces or effects act,
-    quintic Hermite for the others, and the collocation polynomial for Gauss methods of 5 stages
-    and more (with fewer its order, s, is below 5). It meets both ends of the step; a step of the
-    clock that ``time_transformed`` fills with steps of its own has one polynomial for each of
-    these. ``state`` is as accurate as the method: by the polynomial where that is of the
-    method's order and nothing else acts on the state, else by a step of the method from the same
-    start, of a share of h, with all effects and the same random numbers; so rods keep their
-    lengths, quaternions their norms, and walls are met. Where steps are a method's own, they are
-    the same ones, up to another time of the clock.
+    There are two continuous extensions of the step. ``polynomial`` is cheap: cubic Hermite for
+    methods of order up to 3, for rotations and if forces or effects act, quintic Hermite
+    otherwise, and the collocation polynomial for Gauss methods of 5 or more stages (with fewer,
+    its order s is below 5). It interpolates both ends of the step; if ``time_transformed`` takes
+    several internal steps per step of the clock, there is one polynomial for each of them.
+    ``state`` is as accurate as the method: it uses the polynomial if that has the method's order
+    and nothing but H acts, otherwise a step of the method from the same start with a fraction of
+    h, with all effects and the same random numbers; so rods keep their lengths, quaternions their
+    norms, and walls are respected. Internal steps of a method keep their lengths, and are
+    evaluated at another time of the clock.
 
     Parameters
     ----------
     simulation : Simulation
-        Which takes the step.
+        Simulation that takes the step.
     plain : bool
-        Whether its steps involve the method and H alone, in scalar coordinates.
+        True if steps involve only the method and H, in scalar coordinates.
     cuts : callable
-        Returns how often steps have been cut so far, for example at walls.
+        Returns the number of cuts of steps so far, for example at walls.
 
     Attributes
     ----------
     step : int
-        Steps that the simulation had taken before.
+        Number of steps of the simulation before this one.
 
     Raises
     ------
     StepFailure
-        The step did not converge or is not finite.
+        The step did not converge, or its result is not finite.
 
     """
 
@@ -76,27 +76,27 @@ class DenseStep:
         simulation.advance(1)
         self._end, self._slopes, self._smooth = _look(simulation), None, cuts() == uncut
         stages = getattr(simulation.integrator, 'stages', 0)
-        # The series themselves are known anywhere in the step.
+        # The Taylor series can be evaluated anywhere in the step.
         self._series = (plain and isinstance(simulation.integrator, Taylor)
                         and self._start.q.ndim == 1)
         if (plain and isinstance(simulation.integrator, Gauss) and stages >= _STAGES
                 and simulation.rescued == rescued):
-            # H_q and H_p at the stages, which the step leaves for the start of the next solve.
+            # H_q and H_p at the stages, stored by the step for the next initial guess.
             H_q, H_p = np.split(simulation.state.named['memory0.0.slopes'], 2)
             self._slopes = np.hstack([H_p.reshape(stages, -1), -H_q.reshape(stages, -1)])
 
     def undo(self) -> None:
-        """Put the simulation back to where it was before the step."""
+        """Restore the simulation to its state before the step."""
         self._simulation.put(self._before)
 
     @cached_property
     def _knots(self) -> tuple[np.ndarray, list[_Look]]:
-        """Return the shares of the step at which its parts begin and end, and the states there."""
+        """Return the ends of the parts of the step, as fractions of it, and the states there."""
         if self._takes_state:
             return WHOLE, [self._start, self._end]
         simulation, found = self._simulation, {0.0: self._start}
         for time, q, p in simulation.own_states(self._before):
-            # Those at the clock stand at the ends.
+            # States at the ends of the step are added separately.
             if (share := time / simulation.step_size) < 1.0:
                 found[share] = _Look(q, p, *simulation.hamiltonian.gradient(q, p))
         return np.array([*found, 1.0]), [*found.values(), self._end]
@@ -108,7 +108,7 @@ class DenseStep:
 
     @property
     def places(self) -> np.ndarray:
-        """Return shares of the step, shape (k,), between which the path bends little."""
+        """Return fractions of the step, shape (k,), between which the path bends little."""
         ends = self.polynomial.ends if self._series else self._knots[0]
         if ends is WHOLE:
             return _PLACES
@@ -117,7 +117,7 @@ class DenseStep:
 
     @cached_property
     def polynomial(self) -> DenseOutput:
-        """Return the polynomial through the step, of q and p of shape (d,) or (m d,)."""
+        """Return the interpolating polynomial of q and p, of shape (d,) or (m d,)."""
         if self._series:
             return self._simulation.series(np.append(self._start.q, self._start.p))
         h, (ends, looks) = self._simulation.step_size, self._knots
@@ -130,7 +130,7 @@ class DenseStep:
         return hermite_output(h, self._start.q.size, z, v, bends, ends)
 
     def _line(self, look: _Look) -> tuple[np.ndarray, np.ndarray]:
-        """Return (q, p) and (q', p') of a state, each of shape (n,)."""
+        """Return (q, p) and (q', p') at a state, each of shape (n,)."""
         turning, (q, p, dH_dq, dH_dp) = self._simulation.hamiltonian.rotations, look
         return (np.concatenate([q.ravel(), p.ravel()]),
                 np.concatenate([coordinate_rates(turning, q, dH_dp).ravel(),
@@ -145,12 +145,12 @@ class DenseStep:
 
     def state(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return q and p, of shape (d,) or (m, d), at a time in the step, to the method's order.
+        Return q and p, of shape (d,) or (m, d), inside the step, to the method's order.
 
         Parameters
         ----------
         theta : float
-            Share of the step, from 0 to 1.
+            Fraction of the step, from 0 to 1.
 
         Raises
         ------
@@ -173,20 +173,20 @@ class DenseStep:
 
     def outline(self, theta: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return q and p near to where the path is, at places in the step.
+        Return approximate q and p inside the step.
 
-        By the polynomial, which costs next to nothing; in a step that was cut, where the path
-        has kinks, which it does not show, by ``state``.
+        They are evaluated by the polynomial, which is cheap, or by ``state`` if the step was cut:
+        the path then has kinks, which the polynomial does not show.
 
         Parameters
         ----------
         theta : float or np.ndarray, shape (k,)
-            Shares of the step.
+            Fractions of the step.
 
         Returns
         -------
         tuple of np.ndarray, shape (d,) or (k, d)
-            q and p, of a simulation of one trajectory.
+            q and p, for a simulation of one trajectory.
 
         Raises
         ------
@@ -203,26 +203,26 @@ class DenseStep:
 
 
 def _look(simulation: 'Simulation') -> _Look:
-    """Return copies of where a simulation stands."""
+    """Return a copy of the current state of a simulation and the gradient of H."""
     return _Look(simulation.q.copy(), simulation.p.copy(), simulation.dH_dq.copy(),
                  simulation.dH_dp.copy())
 
 
 def whole_steps(time: float, step_size: float) -> tuple[int, float]:
     """
-    Return how many whole steps a time is, and what share of a step is left over.
+    Return the number of whole steps in a time, and the remaining fraction of a step.
 
     Parameters
     ----------
     time : float
-        t >= 0 [s].
+        Time t >= 0 [s].
     step_size : float
-        h [s].
+        Step size h [s].
 
     Returns
     -------
     tuple of (int, float)
-        The share is 0 where it differs from a whole step by rounding only.
+        Steps and fraction; the fraction is 0 if the time differs from whole steps by rounding.
 
     """
     steps = time / step_size
@@ -235,29 +235,29 @@ def whole_steps(time: float, step_size: float) -> tuple[int, float]:
 def record_at(simulation: 'Simulation', times: Sequence[float] | np.ndarray,
               on_sample: Callable[[], None] = lambda: None) -> tuple[np.ndarray, np.ndarray]:
     """
-    Advance a simulation to the last of some times, and return its states at all of them.
+    Advance a simulation to the last of the given times, and return its states at all of them.
 
     Parameters
     ----------
     simulation : Simulation
-        At a time that is none of the times in a step that it has taken already.
+        Simulation that has not yet passed any of the times.
     times : sequence of float, shape (k,)
-        Since the initial state, in rising order [s].
+        Times since the initial state, in increasing order [s].
     on_sample : callable, optional
-        Called at the first whole step that is not before each time.
+        Called at the first whole step at or after each time.
 
     Returns
     -------
     tuple of np.ndarray, shape (k, d) or (k, m, d)
-        q and p. The simulation ends at the first whole step that is not before the last time,
-        or before the step in which an event ends the run after that.
+        q and p. The simulation ends at the first whole step at or after the last time, or before
+        that step if an event in it, after the last time, ends the run.
 
     Raises
     ------
     StoppedByEvent
-        One that ends the run came before the last of the times.
+        An event ended the run before the last of the times.
     StepFailure
-        A step did not converge or is not finite.
+        A step did not converge, or its result is not finite.
 
     """
     q, p = (np.empty((len(times), *part.shape)) for part in (simulation.q, simulation.p))
@@ -273,7 +273,7 @@ def record_at(simulation: 'Simulation', times: Sequence[float] | np.ndarray,
             for i in range(k, last):
                 q[i], p[i] = stop.state(times[i] / simulation.step_size - simulation.steps)
             if last == len(times):
-                # The event comes after the last of the times.
+                # The event is after the last of the times.
                 return q, p
             raise stop.after(q[:last], p[:last]) from None
         if dense is None:

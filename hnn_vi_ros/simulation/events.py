@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events: the instants at which a condition on the state comes true."""
+"""Events: the times at which a condition on the state becomes true."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,34 +16,34 @@ from hnn_vi_ros.simulation.dense_step import DenseStep
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
-# A simulation to those who use it: all but a few of its methods are passed on.
+# WatchedSimulation has the interface of Simulation: most attributes are delegated.
 if TYPE_CHECKING:
     _Simulation = Simulation
 else:
     _Simulation = object
 
 _EPS = float(np.finfo(np.float64).eps)
-# Trials within which a minimum is found, and the share of a step to which it is.
+# Maximum number of evaluations of the search for a minimum, and its tolerance, in steps.
 _TRIALS, _NARROW = 40, 1e-9
-# Nearer to an end of an interval than this share of it, a minimum is at that end.
+# A minimum closer to an end of an interval than this share of it counts as at that end.
 _END = 1e-5
-# A value this many times those around it is none that comes to zero.
+# A value beyond this multiple of its neighbours indicates a pole, not a zero.
 _POLE = 10.0
 
 
 @dataclass(frozen=True)
 class EventFunction:
     """
-    A condition; an event is the instant at which it comes true.
+    Event condition, with the direction of its zero crossings.
 
     Parameters
     ----------
     condition : Condition
-        The equation.
+        Equation that holds at the event.
     direction : str
-        Which changes of its left less its right side count: ``'up'``, ``'down'`` or ``'both'``.
+        Direction in which left minus right side crosses zero: ``'up'``, ``'down'`` or ``'both'``.
     stops : bool
-        Whether the run ends there.
+        End the run at the event.
 
     """
 
@@ -54,27 +54,26 @@ class EventFunction:
 
 class WatchedSimulation(_Simulation):
     """
-    A simulation whose steps are searched for events.
+    Simulation with event detection in each step.
 
-    Each step is looked at through its polynomial at nine places (through the path itself in
-    steps that meet a wall; at nine places of each step of its own that a method takes within one
-    of the clock), for changes of sign and for extrema that come close to zero; what is found
-    there is found again, to round-off, on states that are as accurate as the method (see
-    DenseStep). So an event that comes and goes within a step is found as well, as long as the
-    polynomial shows it. The steps equal the simulation's, bit by bit; an event at the
-    initial state is none.
+    The polynomial of each step is evaluated at nine points (of the path itself if the step meets
+    a wall; at nine points of each internal step of a method), and searched for sign changes and
+    for extrema close to zero. Candidates are then located to round-off on states as accurate as
+    the method (see DenseStep). An event that begins and ends within a step is found as well, if
+    the polynomial shows it. The steps are bit-identical to those without event detection; a zero
+    at the initial state is not an event.
 
     Parameters
     ----------
     simulation : Simulation
-        Of one trajectory; all that is not listed below is its own.
+        Simulation of one trajectory; attributes not listed below are delegated to it.
     functions : sequence of EventFunction
         Functions whose zeros are the events.
 
     Attributes
     ----------
     events : list of Event
-        What has been found since the initial state, in the order of time.
+        Events since the initial state, in chronological order.
 
     """
 
@@ -86,17 +85,17 @@ class WatchedSimulation(_Simulation):
         return getattr(self._simulation, name)
 
     def take_events(self) -> list[Event]:
-        """Return the events that have been found, and forget them."""
+        """Return the events found so far, and clear the list."""
         events, self.events = self.events, []
         return events
 
     def restart(self, *arguments: Any, **more: Any) -> None:
-        """Restart, without events; see Simulation."""
+        """Restart with an empty list of events; see Simulation."""
         self._simulation.restart(*arguments, **more)
         self.events.clear()
 
     def advance(self, n: int, until: float = math.inf) -> int:
-        """Take n steps, or fewer, and return how many; see Simulation, and ``record``."""
+        """Take n steps, or fewer, and return their number; see Simulation, and ``record``."""
         for taken in range(1, n + 1):
             self.dense_step()
             if time.perf_counter() >= until:
@@ -105,14 +104,14 @@ class WatchedSimulation(_Simulation):
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """
-        Take samples times every steps; see Simulation.
+        Take samples times every steps, and return samples; see Simulation.
 
         Raises
         ------
         StoppedByEvent
-            One that ends the run came in a step; the state is that before the step.
+            An event ended the run; the state is that before its step.
         StepFailure
-            A step did not converge or is not finite.
+            A step did not converge, or its result is not finite.
 
         """
         q, p = (np.empty((samples, part.size))
@@ -127,11 +126,11 @@ class WatchedSimulation(_Simulation):
         return q, p
 
     def dense_step(self) -> DenseStep:
-        """Take one step, or raise as ``record``; return it with the states inside of it."""
+        """Take one step and return it with dense output; raises the errors of ``record``."""
         dense = self._simulation.dense_step()
         places = dense.places
         q, p = dense.outline(places)
-        # The ends are known, and what is known of them decides.
+        # Replace the ends by the exact states, which decide.
         (q[0], p[0]), (q[-1], p[-1]) = dense.state(0.0), dense.state(1.0)
         found = sorted(((theta, rises, function) for function in self._functions
                         for theta, rises in self._find(dense, function, places, q, p)),
@@ -147,7 +146,7 @@ class WatchedSimulation(_Simulation):
     def _event(self, dense: DenseStep, theta: float, rises: bool, function: EventFunction
                ) -> Event:
         q, p = dense.state(theta)
-        # One product and one rounding at the end of a step, as the simulation has it.
+        # At the end of a step compute the time as the simulation does, with one rounding.
         steps = dense.step + 1 if theta == 1.0 else dense.step + theta
         return Event(function.condition.text, 'up' if rises else 'down', function.stops,
                      steps * self._simulation.step_size, q, p,
@@ -155,7 +154,7 @@ class WatchedSimulation(_Simulation):
 
     def _find(self, dense: DenseStep, function: EventFunction, places: np.ndarray,
               q: np.ndarray, p: np.ndarray) -> Iterator[tuple[float, bool]]:
-        """Yield the share of the step and whether the value rises, for each event of a kind."""
+        """Yield the fraction of the step, and whether the value rises, for each event."""
         hamiltonian, condition = self._simulation.hamiltonian, function.condition
 
         def value(theta: float) -> float:
@@ -165,7 +164,7 @@ class WatchedSimulation(_Simulation):
             return condition.values(hamiltonian, *dense.outline(theta))
 
         values = condition.values(hamiltonian, q, p)
-        # Most steps are far from it: nearer to zero than they vary no values come within one.
+        # Skip most steps: all values are farther from zero than the width of their range.
         size = np.abs(values)
         if size.min() > values.max() - values.min():
             return
@@ -173,7 +172,7 @@ class WatchedSimulation(_Simulation):
             rises = end[1] > 0.0 or start[1] < 0.0
             if function.direction != ('down' if rises else 'up'):
                 theta = _root(value, start, end)
-                # At a pole, as of 1 / x, the sign changes as well.
+                # The sign also changes at a pole, such as that of 1 / x.
                 if theta == end[0] or abs(value(theta)) <= _POLE * max(
                         abs(start[1]), abs(end[1])):
                     yield theta, rises
@@ -181,12 +180,12 @@ class WatchedSimulation(_Simulation):
 
 def watched(simulation: Simulation, scene: Scene) -> Simulation:
     """
-    Return a simulation that watches for the events of its scene; itself if it has none.
+    Return a simulation that detects the events of its scene; itself if there are none.
 
     Raises
     ------
     SceneError
-        A condition names what the system does not have.
+        A condition contains a name that the system does not have.
 
     """
     if not scene.events:
@@ -205,10 +204,10 @@ Place = tuple[float, float]
 
 def _brackets(at: np.ndarray, values: np.ndarray, seen: Callable,
               value: Callable[[float], float]) -> Iterator[tuple[Place, Place]]:
-    """Yield pairs of places, each with its value, between which the value changes its sign."""
+    """Yield pairs of points, each with its value, between which the value changes its sign."""
     for thetas, part in _stretches(at, values, value):
         if part[0] == 0.0:
-            # The event was at the end of the step before, or is none at the initial state.
+            # This zero was found at the end of the previous step, or is the initial state.
             part[0] = _after(part)
         if part[0] == 0.0:
             continue
@@ -216,7 +215,7 @@ def _brackets(at: np.ndarray, values: np.ndarray, seen: Callable,
         for k in range(1, len(part)):
             places += _dips(thetas, part, k, seen, value)
             last = k == len(part) - 1
-            # Inside the step, the polynomial is only near to the true values.
+            # Inside the step, the polynomial only approximates the true values.
             crosses = part[k - 1] * part[k] <= 0.0
             if last or crosses or part[k] * places[-1][1] <= 0.0:
                 theta = float(thetas[k])
@@ -229,9 +228,9 @@ def _brackets(at: np.ndarray, values: np.ndarray, seen: Callable,
 def _stretches(at: np.ndarray, values: np.ndarray, value: Callable[[float], float]
                ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """
-    Yield the places, with their values, of each part of a step in which the value is a number.
+    Yield the points, with their values, of each part of a step in which the value is finite.
 
-    It is none where, such as, a root of a negative number is taken.
+    It is not finite, for example, at the square root of a negative number.
     """
     finite = np.isfinite(values)
     ends = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]])))
@@ -246,7 +245,7 @@ def _stretches(at: np.ndarray, values: np.ndarray, value: Callable[[float], floa
 
 
 def _edge(value: Callable[[float], float], inside: Place, outside: float) -> Place:
-    """Return the last place, from one where the value is a number to one where it is none."""
+    """Return the last point with a finite value, from `inside` towards `outside`."""
     while abs(inside[0] - outside) > _NARROW:
         middle = 0.5 * (inside[0] + outside)
         there = value(middle)
@@ -255,22 +254,22 @@ def _edge(value: Callable[[float], float], inside: Place, outside: float) -> Pla
 
 
 def _after(values: np.ndarray) -> float:
-    """Return a number of the sign that the values take after the first one."""
+    """Return a small number with the sign of the next nonzero value; 0 if there is none."""
     others = values[np.isfinite(values) & (values != 0.0)]
     return float(np.copysign(_EPS * np.abs(others).max(), others[0])) if others.size else 0.0
 
 
 def _dips(thetas: np.ndarray, values: np.ndarray, k: int, seen: Callable,
           value: Callable[[float], float]) -> list[Place]:
-    """Return the place between k - 1 and k, if any, at which a value turns near zero."""
+    """Return the point between k - 1 and k, if any, at an extremum beyond zero."""
     low, high = max(0, k - 2), min(len(values) - 1, k + 1)
     near = values[low:high + 1]
     sign = np.sign(values[k])
-    # It could turn by no more than the values around it differ.
+    # The overshoot is assumed to be at most the range of the neighbouring values.
     if values[k - 1] * values[k] <= 0.0 or \
             min(sign * values[k - 1], sign * values[k]) > np.ptp(near):
         return []
-    # Imported here: only scenes with events wait the half second that this takes.
+    # Imported lazily: the import takes half a second, and only scenes with events need it.
     from scipy.optimize import minimize_scalar
     start, end = float(thetas[k - 1]), float(thetas[k])
 
@@ -281,22 +280,22 @@ def _dips(thetas: np.ndarray, values: np.ndarray, k: int, seen: Callable,
 
     theta, expected = lowest(seen)
     if min(theta - start, end - theta) <= _END * (end - start):
-        # It does not turn here.
+        # There is no extremum inside the interval.
         return []
     actual = value(theta)
     if sign * actual > 0.0 and abs(actual) <= 4.0 * abs(actual - expected):
-        # Too close for the polynomial to tell.
+        # The polynomial is not accurate enough here: search on the true values.
         theta, actual = lowest(value)
     return [(theta, actual)] if sign * actual < 0.0 else []
 
 
 def _root(value: Callable[[float], float], start: Place, end: Place) -> float:
-    """Return where the value is zero between two places, to round-off."""
+    """Return the zero of the value between two points, to round-off."""
     if end[1] == 0.0:
         return end[0]
     from scipy.optimize import brentq
 
     def of_sign(theta: float) -> float:
-        # At an end the value is what it was taken for there.
+        # At the ends use the given values, whose signs differ.
         return {start[0]: start[1], end[0]: end[1]}.get(theta, value(theta))
     return float(brentq(of_sign, start[0], end[0], xtol=_EPS, rtol=4.0 * _EPS))

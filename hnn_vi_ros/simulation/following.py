@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The loop over steps of many states, each with commands and memory of its own."""
+"""Compiled loop over steps of many states, each with its own commands and memory."""
 
 from typing import NamedTuple
 
@@ -11,16 +11,16 @@ import numpy as np
 
 class Law(NamedTuple):
     """
-    Feedback that is added to N commands, which limits then bound.
+    Linear feedback added to N commands, with limits on the sum.
 
     Parameters
     ----------
     gains : np.ndarray, shape (m, N, c, 2 d)
-        Of what a state deviates, of each of m trajectories; empty for none.
+        Gains on the deviations of the states of m trajectories; empty for none.
     about : np.ndarray, shape (m, N, 2 d)
-        From where.
+        Reference states of the deviations.
     low, high : np.ndarray, shape (c,)
-        Least and largest commands.
+        Lower and upper limits of commands.
 
     """
 
@@ -31,12 +31,12 @@ class Law(NamedTuple):
 
     @classmethod
     def none(cls, size: int) -> 'Law':
-        """Return no feedback, and no limits."""
+        """Return a law without feedback and without limits."""
         limit = np.full(size, np.inf)
         return cls(np.zeros((0, 0, 0, 0)), np.zeros((0, 0, 0)), -limit, limit)
 
     def of(self, part: slice) -> 'Law':
-        """Return that of some of the trajectories."""
+        """Return the law of some of the trajectories."""
         return self._replace(gains=self.gains[part], about=self.about[part])
 
 
@@ -45,10 +45,10 @@ def follow_each(step: Step, kernel: Kernel, h: float, options: Parameters, hold:
                 rows: np.ndarray, command: np.ndarray, places: np.ndarray, law: Law,
                 wanted: np.ndarray, path: np.ndarray, taken: np.ndarray) -> None:
     """
-    Hold commands one after another from each row on; see ``Simulation.follow``.
+    Take steps from each row, with each command held in turn; see ``Simulation.follow``.
 
-    A row is the energy at the start, the steps so far, which method is active (-1: the first, and
-    H' of the point is not known yet), and then what is in the arrays.
+    A row consists of the initial energy, the number of steps so far, the active method (-1: the
+    first, and H' of the point is not evaluated yet), and then the contents of the arrays.
     """
     kernel, options, z, z1, memory, arrays, rows, command, places, law, wanted, path, taken = bare(
         (kernel, options, z, z1, memory, arrays, rows, command, places, law, wanted, path, taken))
@@ -61,11 +61,11 @@ def follow_each(step: Step, kernel: Kernel, h: float, options: Parameters, hold:
             place += array.size
         _note(z, path[m, 0], d)
         path[m, 1:], taken[m] = np.nan, 0
-        # Steps by another method are left to fallbacks.
+        # Steps by another method are left to the caller's fallbacks.
         for n in range(count if rows[m, 2] <= 0.0 else 0):
             if wanted.shape[2]:
                 _put(law, m, n, z, places, wanted[m, n], command)
-            # A command changes H' of the point, which methods keep.
+            # A command changes H', which methods cache in the point.
             if wanted.shape[2] or rows[m, 2] < 0.0:
                 kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
                 rows[m, 2] = 0.0
@@ -90,7 +90,7 @@ def follow_each(step: Step, kernel: Kernel, h: float, options: Parameters, hold:
 
 @inlined
 def _note(z: Point, state: np.ndarray, d: int) -> None:
-    """Write q and p, without the channels of forces."""
+    """Copy q and p without the channels of forces."""
     for k in range(d):
         state[k], state[d + k] = z.q[k], z.p[k]
 
@@ -98,10 +98,10 @@ def _note(z: Point, state: np.ndarray, d: int) -> None:
 @inlined
 def _put(law: Law, m: int, n: int, z: Point, places: np.ndarray, wanted: np.ndarray,
          command: np.ndarray) -> None:
-    """Add feedback to wanted commands within limits, and write them as forces find them."""
+    """Add feedback to wanted commands, apply limits, and write them to the command array."""
     d = law.gains.shape[3] // 2
     command[:] = 0.0
-    # They do not expire.
+    # The command does not expire.
     command[command.size - 1] = np.inf
     for i in range(wanted.size):
         for k in range(d):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processors that this process may use; threads and processes that end with their caller."""
+"""Number of usable processors; threads and processes that end with their caller."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -16,18 +16,18 @@ _own = local()
 
 
 def usable_processors() -> int:
-    """Return how many processors this process may use: its affinity's, or all without one."""
+    """Return the number of usable processors, given by the CPU affinity if there is one."""
     if hasattr(os, 'sched_getaffinity'):
-        # A container's cpuset, taskset or a queue may allow fewer than the machine has.
+        # A container's cpuset, taskset or a batch queue may allow only some of the processors.
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def in_threads(work: Callable[[int], _Result], workers: int) -> list[_Result]:
     """
-    Return what a function returns for 0, 1, ... workers - 1, each in a thread of its own.
+    Return the results of a function for 0, 1, ... workers - 1, each in its own thread.
 
-    Where it fails in one of them, or Ctrl-C is pressed, all end as soon as they ``heed``.
+    After an exception in one of them, or Ctrl-C, all end at their next call of ``heed``.
     """
     stop = Event()
 
@@ -37,18 +37,18 @@ def in_threads(work: Callable[[int], _Result], workers: int) -> list[_Result]:
 
     pool = ThreadPoolExecutor(workers)
     try:
-        # Taken from the iterator, so that a failure of one worker is raised here.
+        # Consume the iterator, so that an exception of a worker is raised here.
         return list(pool.map(begin, range(workers)))
     except BaseException:
         stop.set()
         raise
     finally:
-        # Not for one that compiles, which nobody needs any more.
+        # Do not wait for a thread that is compiling: its result is no longer needed.
         pool.shutdown(wait=False)
 
 
 def heed() -> None:
-    """Raise KeyboardInterrupt in a thread that is to end; for what takes long, now and then."""
+    """Raise KeyboardInterrupt if this thread should stop; call periodically in long loops."""
     if hasattr(_own, 'stop') and _own.stop.is_set():
         raise KeyboardInterrupt
 
@@ -56,11 +56,11 @@ def heed() -> None:
 @contextmanager
 def ignore_sigint_in_children() -> Iterator[None]:
     """
-    Let processes that are begun inside ignore SIGINT, from their first instruction on.
+    Make child processes started inside ignore SIGINT from their first instruction.
 
-    One that sets this itself is deaf only after seconds of imports, in which an interrupt prints a
-    traceback. An interrupt meanwhile, of some milliseconds, is lost: it is pressed again. Other
-    threads than the main one set no signals: there it does nothing.
+    A child that sets this itself would do so only after seconds of imports, in which an interrupt
+    prints a traceback. An interrupt during these milliseconds is lost and must be repeated. In
+    threads other than the main one, which cannot set signal handlers, this does nothing.
     """
     if current_thread() is not main_thread():
         yield
@@ -75,11 +75,11 @@ def ignore_sigint_in_children() -> Iterator[None]:
 @contextmanager
 def worker_processes(count: int) -> Iterator[ProcessPoolExecutor]:
     """
-    Yield a pool of spawned processes that end with the process that began them.
+    Yield a pool of spawned processes that end with their parent process.
 
-    Submit their work inside ``ignore_sigint_in_children``, since a submission begins a process. An
-    error inside, an interrupt among them, ends the processes at once, whatever they are doing:
-    code of the user's may never return.
+    Submit work inside ``ignore_sigint_in_children``, since a submission starts a process. Any
+    exception inside, including KeyboardInterrupt, kills the processes at once, because user code
+    may never return.
     """
     others = set(active_children())
     with ProcessPoolExecutor(count, get_context('spawn'), initializer=_begin) as pool:
@@ -93,7 +93,7 @@ def worker_processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin() -> None:
-    # That of the terminal reaches all its processes; the first one ends the others.
+    # Ctrl-C in a terminal reaches all its processes; the parent ends its children.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     assert parent is not None, 'it was spawned'

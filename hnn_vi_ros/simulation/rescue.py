@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rescue of steps that fail, or that an explicit method cannot take."""
+"""Rescue of failed steps, and of steps beyond the stability limit of explicit methods."""
 
 from collections.abc import Callable
 from functools import cache
@@ -18,53 +18,53 @@ from hnn_vi_ros.simulation.assembly import advance, Loop, take_substeps
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
-# A step that fails is tried again in at most 2^6 = 64 sub-steps. All tries of them together may
-# take what twice as many take as a rule: those in fewer parts that came before end early.
+# A failed step is retried in up to 2^6 = 64 sub-steps. The limit of gradients of all tries is the
+# usual amount for twice as many sub-steps, since failing tries with fewer parts end early.
 _HALVINGS = 6
 _MOST_PARTS = 2 * 2 ** _HALVINGS
-# An explicit method comes back when h omega has been below this share of its limit for long:
-# changes of method, each a chance for the energy to change, become ever fewer.
+# An explicit method resumes when h omega has been below _BACK times its limit for at least _CALM
+# steps, a number that doubles, since each change of method may change the energy.
 _BACK, _CALM = 0.9, 16.0
-# Frequencies times h at which the stability of a method is looked at.
+# Values of h omega at which the stability of a method is evaluated.
 _FREQUENCIES = np.arange(0.05, 8.0, 0.05)
 
 
 class Rescue:
     """
-    The method of a simulation, and what takes a step where it fails: its fallbacks.
+    Method of a simulation, and its fallbacks for failed steps.
 
-    First the later attempts of the method's own chain of solvers, then what the scene says:
+    First come the later attempts of the method's own chain of solvers, then `on_failure`:
 
-    - ``substep``: 2, 4, ... 64 sub-steps of a symmetric method, until all of them have taken twice
-      the gradients that 64 take as a rule;
-    - ``implicit``: a step of the implicit midpoint rule, which has no limit of stability. An
-      explicit method is watched as well: where h omega exceeds its limit, with omega the
-      highest frequency of the motion's linearisation J H''(z), its steps would not fail but
-      grow. That stretch is all taken by the implicit midpoint rule. Not watched is
-      explicit_euler, whose steps grow wherever something oscillates;
-    - ``stop``: nothing.
+    - ``substep``: 2, 4, ... 64 sub-steps of a symmetric method, until their total exceeds twice
+      the usual number of gradients of 64 sub-steps;
+    - ``implicit``: a step of the implicit midpoint rule, which has no stability limit. Explicit
+      methods are also monitored: while h omega exceeds the stability limit, with omega the
+      highest frequency of the linearised motion J H''(z), their steps would not fail but grow,
+      and the implicit midpoint rule takes all steps instead. explicit_euler is not monitored,
+      since its steps grow for any oscillation;
+    - ``stop``: none.
 
-    A change of method leaves the energy where it is, but is itself not symplectic.
+    A change of method leaves the energy unchanged, but is itself not symplectic.
 
     Parameters
     ----------
     system : System
-        Its kernel, method and effects.
+        System with kernel, method and effects.
     on_failure : str
         ``'substep'``, ``'implicit'`` or ``'stop'``.
 
     Attributes
     ----------
     methods : list of Integrator
-        The method; and where it is watched the implicit one, which takes over while a step ends
-        as BEYOND and gives back by ending so itself.
+        The method, and the implicit one if the method is monitored. A step that returns BEYOND
+        switches from either to the other.
 
     Raises
     ------
     UnsupportedSystem
-        The implicit midpoint rule cannot take an effect, or the coordinates.
+        The implicit midpoint rule does not support an effect or the coordinates.
     ValueError
-        An unknown on_failure.
+        Unknown on_failure.
 
     """
 
@@ -87,12 +87,12 @@ class Rescue:
                     Wrapped(self._implicit, StabilityWatch, (_BACK * limit, math.inf))]
 
     def memories(self, n: int) -> list[tuple]:
-        """Return the memory of each method, for n coordinates; they share the watch."""
+        """Return the memory of each method, for n coordinates; the watch is shared."""
         memories = [self._memory(method, n) for method in self.methods]
         return [memories[0], *((*memory[:-1], memories[0][-1]) for memory in memories[1:])]
 
     def _memory(self, method: Integrator, n: int) -> tuple:
-        """Return the memory of a method, in which trajectories are solved each by itself."""
+        """Return the memory of a method; several trajectories are solved separately."""
         memory, d = method.memory(n), self._system.kernel.dimension
         if n > d and not self._system.hamiltonian.rotations:
             separate(memory, n, d)
@@ -100,18 +100,18 @@ class Rescue:
 
     def take_step(self, active: int, h: float, z: Point, z1: Point, memory: tuple) -> 'Taken':
         """
-        Take the step from z that has failed; z is unchanged if none can.
+        Retry a failed step from z with the fallbacks; z is unchanged if all of them fail.
 
         Parameters
         ----------
         active : int
-            Which of the methods has failed.
+            Index of the method that failed.
         h : float
             Step size [s].
         z, z1 : Point
-            The state, which the step changes, and working space.
+            State, changed by the step, and workspace.
         memory : tuple
-            The workspaces of that method.
+            Workspaces of that method.
 
         """
         solved = self._by_other_solvers(active, h, z, z1, memory)
@@ -125,7 +125,7 @@ class Rescue:
             ok, gradients = self._in_parts(loop, method, parts, most - spent, h, z, z1)
             spent += gradients
             if ok:
-                # What came before is no guide to the next start.
+                # Earlier solutions do not fit the next initial guess.
                 forget(memory)
                 return solved._replace(
                     ok=True, rescued=True, gradients=solved.gradients + spent)
@@ -134,7 +134,7 @@ class Rescue:
         return solved._replace(gradients=solved.gradients + spent)
 
     def compile(self, h: float, n: int) -> None:  # noqa: A003
-        """Compile all that may take a step of n coordinates, or find it on disk; run nothing."""
+        """Compile all fallbacks for n coordinates, or load them from disk, without a run."""
         z, z1, memories = Point.empty(n), Point.empty(n), self.memories(n)
         for active, method in enumerate(self.methods):
             for attempt in method.attempts(n)[1:]:
@@ -147,7 +147,7 @@ class Rescue:
 
     def _by_other_solvers(self, active: int, h: float, z: Point, z1: Point,
                           memory: tuple) -> 'Taken':
-        """Take the step with the later attempts of the method itself."""
+        """Retry the step with the later attempts of the method's own solvers."""
         method, spent, residual, outcome = self.methods[active], 0, math.nan, NO_CONVERGENCE
         for attempt in method.attempts(z.q.size)[1:]:
             loop = self._loop(advance, active, method, attempt)
@@ -159,7 +159,7 @@ class Rescue:
         return Taken(outcome == OK, False, spent, residual, outcome)
 
     def _loop(self, loop: Callable, active: int, method: Integrator, attempt: int) -> Loop:
-        """Return a loop over a method, or over what takes its place, the same each time."""
+        """Return the cached loop of a method or of its fallback."""
         key = loop, active, attempt
         if key not in self._loops:
             self._loops[key] = Loop(
@@ -167,7 +167,7 @@ class Rescue:
         return self._loops[key]
 
     def _fallbacks(self, active: int, n: int) -> list[tuple[Integrator, int, int]]:
-        """Return the fallbacks in their order: method, attempt, and number of parts."""
+        """Return the fallbacks in order of use: method, attempt, number of parts."""
         if self._on_failure == 'implicit' and active == 0:
             return [(self._implicit, attempt, 1) for attempt in self._implicit.attempts(n)]
         substep = _substep(self.methods[active]) if self._on_failure == 'substep' else None
@@ -176,7 +176,7 @@ class Rescue:
 
     def _in_parts(self, loop: Loop, method: Integrator, parts: int, most: int, h: float,
                   z: Point, z1: Point) -> tuple[bool, int]:
-        """Take the step in equal parts; leave z and what the effects keep if one fails."""
+        """Take the step in equal parts; z and the effects' state are unchanged if one fails."""
         state = [array for _, array in arrays_of('state', self._system.effect_state)]
         before = [array.copy() for array in state]
         end = Point(*[array.copy() for array in z])
@@ -184,14 +184,14 @@ class Rescue:
         if ok:
             copy_point(end, z)
             return True, gradients
-        # Parts of the step may have been taken, and their time and work counted.
+        # Restore the effects' state: successful parts have added to their time and work.
         for array, value in zip(state, before, strict=True):
             array[...] = value
         return False, gradients
 
 
 def _substep(method: Integrator) -> Integrator | None:
-    """Return the symmetric method that redoes a failed step in sub-steps, None for no such."""
+    """Return the symmetric method for sub-steps of a failed step, None if there is none."""
     if isinstance(method, Wrapped):
         inner = _substep(method.inner)
         return None if inner is None else method.with_method(inner)
@@ -199,27 +199,27 @@ def _substep(method: Integrator) -> Integrator | None:
         return _substep(method.base)
     if not method.fallback or method.requirements.symmetric:
         return method if method.fallback else None
-    # Sub-steps of a method that is not symmetric would each conserve a 2-form of their own.
+    # Sub-steps of a method that is not symmetric would each conserve a different 2-form.
     return INTEGRATORS[method.fallback](
         *[method.retraction] if isinstance(method, LieIntegrator) else ())
 
 
 class Taken(NamedTuple):
     """
-    Result of a step that was taken again.
+    Result of a retried step.
 
     Parameters
     ----------
     ok, rescued : bool
-        Whether it was taken, and not by the method's own equations.
+        True if the step succeeded, and if by other equations than the method's own.
     gradients : int
-        Evaluated for it.
+        Number of gradients evaluated.
     residual : float
-        Of the last solver of the chain.
+        Residual of the last solver of the chain.
     outcome : int
-        Of the same.
+        Outcome of the last solver of the chain.
     given_up : int
-        How many gradients sub-steps may take, if they have taken more; else 0.
+        Limit of gradients of sub-steps if it was exceeded, otherwise 0.
 
     """
 
@@ -233,16 +233,16 @@ class Taken(NamedTuple):
 
 class Watched(NamedTuple):
     """
-    Record that a watch keeps of the steps so far.
+    State of a stability watch.
 
     Parameters
     ----------
     count : np.ndarray, shape (1,)
-        Calm steps one after another.
+        Number of consecutive calm steps.
     wanted : np.ndarray, shape (1,)
-        How many there are to be before the method is changed back.
+        Number of calm steps required before the method is changed back.
     v_q, v_p : np.ndarray, shape (n,)
-        The direction of the fastest oscillation.
+        Direction of the fastest oscillation.
 
     """
 
@@ -254,14 +254,14 @@ class Watched(NamedTuple):
 
 class WatchWork(NamedTuple):
     """
-    The workspace of a watch.
+    Workspace of a stability watch.
 
     Parameters
     ----------
     kept : Watched
-        For the next steps.
+        State kept for the next steps.
     w_q, w_p : np.ndarray, shape (n,)
-        The product of H'' with the direction.
+        Product of H'' with the direction.
 
     """
 
@@ -272,14 +272,14 @@ class WatchWork(NamedTuple):
 
 class StabilityWatch(Layer):
     """
-    A step that is taken only while h omega stays between two bounds, and else ends as BEYOND.
+    Layer around a step that returns BEYOND if h omega leaves an interval.
 
-    At once where h omega reaches the highest value; or after many calm steps, with h omega below
-    the lowest one. As many as _CALM at first; each time that the highest value is reached, twice
-    as many.
+    It does so at once if h omega reaches the upper bound, or after a number of consecutive calm
+    steps with h omega below the lower bound. This number is _CALM at first, and doubles each time
+    the upper bound is reached.
 
-    omega^2 = abs((J H'')^2 v) / abs(v) for a v that each step maps and keeps: by the power method
-    it turns into the fastest oscillation of the motion linearised at z.
+    omega^2 = abs((J H'')^2 v) / abs(v), where v is stored and updated at each step: by the power
+    method it converges to the fastest oscillation of the motion linearised at z.
     """
 
     @staticmethod
@@ -291,7 +291,7 @@ class StabilityWatch(Layer):
     @staticmethod
     @cache
     def wrap(step: Callable, keeps_gradient: bool) -> Callable:
-        """Return the step with its watch; its options are the step's and the interval."""
+        """Return the step with a watch; its options are those of the step and the interval."""
         @inlined
         def watched(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
                     memory: tuple) -> tuple[int, float, int]:
@@ -299,7 +299,7 @@ class StabilityWatch(Layer):
             inner, low, high = options
             work = memory[-1]
             calm, wanted = work.kept.count, work.kept.wanted
-            # NaN is neither low nor high: it will be found not finite.
+            # NaN fails both comparisons; the step then returns a non-finite state.
             extent = abs(h) * _frequency(kernel, z, work)
             if extent >= high:
                 wanted[0] = max(_CALM, 2.0 * wanted[0])
@@ -314,10 +314,10 @@ class StabilityWatch(Layer):
 
 @inlined
 def _frequency(kernel: Kernel, z: Point, work: WatchWork) -> float:
-    """Return omega at z, and keep v."""
+    """Return omega at z, and update v."""
     v_q, v_p, w_q, w_p = work.kept.v_q, work.kept.v_p, work.w_q, work.w_p
     if max(largest(v_q), largest(v_p)) == 0.0:
-        # A direction without a symmetry that a mode could have as well.
+        # Start from an asymmetric direction, which has components of all modes.
         for i in range(v_q.size):
             v_q[i], v_p[i] = math.cos(1.0 + i * i), math.sin(2.0 + i * i)
     growth = 1.0
@@ -333,13 +333,13 @@ def _frequency(kernel: Kernel, z: Point, work: WatchWork) -> float:
 
 def stability_limit(integrator: Integrator) -> float:
     """
-    Return the h omega from which on a method lets an oscillation of frequency omega grow.
+    Return the largest h omega at which an oscillation of frequency omega is stable.
 
     Parameters
     ----------
     integrator : Integrator
-        Any; infinity for one that is not explicit or not of this package's numba subset, and for
-        one that is stable nowhere.
+        Any method; the limit is inf if it is not explicit, not compiled by numba, or unstable for
+        all h.
 
     """
     if not (integrator.explicit and integrator.compiled):
@@ -359,7 +359,7 @@ def stability_limit(integrator: Integrator) -> float:
 
 
 def _spectral_radius(integrator: Integrator, frequency: float) -> float:
-    """Return the largest size of an eigenvalue of the step h = 1 of H = (p^2 + omega^2 q^2)/2."""
+    """Return the spectral radius of a step of h = 1 for H = (p^2 + omega^2 q^2) / 2."""
     def gradient(parameters: tuple, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                  dH_dp: np.ndarray) -> None:
         dH_dq[:], dH_dp[:] = frequency * frequency * q, p

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A scene compiled into one kernel that advances the state by whole steps."""
+"""Simulation: the state of a scene, advanced by whole steps in compiled code."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -28,82 +28,82 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 
-# Relative to a state: solutions that are further apart are not the same one, to round-off.
+# Relative distance beyond which two solutions of a step count as different.
 _SAME, _FIRST = 1e-8, itemgetter(0)
-# Wall time that compiled code runs at a stretch [s]: signals are handled between two stretches,
-# whose calls cost some microseconds. One has at most so many times the steps of that before.
+# Target wall time of one call of compiled code [s], and largest growth of its number of steps from
+# call to call. Signals are handled between calls, which cost some microseconds.
 _STRETCH, _GROWTH = 0.02, 16.0
 
 
 class RescuePending(Exception):
-    """Refusal of a step that fails while what takes such steps is still being compiled."""
+    """Failure of a step while its fallbacks are still being compiled."""
 
 
 class Simulation:
     """
-    A Hamiltonian, an integrator and a state that advances by whole steps.
+    Simulation of a Hamiltonian by an integrator, advanced in whole steps.
 
-    Time is the count of steps times the step size, never a sum of floats. A failed step leaves
-    the last good state in place.
+    Time is the number of steps times the step size, never a sum of floats. A failed step leaves
+    the last valid state in place.
 
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        Of d degrees of freedom; d columns of q where some are rotations.
+        Hamiltonian of d degrees of freedom; with rotations d is the number of columns of q.
     integrator : Integrator
-        The one-step map.
+        One-step method.
     step_size : float
-        h > 0 [s].
+        Step size h > 0 [s].
     q, p : sequence of float, shape (d,) or (m, d)
-        Initial state, or m initial states of trajectories that step together; p and all that
-        belongs to it have one column less for each rotation.
+        Initial state, or m initial states of trajectories that step together; p and related
+        arrays have one column less for each rotation.
     effects : sequence of Effect
         Effects on the system in addition to H.
     on_failure : str
-        Reaction to a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``; see
+        Reaction to a failed step: ``'substep'``, ``'implicit'`` or ``'stop'``; see
         Rescue.
 
     Attributes
     ----------
     hamiltonian : Hamiltonian
-        H with the potentials among the effects.
+        H including the potentials among the effects.
     effects : tuple of Effect
-        What acts beside H.
+        Effects in addition to H.
     conservative, takes_commands : bool
-        Whether no effect does work, and whether one takes commands that are plain numbers.
+        True if no effect does work, and if an effect takes commands of plain numbers.
     command_size, command_names : int, sequence of str
-        How many numbers such a command has, and the names of the numbers, if they have names.
+        Number of entries of such a command, and their names, if they have names.
     motors : Motors
-        The effects that take commands.
+        Effects that take commands.
     system : System
-        H with the effects and the method, as they are compiled.
+        Compiled H with the effects and the method.
     steps : int
-        Steps taken since the initial state.
+        Number of steps since the initial state.
     q, p : np.ndarray, shape (d,) or (m, d)
-        The state, in the shape of the initial one; copy it before the next ``advance``.
+        State, in the shape of the initial one; copy it before the next ``advance``.
     dH_dq, dH_dp : np.ndarray, of the shape of q
-        -p' and q' there: the gradient of H, less the forces that join it at the method's nodes.
+        -p' and q' at the state: gradient of H minus the forces applied at the method's nodes.
     rescued, several_solutions : int
-        Steps that were taken in parts, or by the implicit midpoint rule instead; and those where a
-        solver came to another solution than that which is connected to h = 0.
+        Number of steps taken in sub-steps or by the implicit midpoint rule, and number of steps in
+        which a solver found another solution than the one connected to h = 0.
     residual : float
         Relative residual of the last implicit step [1].
     gradients, usual_gradients : int
-        Gradients and Hessian-vector products evaluated in steps since the initial state, and how
-        many a step takes at most as a rule, 0 without a rule.
+        Number of gradients and Hessian-vector products since the initial state, and usual maximum
+        number per step, 0 if unknown.
     costliest : tuple of (int, int)
-        How many the costliest step took, and the number of steps at its end.
+        Maximum number of gradients of a step, and number of steps at its end.
     rescue_ready : bool
-        Whether a step that fails compiles what it needs where that is not there yet. Set to False
-        by who has ``compile_rescue`` run in another thread, which sets it to True at its end: such
-        a step raises RescuePending meanwhile, and all is as before the step.
+        If True, a failed step compiles its fallbacks when needed. Set it to False before running
+        ``compile_rescue`` in another thread, which sets it to True at the end: until then a failed
+        step raises RescuePending, and leaves the simulation as before the step.
 
     Raises
     ------
     UnsupportedSystem
-        The integrator cannot integrate this Hamiltonian with these effects.
+        The integrator does not support this Hamiltonian with these effects.
     EffectError, ValueError
-        An effect, the step size or the state is not usable.
+        Invalid effect, step size or state.
     StepFailure
         H has no finite gradient at the initial state.
 
@@ -118,9 +118,9 @@ class Simulation:
         self._kernel, self.step_size = system.kernel, float(step_size)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
         self._rescue, self.rescue_ready = Rescue(system, on_failure), True
-        # Keyed by the active method: a loop that may never be needed is compiled on first use.
+        # Loops by index of the active method; the second one is compiled on first use.
         self._loops = {0: Loop(advance, self._kernel, self._rescue.methods[0])}
-        self._most = 1  # steps at a stretch
+        self._most = 1  # steps per call of compiled code
         self.effects = tuple(effects)
         self.conservative, self.motors = system.conservative, system.motors
         self.takes_commands = NUMBERS in self.motors.takes
@@ -141,23 +141,23 @@ class Simulation:
         self.restart(q, p)
 
     def __reduce__(self) -> NoReturn:
-        """Refuse to be copied or pickled."""
+        """Raise TypeError: a simulation cannot be copied or pickled."""
         raise TypeError('a simulation cannot be copied: compiled code holds the addresses of its '
                         'arrays; build another one, and give its restore() the snapshot() of this')
 
     def _begin(self, n: int, step: int) -> None:
-        """Make room for a state of n unknowns, and count from a step on."""
+        """Allocate a state of n unknowns, and reset the counters, starting at a step."""
         self.steps, self.gradients, self.residual = step, 0, 0.0
         self.rescued, self.several_solutions, self.costliest = 0, 0, (0, step)
         self._z, self._z1 = Point.empty(n), Point.empty(n)
         self._active, self._memories = 0, self._rescue.memories(n)
         self.state = State(self._arrays(), self._z)
-        # Not the point's own: what a step finds there must not depend on when it was looked at.
+        # Separate from the point's arrays: steps must not depend on when these are read.
         self._dH_dq, self._dH_dp = np.empty((2, n))
 
     def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0,
                 held: dict[str, np.ndarray] | None = None) -> None:
-        """Restart at a step, or raise as the constructor; commands of a snapshot are held."""
+        """Restart from a state at a step, with held commands of a snapshot; see constructor."""
         q, p = self.system.check_state(q, p)
         self.system.effect_state.reset(stream, step * self.step_size, held)
         if held is None:
@@ -176,23 +176,23 @@ class Simulation:
         self._energy0 = self.energy
 
     def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:
-        """Have other numbers from the next ``restart`` on, or return False; see System."""
+        """Replace numbers at the next `restart`; return False if that needs a rebuild."""
         taken = self.system.take_numbers(hamiltonian, effects)
         self.hamiltonian, self.motors = self.system.hamiltonian, self.system.motors
         return taken
 
     def check_state(self, q: ArrayLike, p: ArrayLike) -> None:
-        """Raise StateError if nothing can begin at a state."""
+        """Raise StateError for an invalid initial state."""
         self.system.check_state(q, p)
 
     def _state(self, array: np.ndarray) -> np.ndarray:
-        """Return the view of arrays of n unknowns, (..., n), without the channels of forces."""
+        """Return a view of arrays of n unknowns, (..., n), without the channels of forces."""
         before = array.shape[:-1]
         view = array.reshape(*before, *self._shape[:-1], self._kernel.dimension)
         return view[..., :self.hamiltonian.dimension]
 
     def set_command(self, command: Command, limited: bool = True) -> None:
-        """Set forces, or what joints are to do, from now on, or raise ValueError and leave it."""
+        """Set the command of forces or joints; on ValueError the previous one is kept."""
         q = self.q.reshape(-1, self.hamiltonian.dimension)[0]
         if isinstance(command, Observation) and self.system.turning.any():
             command = self._at_nearest_turns(command, q + command.delay * self.dH_dp[:q.size])
@@ -201,7 +201,7 @@ class Simulation:
         self._update_gradient()
 
     def _at_nearest_turns(self, seen: Observation, q: np.ndarray) -> Observation:
-        """Return an observation with angles that turn over at the turns nearest to these."""
+        """Return an observation with periodic angles shifted by full turns to be nearest to q."""
         names = columns(self.hamiltonian.coordinates)[0]
         own = [names.index(name) if name in names else -1 for name in seen.names]
         turning = np.array([k >= 0 and self.system.turning[k] for k in own])
@@ -209,7 +209,7 @@ class Simulation:
 
     @property
     def connected(self) -> bool:
-        """Return whether, of several solutions, the one connected to h = 0 has to be chosen."""
+        """Return whether steps may have several solutions and need the one connected to h = 0."""
         return self.system.integrator.no_solution != '' and not self.hamiltonian.separable
 
     @property
@@ -219,7 +219,7 @@ class Simulation:
 
     @property
     def works(self) -> dict[str, float]:
-        """Return the work that each effect has done on the system since the initial state [J]."""
+        """Return the work done on the system by each effect since the initial state [J]."""
         works = self.system.effect_state.work.sum(axis=1).tolist()
         return dict(zip(self.system.labels, works, strict=True))
 
@@ -230,18 +230,18 @@ class Simulation:
 
     @property
     def energy_balance(self) -> float:
-        """Return H - H0 - W [J], which closes at the order of the method."""
+        """Return the energy error H - H0 - W [J], which converges with the order of the method."""
         return self.energy - self._energy0 - self.work
 
     @property
     def energies(self) -> tuple[float, float | None]:
-        """Return the energy and the modified energy, for little more than one of them costs."""
+        """Return energy and modified energy [J], at little more than the cost of one of them."""
         energy, more = self.energy, self.modification
         return energy, None if more is None else energy + more
 
     @property
     def modification(self) -> float | None:
-        """Return the modified energy less the energy [J], None if none is known."""
+        """Return the modified energy minus the energy [J], None if unknown."""
         if self.system.integrator is not self.integrator:
             return None
         value = self.integrator.modified_energy(
@@ -250,27 +250,27 @@ class Simulation:
 
     @property
     def modified_energy(self) -> float | None:
-        """Return the energy that the integrator nearly conserves [J], None if none is known."""
+        """Return the energy that the integrator nearly conserves [J], None if unknown."""
         return self.energies[1]
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        """Return copies of all that the next steps depend on, by name; see ``restore``."""
-        # 'way' and 'live': as the files of bags recorded so far have them.
+        """Return copies of all arrays that the next steps depend on, by name; see ``restore``."""
+        # The names 'way' and 'live' are those in the files of existing bags.
         counts = {'steps': self.steps, 'energy0': self._energy0, 'way': self._active}
         return {name: np.array(value) for name, value in counts.items()} | {
             name: array.copy() for name, array in self.state.named.items()}
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
-        """Go back to a snapshot of such a simulation: the same steps will follow, bit by bit."""
+        """Restore a snapshot of an equal simulation; the following steps are bit-identical."""
         self.put(self.state.row_of(snapshot))
 
     @property
     def row(self) -> np.ndarray:
-        """Return a snapshot as numbers one after another, shape (R,); see State."""
+        """Return a snapshot as one array, shape (R,); see State."""
         return self.state.row(self._energy0, self.steps, self._active)
 
     def put(self, row: np.ndarray) -> None:
-        """Go back to a row of such a simulation: the same steps will follow, bit by bit."""
+        """Restore a row of an equal simulation; the following steps are bit-identical."""
         self._energy0, self.steps, self._active = float(row[0]), int(row[1]), max(int(row[2]), 0)
         self.state.put(row)
         if row[2] < 0.0:
@@ -278,38 +278,39 @@ class Simulation:
         self._update_gradient()
 
     def rows(self, z: np.ndarray, time: ArrayLike = 0.0, step: ArrayLike = 0) -> np.ndarray:
-        """Return rows, (m, R), of states (q, p), (m, 2 d), before steps at times [s]."""
+        """Return rows, (m, R), of states (q, p), (m, 2 d), before the given steps at times [s]."""
         time = np.asarray(time) + np.asarray(step) * self.step_size
         return self.state.fresh(z, self.hamiltonian.dimension, time, step)
 
     def work_in(self, rows: np.ndarray) -> float:
-        """Return the work of all effects in rows [J]."""
+        """Return the work of all effects, summed over rows [J]."""
         first = 3 + 6 * self._kernel.dimension + 2
         return float(rows[:, first:first + self.system.effect_state.work.size].sum())
 
     def follow(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,
                law: Law | None = None) -> tuple[np.ndarray, np.ndarray]:
         """
-        Take steps of many states, each with commands of its own, in one compiled loop.
+        Take steps of many states with individual commands, in one compiled loop.
 
-        What comes of one row depends on no other, and equals the steps of a simulation that was
-        put there, bit by bit. This simulation is elsewhere afterwards.
+        The rows are independent, and the steps are bit-identical to those of a simulation that
+        was restored from the row. The state of this simulation is overwritten.
 
         Parameters
         ----------
         rows : np.ndarray, shape (m, R)
-            See ``row`` and ``rows``; afterwards where each ends, or before a step that fails.
+            See ``row`` and ``rows``. On return the final rows, or those before a failed step.
         commands : np.ndarray, shape (m, N, c) or (m, N, 0)
-            Of plain numbers, that do not expire; with 0 of them what a row holds acts on.
+            Commands of plain numbers, which do not expire; with shape (m, N, 0) the commands
+            in the rows continue.
         hold : int, optional
-            Steps that each command lasts.
+            Number of steps per command.
         law : Law, optional
-            Feedback that is added to the commands, which are changed, and their limits.
+            Feedback and limits, which are applied to the commands in place.
 
         Returns
         -------
         tuple of np.ndarray, shape (m, N + 1, 2 d) and (m,)
-            States (q, p), NaN after a step that fails; and the steps taken.
+            States (q, p), NaN after a failed step; and numbers of steps taken.
 
         """
         rows_in, count, c = commands.shape
@@ -335,10 +336,10 @@ class Simulation:
     def follow_on(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,
                   strict: bool = True) -> np.ndarray:
         """
-        Return the path of ``follow``, where steps that fail are taken by fallbacks.
+        Return the path of ``follow``, with failed steps retried by fallbacks.
 
-        One that none can take raises StepFailure, or if that is not strict the row is lost: it is
-        NaN, and so is its path from there on.
+        If all fallbacks fail it raises StepFailure if strict; otherwise the row, and its path from
+        there on, are NaN.
         """
         before = rows.copy()
         path, taken = self.follow(rows, commands, hold)
@@ -361,14 +362,14 @@ class Simulation:
     def trial(self, row: np.ndarray, step_size: float, samples: int = 1, every: int = 1
               ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Take steps of another length from a row, and go back to where the simulation stands.
+        Take steps of another size from a row, and restore the current state.
 
         Parameters
         ----------
         row : np.ndarray, shape (R,)
-            Of this simulation; see ``row`` and ``rows``.
+            Row of this simulation; see ``row`` and ``rows``.
         step_size : float
-            In place of h [s].
+            Step size of the trial [s].
         samples, every : int, optional
             See ``record``.
 
@@ -380,19 +381,19 @@ class Simulation:
         Raises
         ------
         StepFailure
-            A step did not converge or is not finite.
+            A step did not converge, or its result is not finite.
 
         """
-        # Steps of another length are no guide to the start of this one's equations.
+        # Earlier solutions at another step size do not fit as initial guesses.
         with self._elsewhere(self.state.without_counts(row)):
             self.step_size = step_size
             return self.record(samples, every)
 
     def clock_trial(self, row: np.ndarray, elapsed: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return q and p at a time after a row [s], of a method whose steps are its own.
+        Return q and p at a time after a row [s], for a method with internal steps.
 
-        Those are of the same length as in a whole step of the clock, whatever the time.
+        The internal steps have the same lengths as in a whole step of the clock.
         """
         with self._elsewhere(row) as own:
             own.own_step[0], self.step_size = self.step_size, elapsed
@@ -401,17 +402,17 @@ class Simulation:
 
     def own_states(self, row: np.ndarray) -> list[tuple[float, np.ndarray, np.ndarray]]:
         """
-        Return the states in which a method's own steps end within a step of the clock.
+        Return the states at the ends of a method's internal steps within a step of the clock.
 
         Parameters
         ----------
         row : np.ndarray, shape (R,)
-            Of this simulation, at the start of the step.
+            Row of this simulation at the start of the step.
 
         Returns
         -------
         list of (float, np.ndarray, np.ndarray)
-            Time after that [s], q and p of shape (d,).
+            Time since the row [s], q and p of shape (d,).
 
         """
         found: list[tuple[float, np.ndarray, np.ndarray]] = []
@@ -426,14 +427,14 @@ class Simulation:
                     return found
                 if end > 0.0:
                     found.append((end, ahead.state.q[:n].copy(), ahead.state.p[:n].copy()))
-                # The shortest step of the clock for which one of the method's own is taken.
+                # Use the shortest step of the clock that takes one more internal step.
                 self.step_size = math.nextafter(lead, math.inf)
                 self.advance(1)
                 elapsed += self.step_size
 
     @contextmanager
     def _elsewhere(self, row: np.ndarray) -> Iterator[Any]:
-        """Go to a row, and back at the end; lend the workspace of steps that are its own."""
+        """Restore a row, and the current state at the end; yield the internal steps' workspace."""
         h, now, costs = self.step_size, self.row, self._costs()
         self.put(row)
         begin = self.steps
@@ -458,14 +459,14 @@ class Simulation:
         Parameters
         ----------
         n : int
-            How many.
+            Number of steps.
         until : float, optional
-            What ``time.perf_counter`` returns when it is time to take no more [s].
+            Deadline, as a value of ``time.perf_counter`` [s].
 
         Returns
         -------
         int
-            How many were taken: at least one of them.
+            Number of steps taken, at least one.
 
         """
         before, (q, p) = self.steps, np.empty((2, 1, self._z.q.size))
@@ -473,19 +474,19 @@ class Simulation:
         return self.steps - before
 
     def dense_step(self) -> DenseStep:
-        """Take one step, and return it with the states inside of it, or raise StepFailure."""
+        """Take one step and return it with dense output, or raise StepFailure."""
         return DenseStep(self, self.system.integrator is self.integrator
                          and self._kernel.channels == 0 and not self.hamiltonian.rotations,
                          lambda: self.system.cuts)
 
     def series(self, state: np.ndarray) -> DenseOutput:
-        """Return the Taylor series through a step from (q, p), shape (2 d,), of such a method."""
+        """Return the Taylor series of a step from (q, p), shape (2 d,); for a Taylor method."""
         work: TaylorWork = self._memories[0][0]
         return work.path(self._kernel, self.step_size, state)
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """
-        Take samples times every steps.
+        Take samples times every steps, and return the samples.
 
         Returns
         -------
@@ -495,7 +496,7 @@ class Simulation:
         Raises
         ------
         StepFailure
-            A step did not converge or is not finite; the state is that before the step.
+            A step did not converge, or its result is not finite; the state is that before it.
 
         """
         q_out, p_out = np.empty((2, samples, self._z.q.size))
@@ -509,13 +510,13 @@ class Simulation:
         return self.steps * self.step_size
 
     def compile(self) -> float:  # noqa: A003
-        """Compile the kernel now, not in the first step; return the wall time it took [s]."""
+        """Compile the kernel before the first step; return the wall time [s]."""
         start = time.perf_counter()
         self._take(0, *np.empty((2, 0, self._z.q.size)))
         return time.perf_counter() - start
 
     def compile_rescue(self) -> None:
-        """Compile all that may take a step that fails, now; another thread may take steps."""
+        """Compile the fallbacks of failed steps now; another thread may take steps meanwhile."""
         try:
             n = self._z.q.size
             for active, memory in enumerate(self._rescue.memories(n)):
@@ -527,13 +528,13 @@ class Simulation:
             self.rescue_ready = True
 
     def _loop(self, active: int) -> Loop:
-        """Return the loop over a method, the same each time."""
+        """Return the cached loop of a method."""
         if active not in self._loops:
             self._loops[active] = Loop(advance, self._kernel, self._rescue.methods[active])
         return self._loops[active]
 
     def _arrays(self) -> dict[str, np.ndarray]:
-        """Return, by name, all arrays that the next steps depend on."""
+        """Return all arrays that the next steps depend on, by name."""
         groups: dict[str, Any] = {'point': self._z, 'live': self.system.effect_state} | {
             f'memory{active}.{k}': workspace.kept for active, memory in enumerate(self._memories)
             for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
@@ -545,7 +546,7 @@ class Simulation:
             self._kernel.parameters, self._z.q, self._z.p, self._z.dH_dq, self._z.dH_dp)
 
     def _update_gradient(self) -> None:
-        """Make the public gradient that of the state."""
+        """Update the public gradient to the current state."""
         if self._rescue.methods[self._active].keeps_gradient:
             self._dH_dq[:], self._dH_dp[:] = self._z.dH_dq, self._z.dH_dp
         else:
@@ -554,7 +555,7 @@ class Simulation:
 
     def _take(self, every: int, q_out: np.ndarray, p_out: np.ndarray, until: float = math.inf
               ) -> None:
-        """Take the steps to the last sample, or to that in which the time comes, or raise."""
+        """Take the steps to the last sample, or up to the deadline, or raise StepFailure."""
         done, changed, last = 0, -1, len(q_out) * every
         begun, before, costs = done, self.row, self._costs()
         while True:
@@ -569,8 +570,8 @@ class Simulation:
             if outcome != OK:
                 failure = self._take_failed_step(outcome, residual, spent)
                 if failure is not None:
-                    # A replay knows only the steps that were taken: one that was not must leave
-                    # no trace in what the next ones start from.
+                    # Discard all traces of the failed step in the arrays for the next steps: a
+                    # replay repeats only successful steps.
                     costs = self._costs()
                     self._go_back(before, costs, done - begun)
                     vars(self).update(costs)
@@ -586,7 +587,7 @@ class Simulation:
 
     def _run(self, done: int, last: int, every: int, q_out: np.ndarray, p_out: np.ndarray
              ) -> tuple[int, int, float, int]:
-        """Take a stretch; return outcome, steps done, residual and gradients of the last step."""
+        """Call the loop; return outcome, steps done, residual and gradients of the last step."""
         begin, loop = time.perf_counter(), self._loop(self._active)
         outcome, now, gradients, self.residual, spent, most, costliest = loop(
             self.step_size, done, every, self._z, self._z1, self._memories[self._active],
@@ -600,25 +601,25 @@ class Simulation:
         return outcome, now, self.residual, spent
 
     def _costs(self) -> dict[str, Any]:
-        """Return what steps have cost, by its attribute."""
+        """Return the cost counters by attribute name."""
         return {name: getattr(self, name) for name in (
             'gradients', 'rescued', 'several_solutions', 'residual', 'costliest')}
 
     def _go_back(self, row: np.ndarray, costs: dict[str, Any], done: int) -> None:
-        """Go to where the steps that were done end: what one that failed has left is gone."""
+        """Repeat the successful steps from a row, to discard all traces of a failed one."""
         self.put(row)
         vars(self).update(costs)
         self._take(done, *np.empty((2, 1, self._z.q.size)))
 
     def _change_method(self) -> None:
-        """Go on by the other method, from a state like an initial one."""
+        """Switch to the other method, started as from an initial state."""
         self._active = 1 - self._active
         forget(self._memories[self._active])
         self._evaluate_gradient()
         self.gradients += 1
 
     def _take_failed_step(self, outcome: int, residual: float, spent: int) -> StepFailure | None:
-        """Take one step by a fallback; return what came of the first one if none will do."""
+        """Take one step by the fallbacks; return the failure if all of them fail."""
         z, z1 = self._z, self._z1
         doubtful = np.append(z1.q, z1.p)
         taken = self._rescue.take_step(

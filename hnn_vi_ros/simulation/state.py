@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The state of a simulation: all that its next steps depend on, and a sample of it."""
+"""Complete state of a simulation: all arrays that its next steps depend on."""
 
 from collections.abc import Mapping
 
@@ -8,8 +8,8 @@ from hnn_vi_ros.integrators import Point
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Before the numbers of the arrays come the energy at the start, the steps so far and which method
-# is active; -1: the first, and H' of the point is not known yet.
+# Length of the head of a row: initial energy, number of steps so far, active method (-1: the
+# first, and H' of the point is not evaluated yet).
 HEAD = 3
 
 
@@ -17,44 +17,44 @@ class State:
     """
     Arrays that the next steps depend on, by name, and as one row of R numbers.
 
-    A row holds the energy at the start, the steps so far, and which method is active (-1: the
-    first, and H' of the point is not known yet); then the arrays, in numbers of 64 bits, whatever
-    they are.
+    A row consists of the initial energy, the number of steps so far, and the active method (-1:
+    the first, and H' of the point is not evaluated yet); then the arrays, as 64-bit numbers of any
+    type, viewed as float64.
 
     Parameters
     ----------
     named : mapping of str to np.ndarray
-        The arrays, of which that of the point is the first, as they are before the first step.
+        The arrays before the first step; those of the point come first.
     point : Point
-        The point among them.
+        The point that some of the arrays belong to.
 
     """
 
     def __init__(self, named: Mapping[str, np.ndarray], point: Point):
         self.named = named
-        # The same memory.
+        # Views of the same memory.
         self.flat = tuple(array.reshape(-1).view(np.float64) for array in named.values())
         self._fresh = self.row(np.nan, 0, -1)
         self._counts = HEAD + np.flatnonzero(np.concatenate([
             np.full(part.size, name.endswith('.count'))
             for name, part in zip(named, self.flat, strict=True)]))
         self._n = point.q.size
-        # After the point comes the clock.
+        # The clock follows the point.
         self._clock = HEAD + sum(array.size for array in point)
 
     def row(self, energy0: float, steps: int, active: int) -> np.ndarray:
-        """Return all of it, shape (R,)."""
+        """Return the current row, shape (R,)."""
         return np.concatenate([[energy0, steps, active], *self.flat])
 
     def put(self, row: np.ndarray) -> None:
-        """Write the numbers of a row into the arrays."""
+        """Copy a row into the arrays."""
         place = HEAD
         for part in self.flat:
             part[:] = row[place:place + part.size]
             place += part.size
 
     def row_of(self, snapshot: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the row of named arrays; see ``Simulation.snapshot``."""
+        """Return the row of a snapshot; see ``Simulation.snapshot``."""
         head = [snapshot['energy0'], snapshot['steps'], snapshot['way']]
         return np.concatenate([head, *(
             np.ascontiguousarray(snapshot[name]).reshape(-1).view(np.float64)
@@ -69,7 +69,7 @@ class State:
         return rows
 
     def without_counts(self, row: np.ndarray) -> np.ndarray:
-        """Return a row of which no equation starts from earlier solutions."""
+        """Return a copy of a row without earlier solutions for initial guesses."""
         row = row.copy()
         row[self._counts] = 0.0
         return row

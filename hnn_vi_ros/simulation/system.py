@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A Hamiltonian together with the effects that a scene lists, made ready for a method."""
+"""Combination of a Hamiltonian, the effects of a scene and a method, for compilation."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -22,27 +22,27 @@ from hnn_vi_ros.phase_space import angle_columns, check_state
 import numpy as np
 from numpy.typing import ArrayLike
 
-# What digits of a limit leave, as a share of it and of one unit.
+# Tolerance of limits for rounding, relative to the limit and to one unit.
 _ROUNDING = 1e-9
 
 
 class Motors:
     """
-    Motors that drive a system by commands.
+    Effects of a system that take commands.
 
     Parameters
     ----------
     effects : sequence of (Effect, tuple)
-        All of a scene, each with what ``resolve`` returned.
+        All effects of a scene, each with the result of ``resolve``.
 
     Attributes
     ----------
     takes : frozenset of str
         Possible contents of a command; see ``contents``.
     size : int
-        How many numbers a command of plain ones has; 0 where none is taken.
+        Number of entries of a command of plain numbers; 0 if none is taken.
     names : sequence of str
-        What each of them is for, none where that has no name.
+        Names of these entries; empty if they have no names.
 
     """
 
@@ -53,12 +53,12 @@ class Motors:
         driven = [(effect.names, own.columns.size) for effect, own in self._effects
                   if NUMBERS in effect.takes]
         self._stops: list[Any] = [own for effect, own in effects if effect.limits]
-        # There is at most one.
+        # At most one effect takes plain numbers.
         self.names: Sequence[str] = driven[0][0] if driven else ()
         self.size: int = driven[0][1] if driven else 0
 
     def begin(self) -> None:
-        """Put into effect what acts before the first command."""
+        """Apply the commands that act before the first command is set."""
         for effect, own in self._effects:
             effect.begin(own)
 
@@ -69,17 +69,17 @@ class Motors:
         Parameters
         ----------
         command : Command
-            Of forces, of joints or of a path.
+            Command of forces, of joints or of a path.
         q : np.ndarray, shape (d,)
-            The coordinates now.
+            Current coordinates.
         limited : bool, optional
-            Whether positions beyond the joint limits of the scene are refused.
+            Reject positions beyond the joint limits of the scene.
 
         Raises
         ------
         ValueError
-            No effect takes it, it cannot be used, or it asks for a position beyond the joint
-            limits of the scene; nothing has changed.
+            No effect takes the command, it is invalid, or it contains a position beyond the joint
+            limits of the scene; nothing is changed.
 
         """
         held = contents(command)
@@ -97,7 +97,7 @@ class Motors:
             put()
 
     def _check_limits(self, names: Sequence[str], positions: np.ndarray) -> None:
-        """Raise ValueError for positions (n, m) of m joints where a stop keeps them from."""
+        """Raise ValueError if positions (n, m) of m joints are beyond a stop."""
         columns = {name: column for effect, own in self._effects if POSITION in effect.takes
                    for name, column in zip(effect.names, own.columns, strict=True)}
         for stops in self._stops:
@@ -121,26 +121,26 @@ class Motors:
 
     @property
     def aim(self) -> Aim | None:
-        """Return the current aim of a servo; None without one."""
+        """Return the current target of a servo; None if there is none."""
         aims = (effect.aim(own) for effect, own in self._effects)
         return next((aim for aim in aims if aim is not None), None)
 
 
 def refill(kernel: Kernel, other: Kernel) -> bool:
     """
-    Let a kernel by address have the parameters of another one, where it stands.
+    Replace the parameters of a kernel by address in place, with those of another kernel.
 
     Parameters
     ----------
     kernel : Kernel
-        From ``by_address``; what runs it finds the other numbers.
+        Kernel from ``by_address``; compiled code that uses it sees the new numbers.
     other : Kernel
-        Of a Hamiltonian that differs in numbers alone, by address or not.
+        Kernel of a Hamiltonian that differs only in numbers, by address or not.
 
     Returns
     -------
     bool
-        False, and nothing has changed, where more than that differs or nothing is by address.
+        False, with nothing changed, if more than numbers differs or `kernel` is not by address.
 
     """
     if not isinstance(kernel.parameters, Target):
@@ -152,21 +152,21 @@ def refill(kernel: Kernel, other: Kernel) -> bool:
         return False
     kernel.parameters.words[3:] = flat(other.parameters)
     memory.kernel = other
-    # And what it calls by address in its turn.
+    # Update the entries that it calls by address as well.
     provide(kernel, *memory.entries)
     return True
 
 
 class JoinedHamiltonian(Hamiltonian):
     """
-    A Hamiltonian with effects joined to it, such as potentials and magnetic fields.
+    Hamiltonian with effects added to it, such as potentials and magnetic fields.
 
     Parameters
     ----------
     base : Hamiltonian
-        H without them.
+        H without effects.
     joined : sequence of (Joined, tuple)
-        The effects, each with its resolved parameters.
+        Effects, each with its resolved parameters.
 
     """
 
@@ -178,24 +178,24 @@ class JoinedHamiltonian(Hamiltonian):
         self.separable = base.separable and all(
             effect.keeps_separable for effect, _ in joined)
 
-    # Those of the base, also where a scene sets them later.
+    # Delegated to the base, since a scene may set them later.
     invariants = property(attrgetter('base.invariants'))
 
     @cached_property
     def gauge(self) -> np.ndarray | None:
-        """Return that of the magnetic fields that are joined."""
+        """Return the total gauge of the magnetic fields, None without them."""
         gauge = np.zeros((self.dimension, self.dimension))
         for effect, parameters in self._joined:
             effect.add_gauge(parameters, gauge)
         return gauge if gauge.any() else None
 
     def copy(self) -> 'JoinedHamiltonian':
-        """Return the same function with working memory of its own."""
+        """Return a copy with its own working memory."""
         return JoinedHamiltonian(self.base.copy(), self._joined)
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
+        """Return the kernel of H with the effects."""
         kernel = self.base.kernel
         for effect, parameters in self._joined:
             kernel = join(kernel, effect, parameters)
@@ -204,42 +204,42 @@ class JoinedHamiltonian(Hamiltonian):
 
 class System:
     """
-    Compiled parts of a simulation with effects; without them, H and the method themselves.
+    Compiled parts of a simulation with effects; without effects, H and the method themselves.
 
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        H of d coordinates.
+        Hamiltonian of d coordinates.
     effects : sequence of Effect
-        In the scene's order.
+        Effects in the order of the scene.
     integrator : Integrator
-        The method.
+        Integration method.
     effect_state : EffectState, optional
-        That of another system of the same effects, to be shared with it.
+        State of another system of the same effects, to be shared.
 
     Attributes
     ----------
     hamiltonian : Hamiltonian
-        H with the potentials joined.
+        H including potentials.
     kernel : Kernel
-        That of H, with the forces.
+        Kernel of H with the forces.
     method, integrator : Integrator
-        The method, by itself and wrapped in the effects around its steps.
+        The method alone, and wrapped in the effects around its steps.
     effect_state : EffectState
-        Values that the effects keep from step to step.
+        State of the effects that persists from step to step.
     labels : list of str
-        A name for each effect: its kind, with its place where that stands more than once.
+        Name of each effect: its kind, with its index if the kind occurs more than once.
     conservative, lockstep : bool
-        Whether no effect does work, and whether several trajectories can step together.
+        True if no effect does work, and if several trajectories can step together.
     motors : Motors
-        The effects that take commands.
+        Effects that take commands.
 
     Raises
     ------
     EffectError
-        An effect names an unknown coordinate, or does not combine with another.
+        An effect names an unknown coordinate, or cannot be combined with another effect.
     UnsupportedSystem
-        The method cannot take an effect or the Hamiltonian; names those that can.
+        The method does not support an effect or the Hamiltonian; the message names those that do.
 
     """
 
@@ -276,30 +276,30 @@ class System:
 
     def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:
         """
-        Let H and the effects have other numbers, where compiled code finds them.
+        Replace the numbers of H and the effects, in the memory that compiled code uses.
 
         Parameters
         ----------
         hamiltonian, effects
-            Of the same kinds as the system's.
+            Hamiltonian and effects of the same kinds as the system's.
 
         Returns
         -------
         bool
-            False where they do not fit into its memory, and a system of their own has to be made.
+            False if they do not fit into this memory, so that a new system is needed.
 
         """
         if not self._effects:
-            # Then the system is H itself.
+            # Without effects, the system is H itself.
             taken = refill(self.kernel, hamiltonian.kernel)
             self.hamiltonian = hamiltonian if taken else self.hamiltonian
             return taken
-        # What magnetic fields sum up in it.
+        # Reset the sum that magnetic fields add to.
         self.effect_state.gauge[...] = 0.0
         other = System(hamiltonian, effects, self.method, self.effect_state)
         for i, place in enumerate(self._places):
             if place > Place.NODES:
-                # The method holds the arrays.
+                # Assign in place, since the method refers to these arrays.
                 if not _assign(self._parameters[i], other._parameters[i]):
                     return False
                 other._parameters[i] = self._parameters[i]
@@ -312,13 +312,13 @@ class System:
     @cached_property
     def turning(self) -> np.ndarray:
         """
-        Return which columns of q are angles that turn over, shape (d,).
+        Return a mask of the columns of q that are periodic angles, shape (d,).
 
-        Those in rad without stops, a turn of which changes no force, at a state without symmetry.
+        They are in rad, without stops, and a full turn leaves H' unchanged at an asymmetric state.
         """
         d = self.hamiltonian.dimension
         q, p = np.cos(1.0 + np.arange(d)**2), np.sin(2.0 + np.arange(d)**2)
-        # With rotations q and p have other columns; bodies count no turns.
+        # With rotations, q and p have different columns, and turns are not counted.
         turning = angle_columns(self.hamiltonian.coordinates) & (not self.hamiltonian.rotations)
         for effect, parameters in zip(self._effects, self._parameters, strict=True):
             if effect.stops:
@@ -332,7 +332,7 @@ class System:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Return how each number of a command acts on each coordinate, shape (c, d)."""
+        """Return the effect of each entry of a command on each coordinate, shape (c, d)."""
         held = self.effect_state.command
         before, rows = held.copy(), []
         for unit in np.eye(self.motors.size):
@@ -344,28 +344,28 @@ class System:
 
     @property
     def cuts(self) -> int:
-        """Return how many steps walls have cut, trials included; the path has kinks there."""
-        # An effect that cuts steps counts in its parameters how often it does.
+        """Return the number of steps cut by walls, trials included; the path has kinks there."""
+        # Effects that cut steps count the cuts in their parameters.
         counts = (getattr(self._parameters[i], 'cuts', None) for i in self._in(Place.OUTSIDE))
         return sum(int(count[0]) for count in counts if count is not None)
 
     def check_state(self, q: ArrayLike, p: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return fresh arrays of a state, of shape (d,) or (m, d), or raise.
+        Return new arrays of a valid state, of shape (d,) or (m, d), or raise.
 
         Raises
         ------
         EffectError
-            Constraints depend on each other there, or a gradient is not that of its function.
+            Constraints are dependent at the state, or a gradient differs from its function.
         StateError
-            It is not finite, behind a wall or off its rods, has another shape, or is of several
-            trajectories while an effect takes one.
+            The state is not finite, behind a wall, violates constraints, has a wrong shape, or
+            has several trajectories while an effect supports only one.
 
         """
         try:
             return self._checked(q, p)
         except EffectError:
-            raise  # it tells which effect, and so its place in the scene
+            raise  # it has the index of the effect in the scene
         except ValueError as problem:
             raise StateError(str(problem)) from problem
 
@@ -382,11 +382,11 @@ class System:
         return states
 
     def energies(self, z: Point) -> list[float]:
-        """Return H of each of the trajectories of a point [J]."""
+        """Return H of each trajectory of a point [J]."""
         return self.kernel.energies(z.q, z.p).tolist()
 
     def reason(self, outcome: int) -> str:
-        """Return why a step failed."""
+        """Return the reason of a failed step, given its outcome."""
         if outcome == NO_SOLUTION:
             return self.method.no_solution
         if outcome == REDUNDANT and self._constraints is not None:
@@ -394,11 +394,11 @@ class System:
         return REASONS[outcome]
 
     def _in(self, place: Place) -> list[int]:
-        """Return the effects that act there, in the scene's order."""
+        """Return the indices of the effects that act at a place, in the scene's order."""
         return [i for i, own in enumerate(self._places) if own is place]
 
     def _check_together(self) -> None:
-        """Refuse effects that do not combine."""
+        """Raise EffectError for effects that cannot be combined."""
         kinds = [type(effect) for effect in self._effects]
         for index, effect in enumerate(self._effects):
             if effect.single and kinds[index] in kinds[:index]:
@@ -446,12 +446,12 @@ class System:
 
     def around(self, integrator: Integrator) -> Integrator:
         """
-        Return another method with the same effects in its steps and around them.
+        Return another method with the same effects in and around its steps.
 
         Raises
         ------
         UnsupportedSystem
-            It cannot take one of them; names it.
+            The method does not support an effect; the message names it.
 
         """
         for effect, label in zip(self._effects, self.labels, strict=True):
@@ -461,28 +461,28 @@ class System:
         return self._wrapped(integrator)
 
     def _assemble(self, integrator: Integrator) -> None:
-        """Make the kernel and the method."""
+        """Build the kernel and the wrapped method."""
         self.kernel, self._taken = self.hamiltonian.kernel, self._in(Place.NODES)
         if self._taken:
             self.kernel = add_forces(
                 self.kernel, [cast(Force, self._effects[i]) for i in self._taken],
                 [self._parameters[i] for i in self._taken], self.effect_state)
         if integrator.requirements.coordinates != 'other':
-            # Others read what is in the parameters of their own family of models.
+            # Methods for other coordinates read the parameters of their own model family.
             self.kernel = by_address(self.kernel)
         listed = [(i, self.labels[i], self._parameters[i]) for i in self._in(Place.MANIFOLD)]
         self._constraints = Manifold(listed, self.kernel, len(self._effects)) if listed else None
         self.integrator = self._wrapped(integrator)
 
     def _wrapped(self, integrator: Integrator) -> Integrator:
-        """Wrap a method with what acts around its nodes, place by place, and the account."""
+        """Wrap a method in the effects around its nodes, place by place, and in Account."""
         around = sorted((place, i) for i, place in enumerate(self._places) if place > Place.NODES)
         for place, i in around:
             kind = cast(type[Layer], type(self._effects[i]))
             settings: Any = self._parameters[i]
             if self._constraints is not None and place is Place.MANIFOLD:
                 if i != self._in(place)[0]:
-                    continue  # the first one stands for all
+                    continue  # the first constraint represents all
                 kind, settings = self._constraints.kind, self._constraints.constraints
             integrator = Wrapped(integrator, kind, (settings, self.effect_state, i))
         if self._taken or around:
@@ -492,7 +492,7 @@ class System:
 
 
 def _assign(old: Any, new: Any) -> bool:
-    """Write the numbers in parameters into the arrays of others; False where they do not fit."""
+    """Copy new parameters into the arrays of old ones; return False if they do not fit."""
     if isinstance(old, tuple) and isinstance(new, tuple):
         return len(old) == len(new) and all(map(_assign, old, new))
     if isinstance(old, np.ndarray) and isinstance(new, np.ndarray):
