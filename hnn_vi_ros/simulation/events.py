@@ -261,7 +261,7 @@ def _after(values: np.ndarray) -> float:
 
 def _dips(thetas: np.ndarray, values: np.ndarray, k: int, seen: Callable,
           value: Callable[[float], float]) -> list[Place]:
-    """Return the point between k - 1 and k, if any, at an extremum beyond zero."""
+    """Return the extremum between points k - 1 and k in a list, empty unless beyond zero."""
     low, high = max(0, k - 2), min(len(values) - 1, k + 1)
     near = values[low:high + 1]
     sign = np.sign(values[k])

@@ -157,7 +157,7 @@ class Simulation:
 
     def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0,
                 held: dict[str, np.ndarray] | None = None) -> None:
-        """Restart from a state at a step, with held commands of a snapshot; see constructor."""
+        """Restart from a state at a step, holding a snapshot's commands; errors as in __init__."""
         q, p = self.system.check_state(q, p)
         self.system.effect_state.reset(stream, step * self.step_size, held)
         if held is None:
@@ -230,7 +230,7 @@ class Simulation:
 
     @property
     def energy_balance(self) -> float:
-        """Return the energy error H - H0 - W [J], which converges with the order of the method."""
+        """Return the energy error H - H0 - W [J], which is of the order of the method."""
         return self.energy - self._energy0 - self.work
 
     @property
@@ -278,7 +278,7 @@ class Simulation:
         self._update_gradient()
 
     def rows(self, z: np.ndarray, time: ArrayLike = 0.0, step: ArrayLike = 0) -> np.ndarray:
-        """Return rows, (m, R), of states (q, p), (m, 2 d), before the given steps at times [s]."""
+        """Return rows, (m, R), of states (q, p), (m, 2 d), at step `step`, time + step h [s]."""
         time = np.asarray(time) + np.asarray(step) * self.step_size
         return self.state.fresh(z, self.hamiltonian.dimension, time, step)
 

@@ -61,7 +61,7 @@ class State:
             for name in self.named)])
 
     def fresh(self, z: np.ndarray, d: int, time: ArrayLike, step: ArrayLike) -> np.ndarray:
-        """Return rows, (m, R), of states (q, p), (m, 2 d), before steps at times [s]."""
+        """Return rows, (m, R), of states (q, p), (m, 2 d), after `step` steps, at `time` [s]."""
         rows = np.tile(self._fresh, (len(z), 1))
         rows[:, 1], rows[:, HEAD:HEAD + d] = step, z[:, :d]
         rows[:, HEAD + self._n:HEAD + self._n + d] = z[:, d:]

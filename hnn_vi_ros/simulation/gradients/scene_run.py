@@ -89,7 +89,7 @@ class SceneRun:
         self._now, self._held = made, numbers
 
     def on_number(self, name: str) -> Dependence:
-        """Return the dependence on a number of the scene at its current value, or ValueError."""
+        """Return the dependence on a number at its current value, or raise ValueError."""
         assert self._held is not None
         value = self._held.values[name]
         try:

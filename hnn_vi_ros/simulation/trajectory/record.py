@@ -135,7 +135,7 @@ def record(simulation: Simulation, schedule: Schedule, watch: Watch,
 
 def _parts(simulation: Simulation, schedule: Schedule, watch: Watch, commands: Commands | None
            ) -> Iterator[Samples]:
-    """Yield samples in batches; update the guards between them if work is done."""
+    """Yield samples in batches; update the guards between them if work or commands require it."""
     (samples, every, rest), looks = schedule, commands is not None or not simulation.conservative
 
     def show() -> None:

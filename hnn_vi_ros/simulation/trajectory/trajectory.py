@@ -213,7 +213,7 @@ class Trajectory:
         Parameters
         ----------
         coordinates : sequence of str, optional
-            Names of the coordinates to draw; by default all except rotations, without a plane.
+            Names of coordinates to draw; by default all except rotations, which have no plane.
 
         Returns
         -------
