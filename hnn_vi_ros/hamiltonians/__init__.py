@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 # flake8: noqa: F401
 """
-Exact Hamiltonians, by name, formula or robot description, and mechanisms to draw.
+Exact Hamiltonians, by name, formula or robot description, and mechanisms for display.
 
-``registry`` lists them. A Hamiltonian gives H, its gradient and Hessian-vector products. Learned
-ones are in ``models``; terms that a scene adds to H are in ``effects``.
+``registry`` lists them. A Hamiltonian provides H, its gradient and Hessian-vector products.
+Learned Hamiltonians are in ``models``; terms that a scene adds to H are in ``effects``.
 """
 
 from typing import TYPE_CHECKING

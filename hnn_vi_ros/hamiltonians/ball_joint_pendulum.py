@@ -10,14 +10,14 @@ from hnn_vi_ros.hamiltonians.turning_body import spatial_component, spin, Turnin
 
 class BallJointPendulum(TurningBody):
     """
-    A spherical pendulum by its attitude: a ball on a rod without mass, on a ball joint.
+    A spherical pendulum described by its attitude: a ball on a massless rod, on a ball joint.
 
     H = sum of p_i^2 / (2 I_i) - m g l cos(theta), with p the angular momentum in the frame of the
-    body, theta between the rod and the way down, I_1 = I_2 = m l^2 + I_3 about the joint, and
-    I_3 = 2 m r^2 / 5. The rod is the third axis of the body; the ball is below where that points
-    up. Unlike a point on a sphere it can spin about the rod; without spin it moves like one, as a
-    spherical pendulum of length I_1 / (m l). It conserves its spin p_3 and the vertical part of
-    the angular momentum in space.
+    body, theta between the rod and the downward vertical, I_1 = I_2 = m l^2 + I_3 about the joint,
+    and I_3 = 2 m r^2 / 5. The rod is the third axis of the body; the ball is at the bottom if that
+    axis points up. Unlike a point on a sphere it can spin about the rod; without spin it moves
+    like a spherical pendulum of length I_1 / (m l). Its spin p_3 and the vertical component of the
+    spatial angular momentum are conserved.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class BallJointPendulum(TurningBody):
     Raises
     ------
     ValueError
-        A constant that is not a positive number.
+        A constant is not a positive number.
 
     References
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base of Hamiltonians: H and its gradient, for one state, many, or a kernel."""
+"""Base class of Hamiltonians: H and its gradient, for one state, for many, or as a kernel."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -20,14 +20,14 @@ Invariant = Callable[[np.ndarray, np.ndarray], float]
 
 class ExactMotion(NamedTuple):
     """
-    Motion that a formula gives.
+    Exact motion from a formula.
 
     Parameters
     ----------
     path : np.ndarray, shape (n, 2 d)
-        (q, p) at each instant.
+        (q, p) at each time.
     condition : float
-        Relative error of its period, over that of the energy.
+        Relative error of its period, divided by that of the energy.
     formula : str
         Formula that computes it.
 
@@ -42,12 +42,12 @@ class Hamiltonian(ABC):
     """
     A function H(q, p) of d coordinates and their momenta, with q' = H_p, p' = -H_q.
 
-    With coordinates that turn (see Coordinate) d is the number of columns of q, and p has one
-    column less for each rotation; H_p holds angular velocities in the frame of the body, and H_q
-    the derivatives by each column of a quaternion.
+    With rotations (see Coordinate), d is the number of columns of q, and p has one column less for
+    each rotation; H_p contains angular velocities in the frame of the body, and H_q the
+    derivatives by each column of a quaternion.
 
-    A subclass gives its coordinates and its kernel, and says whether H(q, p) = T(p) + V(q). Where
-    (q, p) is not ``canonical`` but some other 2 d coordinates u, H_p means the first half of u',
+    A subclass defines its coordinates and its kernel, and states whether H(q, p) = T(p) + V(q). If
+    (q, p) is not ``canonical`` but another set of 2 d coordinates u, H_p is the first half of u',
     and -H_q the second.
 
     Attributes
@@ -55,22 +55,22 @@ class Hamiltonian(ABC):
     coordinates : tuple of Coordinate
         Names, units and kinds of the coordinates.
     separable, canonical : bool
-        Whether H(q, p) = T(p) + V(q), and whether p are canonical momenta.
+        True if H(q, p) = T(p) + V(q); True if p are canonical momenta.
     robot : Robot or None
-        The robot whose joints the coordinates are, where a URDF describes one.
+        The robot whose joints are the coordinates, if a URDF describes one.
     invariants, known_invariants : mapping of str to callable
-        Functions of q and p, of shape (d,), to watch, by name, which a scene sets; and those that
-        motions conserve besides H, where nothing else acts.
+        Functions of q and p, of shape (d,), by name: those that a scene monitors, and those that
+        are conserved besides H in the absence of effects.
     box : pair of np.ndarray, shape (d, 2) each, or None
-        Bounds of q and p in which H was learned; None if all.
+        Bounds of q and p in which H was trained; None if unlimited.
     smooth : bool
-        Whether the gradient of H is continuous, as the order of every method supposes.
+        True if the gradient of H is continuous, which the order of every method requires.
     barrier : tuple of (str, float) or None
-        The name and the energy [J] of the barrier that confines low motions; None if unknown.
+        Name and energy [J] of the barrier that confines motions of low energy; None if unknown.
     provenance : dict of str to str
-        Identifies the data behind H, for recordings; may be empty.
+        Identification of the data behind H, for recordings; may be empty.
     scheme : tuple of (str, float) or None
-        The method and the step size [s] that H was learned through and is right for.
+        The method and the step size [s] through which H was trained and with which it is valid.
 
     """
 
@@ -92,7 +92,7 @@ class Hamiltonian(ABC):
         return None
 
     def outside(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Return whether states (..., d) are outside of the box, or no numbers, shape (...)."""
+        """Return True for states (..., d) outside the box or not finite, shape (...)."""
         assert self.box is not None, 'it is asked for only where there is one'
         low, high = np.concatenate(self.box).T
         z = np.concatenate([q, p if self.gauge is None else p - q @ self.gauge.T], axis=-1)
@@ -100,38 +100,38 @@ class Hamiltonian(ABC):
 
     def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion | None:
         """
-        Return the motion from (q, p) at instants, where a formula is known; else None.
+        Return the motion from (q, p) at given times, None if no formula is known.
 
         Parameters
         ----------
         q, p : np.ndarray, shape (d,)
             Initial state.
         t : np.ndarray, shape (n,)
-            Instants [s].
+            Times [s].
 
         """
         return None
 
     def check_state(self, q: np.ndarray, p: np.ndarray) -> None:  # noqa: B027
-        """Raise ValueError if H is known to be no number at a state, shape (d,) each."""
+        """Raise ValueError if H is known to be undefined at a state, shape (d,) each."""
 
     @property
     def dimension(self) -> int:
-        """Return the number d of columns of q: without rotations, of degrees of freedom."""
+        """Return the number d of columns of q; without rotations, the degrees of freedom."""
         return len(self.coordinates) if self.rotations == () else len(columns(self.coordinates)[0])
 
     @cached_property
     def rotations(self) -> tuple[int, ...]:
-        """Return the columns of q in which unit quaternions begin."""
+        """Return the columns of q at which unit quaternions begin."""
         return rotations(self.coordinates)
 
     @cached_property
     @abstractmethod
     def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
+        """Return the functions for simulations."""
 
     def copy(self) -> Self:
-        """Return the same function with working memory of its own, for use in another thread."""
+        """Return the same function with its own workspace, for use in another thread."""
         other = copy(self)
         for name in ('kernel', '_called'):
             other.__dict__.pop(name, None)
@@ -139,13 +139,13 @@ class Hamiltonian(ABC):
 
     @cached_property
     def _called(self) -> Kernel:
-        """Return the kernel by address: what is called from Python is what simulations call."""
-        # Imported here: who only reads a scene compiles nothing.
+        """Return the kernel by address, so that Python calls the same code as simulations."""
+        # Imported lazily: reading a scene needs no compiler.
         from hnn_vi_ros.kernels import by_address
         return by_address(self.kernel)
 
     def compile(self) -> None:  # noqa: A003
-        """Compile energy, gradient and Hessian-vector product now, not when they are called."""
+        """Compile energy, gradient and Hessian-vector product now instead of at the first call."""
         if self._called.compiled:
             from hnn_vi_ros.kernels import provide
             provide(self._called, 0, 1, 2)
@@ -157,7 +157,7 @@ class Hamiltonian(ABC):
         Raises
         ------
         ValueError
-            The last axis is not d long.
+            The last axis does not have length d.
 
         """
         flat_q, flat_p = self._flat(q, self._padded(p))
@@ -170,7 +170,7 @@ class Hamiltonian(ABC):
         Raises
         ------
         ValueError
-            The last axis is not d long.
+            The last axis does not have length d.
 
         """
         dH_dq, dH_dp = self._called.slopes(*self._flat(q, self._padded(p)))
@@ -184,7 +184,7 @@ class Hamiltonian(ABC):
         Raises
         ------
         ValueError
-            The last axis is not d long.
+            The last axis does not have length d.
 
         """
         product_q, product_p = self._called.products(
@@ -208,7 +208,7 @@ class Hamiltonian(ABC):
         return np.moveaxis(self.hessian_vector(q, p, along_q, along_p)[1], 0, -1)
 
     def _padded(self, p: np.ndarray) -> np.ndarray:
-        """Return momenta with the columns that stay zero, as kernels take them."""
+        """Return momenta with the zero columns that kernels expect."""
         if not self.rotations:
             return p
         return np.append(p, np.zeros((*np.shape(p)[:-1], len(self.rotations))), axis=-1)
@@ -233,10 +233,10 @@ def compiled_kernel(functions: Functions, parameters: Parameters,
     Parameters
     ----------
     functions : tuple of callable
-        Energy, gradient and Hessian-vector product, plain Python in numba's subset, which are
-        compiled here; see Kernel.
+        Energy, gradient and Hessian-vector product, plain Python in numba's subset, to be
+        compiled; see Kernel.
     parameters : tuple
-        What they take first.
+        First argument of the functions.
     dimension : int
         d.
     gradient_scale : tuple of float
@@ -245,7 +245,7 @@ def compiled_kernel(functions: Functions, parameters: Parameters,
         See Kernel.
 
     """
-    # Imported here: who only reads a scene compiles nothing.
+    # Imported lazily: reading a scene needs no compiler.
     from hnn_vi_ros.kernels import dispatcher
     energy, gradient, hessian_vector = functions
     return Kernel(dispatcher(energy), dispatcher(gradient), dispatcher(hessian_vector), parameters,

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The plane double pendulum: non-separable, and chaotic unless its energy is low."""
+"""The planar double pendulum: non-separable, and chaotic unless its energy is low."""
 
 
 from hnn_vi_ros.hamiltonians.parameters import check_positive
@@ -12,14 +12,14 @@ class DoublePendulum(AnalyticHamiltonian):
     """
     A bob on a massless rod that hangs from the bob of another, H = p . M(q)^-1 p / 2 + V(q).
 
-    Both angles are measured from the vertical, so the momenta are p = M v of the rates v, with
+    Both angles are measured from the vertical, so the momenta of the rates v are p = M v, with
 
         M = [ (m1 + m2) l1^2           m2 l1 l2 cos(q1 - q2) ]
             [ m2 l1 l2 cos(q1 - q2)    m2 l2^2               ]
 
         V = (m1 + m2) g l1 (1 - cos q1) + m2 g l2 (1 - cos q2)
 
-    H = 0 where it hangs at rest. In the momenta, with D = m1 + m2 sin(q1 - q2)^2,
+    H = 0 in the hanging rest position. In terms of momenta, with D = m1 + m2 sin(q1 - q2)^2,
 
         T = (p1 / l1 - cos(q1 - q2) p2 / l2)^2 / (2 D) + p2^2 / (2 m2 l2^2).
 

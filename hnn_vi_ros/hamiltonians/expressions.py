@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Formulas: read from text without executing any of it, differentiated, and written as code.
+Formulas: parsed from text without executing it, differentiated, and converted to code.
 
-A formula is a graph, in which equal parts are one node. Its derivatives are nodes of the same
-graph, so that what H, its gradient and its Hessian-vector product have in common is computed once.
+In the graph of a formula equal subexpressions are one node. Its derivatives are nodes of the same
+graph: common parts of H, its gradient and its Hessian-vector product are computed once.
 """
 
 from collections import Counter
@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-# Characters of a formula, brackets inside each other, and nodes of a graph with all derivatives.
+# Maximum number of characters, of nested brackets, and of graph nodes with all derivatives.
 LONGEST, DEEPEST, MOST_NODES = 4000, 60, 10_000
-# How a formula may be written, for errors.
+# Syntax of a formula, for error messages.
 GRAMMAR = ('numbers, names, + - * / ^ or **, brackets, pi, and the functions abs, acos, asin, '
            'atan, cos, cosh, exp, log, sin, sinh, sqrt, tan and tanh')
 
-# The derivative of each function by its argument x, where it is z.
+# Derivatives of functions by their argument x, at the value z.
 _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
     'abs': lambda g, x, z: g.apply('sign', x),
     'acos': lambda g, x, z: g.scaled(-1.0, _root_of_rest(g, x)),
@@ -41,25 +41,25 @@ _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
     'versine': lambda g, x, z: g.apply('sin', x),
 }
 FUNCTIONS = tuple(name for name in _SLOPES if name not in ('sign', 'versine'))
-# 1 - cos x as 2 sin(x / 2)^2 keeps its digits where x is small, as the heights of pendulums are.
+# 1 - cos x as 2 sin(x / 2)^2 is accurate for small x, as for the heights of pendulums.
 _NUMPY: dict[str, Callable[..., Any]] = {
     'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan,
     'versine': lambda x: 2.0 * np.sin(0.5 * x) ** 2}
-# 1 - sin(x)^2 is the square of the other one: its root, as of acos(cos x), has a kink that shows.
+# 1 - sin(x)^2 is cos(x)^2: its root, as of acos(cos x), keeps its kink.
 _COMPLEMENTS = {'sin': 'cos', 'cos': 'sin'}
 _CALLS = {name: _NUMPY.get(name) or getattr(np, name) for name in _SLOPES}
 
 
 class Graph:
     """
-    Expressions, each a number that stands behind its arguments; equal ones are the same number.
+    Expressions as integers, larger than those of their arguments; equal ones have equal integers.
 
     Attributes
     ----------
     nodes : list of tuple
         ``('number', x)``, ``('name', name)``, ``('scaled', c, a)`` for c a, ``('sum', a, b)``,
-        ``('product', a, b)``, ``('over', a, b)`` for a / b, ``('power', a, n)`` with a whole
-        n > 1, ``('raised', a, b)`` for any power, and ``(function, a)``.
+        ``('product', a, b)``, ``('over', a, b)`` for a / b, ``('power', a, n)`` with an integer n
+        > 1, ``('raised', a, b)`` for any power, and ``(function, a)``.
 
     """
 
@@ -77,22 +77,22 @@ class Graph:
         return self._known[node]
 
     def number(self, value: float) -> int:
-        """Return a number; -0 is 0."""
+        """Return the node of a number; -0 becomes 0."""
         if not math.isfinite(value):
             raise ValueError(f'this is {value}, no finite number')
         return self._node('number', float(value) + 0.0)
 
     def name(self, name: str) -> int:
-        """Return what has a name."""
+        """Return the node bound to a name."""
         return self._node('name', name)
 
     def value(self, a: int) -> float | None:
-        """Return that of a number, None for other nodes."""
+        """Return the value of a number node, None for other nodes."""
         kind, *rest = self.nodes[a]
         return rest[0] if kind == 'number' else None
 
     def _factor(self, a: int) -> tuple[float, int]:
-        """Return c and b of a = c b, where c is a number in front."""
+        """Return c and b of a = c b, where c is a numerical factor."""
         kind, *rest = self.nodes[a]
         return (rest[0], rest[1]) if kind == 'scaled' else (1.0, a)
 
@@ -131,7 +131,7 @@ class Graph:
         return self._node('sum', a, b)
 
     def product(self, a: int, b: int) -> int:
-        """Return a b, with numbers in front."""
+        """Return a b, with numerical factors in front."""
         for value, other in ((self.value(a), b), (self.value(b), a)):
             if value is not None:
                 return self.scaled(value, other)
@@ -144,7 +144,7 @@ class Graph:
             'product', *sorted((a, b))))
 
     def over(self, a: int, b: int) -> int:
-        """Return a / b; a division by a number is a product with its inverse."""
+        """Return a / b; division by a number becomes multiplication by its inverse."""
         value = self.value(b)
         if value:
             return self.scaled(1.0 / value, a)
@@ -161,7 +161,7 @@ class Graph:
         return self.scaled(c / d, self._node('over', a, b))
 
     def power(self, a: int, n: int) -> int:
-        """Return a to a whole power n >= 0."""
+        """Return a to an integer power n >= 0."""
         value = self.value(a)
         if value is not None:
             return self.raised(a, self.number(float(n)))
@@ -192,14 +192,14 @@ class Graph:
         return self._node(function, a)
 
     def arguments(self, a: int) -> Sequence[int]:
-        """Return the nodes that a node is made of."""
+        """Return the arguments of a node."""
         kind, *rest = self.nodes[a]
         if kind in ('number', 'name'):
             return ()
         return rest[1:] if kind == 'scaled' else rest[:1] if kind == 'power' else rest
 
     def _slopes(self, a: int) -> list[tuple[int, int]]:
-        """Return each argument of a node, and the derivative of the node by it."""
+        """Return each argument of a node, with the derivative of the node by it."""
         kind, *rest = self.nodes[a]
         one = self.number(1.0)
         if kind == 'scaled':
@@ -222,7 +222,7 @@ class Graph:
         return [(rest[0], _SLOPES[kind](self, rest[0], a))]
 
     def needed(self, roots: Iterable[int], known: Container[int] = ()) -> list[int]:
-        """Return all nodes that some are made of, arguments first, without what is known."""
+        """Return all nodes that the roots depend on, arguments first, except known ones."""
         found, rest = set(), list(roots)
         while rest:
             if (a := rest.pop()) not in found and a not in known:
@@ -231,7 +231,7 @@ class Graph:
         return sorted(found)
 
     def depending(self, roots: Iterable[int], names: Iterable[str]) -> set[int]:
-        """Return which of the nodes that some are made of depend on names."""
+        """Return the nodes below the roots that depend on names."""
         names = frozenset(names)
         found: set[int] = set()
         for a in self.needed(roots):
@@ -254,7 +254,7 @@ class Graph:
         return [adjoints.get(self.name(name), self.number(0.0)) for name in names]
 
     def tangents(self, roots: Sequence[int], changes: Mapping[str, str]) -> list[int]:
-        """Return how nodes change where names change by what has other names."""
+        """Return the changes of nodes; ``changes`` maps names to the names of their changes."""
         found = {self.name(name): self.name(change) for name, change in changes.items()}
         for a in self.needed(roots):
             if a not in found and (parts := found.keys() & self.arguments(a)):
@@ -266,7 +266,7 @@ class Graph:
         return [found.get(root, self.number(0.0)) for root in roots]
 
     def values(self, roots: Sequence[int], known: Mapping[str, Any]) -> dict[int, Any]:
-        """Return the value of each node that some are made of, from those of names."""
+        """Return the value of each node that the roots depend on, given the values of names."""
         found: dict[int, Any] = {}
         with np.errstate(all='ignore'):
             for a in self.needed(roots):
@@ -275,7 +275,7 @@ class Graph:
                 if kind == 'number':
                     found[a] = np.float64(rest[0])
                 elif kind == 'name':
-                    # A float of Python would raise where one of numpy becomes infinite.
+                    # A Python float would raise where a numpy float becomes infinite.
                     found[a] = np.asarray(known[rest[0]])[()]
                 elif kind == 'scaled':
                     found[a] = rest[0] * parts[0]
@@ -294,7 +294,7 @@ class Graph:
         roots : sequence of int
             The nodes.
         texts : mapping of int to str
-            Expressions for the nodes that are known.
+            Expressions for the known nodes.
 
         """
         order = self.needed(roots, texts.keys())
@@ -307,7 +307,7 @@ class Graph:
                 continue
             made = self._text(kind, rest, [text[part] for part in self.arguments(a)])
             if kind == 'over' and divisors[rest[1]] > 1:
-                # One division by what is divided by more than once: a product takes a tenth.
+                # A repeated divisor is inverted once: a product is ten times faster.
                 if rest[1] not in inverses:
                     inverses[rest[1]] = f'i{rest[1]}'
                     lines.append(f'i{rest[1]} = 1.0 / {text[rest[1]]}')
@@ -346,16 +346,16 @@ _TOKEN = re.compile(r'\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)'
 
 class Reader:
     """
-    Read a formula into a graph.
+    Parser of a formula into a graph.
 
     Parameters
     ----------
     graph : Graph
-        Where it is put.
+        The graph to extend.
     text : str
         The formula.
     start : int, optional
-        Column of its first character in what the user wrote.
+        Column of its first character in the user's text.
     called : mapping of str to str, optional
         Other names for some of the names.
 
@@ -364,14 +364,14 @@ class Reader:
     root : int
         The formula.
     names : dict of str to int
-        The names in it, and the column in which each stands first.
+        Names in the formula, with the column of their first occurrence.
     parts : dict of int to (int, int)
-        Where the text of nodes begins and ends.
+        Start and end of the text of nodes.
 
     Raises
     ------
     ValueError
-        It cannot be read; names the column, and what is expected.
+        The text is invalid; the message gives the column and the expected token.
 
     """
 
@@ -390,11 +390,11 @@ class Reader:
             raise self._wrong('an operator')
 
     def column(self, place: int) -> int:
-        """Return the column of a place in the text."""
+        """Return the column of a position in the text."""
         return self._start + place
 
     def _next(self) -> None:
-        """Go to the next token."""
+        """Advance to the next token."""
         self._end = self._at + len(self._token)
         match = _TOKEN.match(self._text, self._end)
         if match is None:
@@ -414,7 +414,7 @@ class Reader:
         return ValueError(f'{where}: {found}{hint}; a formula has {GRAMMAR}')
 
     def _takes(self, *signs: str) -> str:
-        """Go on after one of these signs, and return it; else return ''."""
+        """Return the present sign and advance if it is one of these, else return ''."""
         if self._kind != 'sign' or self._token not in signs:
             return ''
         sign = self._token
@@ -422,7 +422,7 @@ class Reader:
         return sign
 
     def _made(self, begin: int, make: Callable[..., int], *parts: Any) -> int:
-        """Return the node of what begins at a place, or say there what is wrong with it."""
+        """Return the node of the text from a position, or raise an error at that position."""
         try:
             node = make(*parts)
         except ValueError as problem:
@@ -469,7 +469,7 @@ class Reader:
         base = self._atom()
         if not self._takes('^', '**'):
             return base
-        # To the right first, as in mathematics: 2^3^2 is 2^9.
+        # Right-associative, as in mathematics: 2^3^2 is 2^9.
         return self._made(begin, self._graph.raised, base, self._deeper(self._signed))
 
     def _atom(self) -> int:
@@ -493,7 +493,7 @@ class Reader:
         return self._graph.name(self._called.get(token, token))
 
     def _closed(self, begin: int) -> int:
-        """Return what stands up to the bracket that closes."""
+        """Return the node up to the closing bracket."""
         node = self._deeper(self._sum)
         if not self._takes(')'):
             raise self._wrong(f'an operator, or a bracket that closes that in column '
@@ -502,7 +502,7 @@ class Reader:
 
 
 class Symbol:
-    """A node that computes like a number: functions of such numbers build formulas."""
+    """A node with arithmetic operators: functions of numbers applied to it build formulas."""
 
     def __init__(self, graph: Graph, node: int):
         self.graph, self.node = graph, node
@@ -544,17 +544,17 @@ class Symbol:
         return self._made(self.graph.raised, other)
 
     def __eq__(self, other: object) -> bool:
-        """Refuse, as other comparisons do: a branch would be taken for all values."""
+        """Refuse comparisons, as a branch would be taken for all values."""
         raise TypeError('symbols cannot be compared')
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, None  # type: ignore[assignment]
 
     def __getattr__(self, name: str) -> Callable[[], 'Symbol']:
-        """Return the method in which numpy looks for its function of a name."""
+        """Return the method that numpy calls for its function of this name."""
         if name not in _SMOOTH:
             raise AttributeError(name)
         return lambda: Symbol(self.graph, self.graph.apply(_SMOOTH[name], self.node))
 
 
-# By the names that numpy gives them.
+# Names that numpy expects.
 _SMOOTH = {_CALLS[name].__name__: name for name in FUNCTIONS if name != 'abs'}

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A Hamiltonian that is written as a formula."""
+"""A Hamiltonian given as a formula."""
 
 from functools import cached_property
 from typing import Any
@@ -36,11 +36,11 @@ class Formula(Hamiltonian):
     """
     H as a formula of coordinates c and momenta p_c, such as ``p_x^2 / (2*m) + k*x^2 / 2``.
 
-    It has numbers, names, ``+ - * / ^`` (or ``**``), brackets, ``pi``, and the functions abs,
-    acos, asin, atan, cos, cosh, exp, log, sin, sinh, sqrt, tan and tanh. The momentum of q1 may be
-    called p1. Nothing of the text is executed: it is read, differentiated, and compiled like the
-    other systems. The gradient comes from reverse accumulation, products with H'' from forward
-    accumulation through it; both are exact up to round-off.
+    It may contain numbers, names, ``+ - * / ^`` (or ``**``), brackets, ``pi``, and the functions
+    abs, acos, asin, atan, cos, cosh, exp, log, sin, sinh, sqrt, tan and tanh. The momentum of q1
+    may be called p1. The text is never executed: it is parsed, differentiated, and compiled like
+    the other systems. The gradient is computed by reverse accumulation, products with H'' by
+    forward accumulation through it; both are exact up to round-off.
 
     Parameters
     ----------
@@ -49,13 +49,13 @@ class Formula(Hamiltonian):
     H : str
         The formula [J], at most 4000 characters.
     parameters : dict of str to float, optional
-        Values of the other names in it, in units of theirs.
+        Values of the other names in the formula, in their units.
 
     Raises
     ------
     ValueError
-        A formula that cannot be read, a name that is not known or not used, or a coordinate that
-        never moves; names the column.
+        The formula is invalid, a name is unknown or unused, or a coordinate never moves; the
+        message gives the column.
 
     References
     ----------
@@ -87,7 +87,7 @@ class Formula(Hamiltonian):
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
+        """Return the functions for simulations."""
         return graph_kernel(self._graph, self._root, [c.name for c in self.coordinates],
                             self._momenta, self.parameters)
 

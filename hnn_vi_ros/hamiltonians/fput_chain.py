@@ -13,11 +13,11 @@ import numpy as np
 
 class FputChain(Hamiltonian):
     """
-    Unit masses between fixed walls, on springs that are soft and stiff in turn.
+    Unit masses between fixed walls, connected by alternating soft and stiff springs.
 
-    There are m pairs of masses. A stiff linear spring joins the two of a pair; soft quartic
-    springs join the pairs to one another and to the walls. The coordinates are, for pair i
-    whose masses are displaced by u_(2 i - 1) and u_(2 i),
+    There are m pairs of masses. A stiff linear spring connects the two masses of a pair; soft
+    quartic springs connect the pairs with one another and with the walls. The coordinates for pair
+    i, whose masses are displaced by u_(2 i - 1) and u_(2 i), are
 
         c_i = (u_(2 i) + u_(2 i - 1)) / sqrt(2)    centre, slow
         s_i = (u_(2 i) - u_(2 i - 1)) / sqrt(2)    stretch of the stiff spring, fast
@@ -28,9 +28,9 @@ class FputChain(Hamiltonian):
         H = |p|^2 / 2 + (omega^2 / 2) sum_(i = 1..m) s_i^2
             + (1/4) sum_(i = 0..m) (c_(i + 1) - s_(i + 1) - c_i - s_i)^4
 
-    All quantities are without unit. The energies I_i = (p_(s_i)^2 + omega^2 s_i^2) / 2 of the
-    stiff springs are exchanged slowly; their sum is an adiabatic invariant, kept to O(1 / omega)
-    over times that grow exponentially with omega.
+    All quantities are dimensionless. The energies I_i = (p_(s_i)^2 + omega^2 s_i^2) / 2 of the
+    stiff springs are exchanged slowly; their sum is an adiabatic invariant, conserved to O(1 /
+    omega) over times that grow exponentially with omega.
 
     Parameters
     ----------
@@ -65,15 +65,15 @@ class FputChain(Hamiltonian):
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        # Stretches of size 1 / omega, whose springs then hold an energy of order one.
+        """Return the functions for simulations."""
+        # Scale for stretches of 1 / omega, at which a spring has an energy of order one.
         return compiled_kernel((_energy, _gradient, _hessian_vector), (self.pairs, self.omega),
                                self.dimension, (self.omega, 0.0))
 
 
 @inlined
 def _extension(m: int, q: np.ndarray, i: int) -> float:
-    """Return sqrt(2) times how far soft spring i, 0 to m, is extended; q has shape (2 m,)."""
+    """Return sqrt(2) times the extension of soft spring i, 0 to m; q has shape (2 m,)."""
     if i == 0:
         return q[0] - q[m]
     if i == m:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The free particle, to which a scene's effects give everything that acts on it."""
+"""The free particle; effects of a scene add all forces."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -15,23 +15,23 @@ import numpy as np
 
 class FreeParticle(Hamiltonian):
     """
-    A mass on which nothing acts, H(q, p) = |p|^2 / (2 m).
+    A mass without forces, H(q, p) = |p|^2 / (2 m).
 
-    It moves straight on at the velocity p / m. Several particles of the same mass are one that
-    has the coordinates of all.
+    It moves straight at the velocity p / m. Several particles of the same mass are one particle
+    with the coordinates of all.
 
     Parameters
     ----------
     mass : float
         m > 0 [kg].
     names : sequence of str
-        The names of its Cartesian coordinates [m], all different: a letter or underscore, then
-        letters, digits, underscores.
+        Distinct names of its Cartesian coordinates [m]: a letter or underscore, then letters,
+        digits, underscores.
 
     Raises
     ------
     ValueError
-        A mass that is not positive and finite, or names that cannot be used.
+        The mass is not positive and finite, or a name is invalid.
 
     """
 
@@ -49,7 +49,7 @@ class FreeParticle(Hamiltonian):
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
+        """Return the functions for simulations."""
         return compiled_kernel((_energy, _gradient, _hessian_vector), (self.mass,), self.dimension)
 
 

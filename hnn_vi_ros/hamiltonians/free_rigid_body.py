@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A rigid body on which nothing acts."""
+"""A rigid body without external torques."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -10,11 +10,11 @@ from hnn_vi_ros.hamiltonians.turning_body import spatial_component, TurningBody
 
 class FreeRigidBody(TurningBody):
     """
-    A rigid body that turns freely about its centre of mass, H = sum of p_i^2 / (2 I_i).
+    A rigid body that rotates freely about its centre of mass, H = sum of p_i^2 / (2 I_i).
 
-    p is the angular momentum in the frame of the body; Euler's equations p' = p x omega make it
-    Jacobi elliptic functions of time. It conserves the angular momentum in space. Turns about
-    the axis of the middle moment of inertia are unstable: the body tumbles.
+    p is the angular momentum in the frame of the body; by Euler's equations p' = p x omega it is a
+    Jacobi elliptic function of time. The spatial angular momentum is conserved. Rotation about the
+    axis of the middle moment of inertia is unstable: the body tumbles.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class FreeRigidBody(TurningBody):
     Raises
     ------
     ValueError
-        A moment that is not a positive number, or moments that no body has.
+        A moment is not a positive number, or no body has these moments.
 
     References
     ----------
@@ -33,7 +33,7 @@ class FreeRigidBody(TurningBody):
     """
 
     separable = True
-    # The angular momentum in space [kg m^2/s], component by component.
+    # The spatial angular momentum [kg m^2/s] by component.
     known_invariants = {f'momentum_{axis}': partial(spatial_component, i)
                         for i, axis in enumerate('xyz')}
 

@@ -39,7 +39,7 @@ class HarmonicOscillator(AnalyticHamiltonian):
         self.constants = {'m': self.mass, 'k': self.stiffness}
 
     def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion:
-        """Return the motion, of angular frequency sqrt(k / m)."""
+        """Return the motion, with angular frequency sqrt(k / m)."""
         inertia = math.sqrt(self.mass * self.stiffness)
         phase = math.sqrt(self.stiffness / self.mass) * t[:, None]
         sine, cosine = np.sin(phase), np.cos(phase)

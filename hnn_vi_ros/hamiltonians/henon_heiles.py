@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Hénon-Heiles system, in which order turns into chaos as the energy grows."""
+"""The Hénon-Heiles system, whose motion becomes chaotic with increasing energy."""
 
 from functools import cached_property
 
@@ -11,12 +11,12 @@ from hnn_vi_ros.phase_space import Coordinate
 
 class HenonHeiles(AnalyticHamiltonian):
     """
-    A star in a galaxy's plane, H(q, p) = (|p|^2 + |q|^2) / 2 + q_x^2 q_y - q_y^3 / 3.
+    A star in the plane of a galaxy, H(q, p) = (|p|^2 + |q|^2) / 2 + q_x^2 q_y - q_y^3 / 3.
 
-    All quantities are without unit. Below H = 1/6 a star that starts inside the triangle with
-    the corners (0, 1) and (+-sqrt(3) / 2, -1/2), the saddle points of the potential, stays
-    there; above, it may escape through a corner. Most orbits are regular up to about H = 1/12,
-    most are chaotic near 1/6.
+    All quantities are dimensionless. Below H = 1/6 a star that starts inside the triangle with the
+    corners (0, 1) and (+-sqrt(3) / 2, -1/2), the saddle points of the potential, stays there;
+    above, it may escape through a corner. Most orbits are regular up to about H = 1/12, and most
+    are chaotic near 1/6.
 
     References
     ----------
@@ -33,6 +33,6 @@ class HenonHeiles(AnalyticHamiltonian):
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        # In the triangle the terms of H_q are at most about one, also where they cancel.
+        """Return the functions for simulations."""
+        # In the triangle the terms of H_q are at most about one, even if they cancel.
         return super().kernel._replace(gradient_scale=(1.0, 0.0))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Kepler problem in its plane, with its close encounters."""
+"""The planar Kepler problem, with close encounters."""
 
 import math
 
@@ -15,10 +15,10 @@ class Kepler(AnalyticHamiltonian):
     """
     A body of 1 kg around a fixed centre of attraction, H(q, p) = |p|^2 / 2 - mu / |q|.
 
-    It conserves the angular momentum q_x p_y - q_y p_x as well. Where H < 0 the orbit is an
-    ellipse of semi-major axis a = -mu / (2 H) and period 2 pi sqrt(a^3 / mu); eccentricity e
-    starts at its pericentre from q = (a (1 - e), 0), p = (0, sqrt(mu (1 + e) / (a (1 - e)))).
-    In the centre itself H is infinite.
+    The angular momentum q_x p_y - q_y p_x is conserved as well. For H < 0 the orbit is an ellipse
+    of semi-major axis a = -mu / (2 H) and period 2 pi sqrt(a^3 / mu); an orbit of eccentricity e
+    starts at its pericentre at q = (a (1 - e), 0), p = (0, sqrt(mu (1 + e) / (a (1 - e)))). At the
+    centre H is infinite.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Kepler(AnalyticHamiltonian):
     separable = True
     # The angular momentum [kg m^2/s].
     known_invariants = {'angular_momentum': lambda q, p: float(q[0] * p[1] - q[1] * p[0])}
-    # In the centre it is infinity or NaN, which the checks for non-finite states find.
+    # At the centre the result is infinity or NaN, which the checks for non-finite states detect.
     names, formula = ('x', 'y'), '(p_x^2 + p_y^2) / 2 - mu / sqrt(x^2 + y^2)'
 
     def __init__(self, mu: float = 1.0):
@@ -54,9 +54,8 @@ class Kepler(AnalyticHamiltonian):
 
             n t = E - (1 - r0 / a) sin E + (q . p) / sqrt(mu a) (1 - cos E)
 
-        and from there by Lagrange's f and g (Battin, An Introduction to the Mathematics and
-        Methods of Astrodynamics, section 4.3). None for an orbit that is open, or meets the
-        centre.
+        and from E by Lagrange's f and g (Battin, An Introduction to the Mathematics and Methods of
+        Astrodynamics, section 4.3). None for an orbit that is open, or meets the centre.
         """
         mu, r0, squared = self.mu, float(np.hypot(*q)), float(p @ p)
         inverse = 2.0 / r0 - squared / mu
@@ -67,7 +66,7 @@ class Kepler(AnalyticHamiltonian):
         radial, along = 1.0 - r0 / a, float(q @ p) / math.sqrt(mu * a)
         mean = np.remainder(n * t, 2.0 * math.pi)
         low, high = mean - 4.0, mean + 4.0
-        # Bisection: Newton's method would fail next to the pericentre of a narrow ellipse.
+        # Bisection: Newton's method would fail near the pericentre of an eccentric ellipse.
         for _ in range(64):
             middle = 0.5 * (low + high)
             ahead = (middle - radial * np.sin(middle)
@@ -80,5 +79,5 @@ class Kepler(AnalyticHamiltonian):
         f_dot, g_dot = -math.sqrt(mu * a) / (r * r0) * np.sin(change), 1.0 - a / r * versine
         path = np.hstack([np.outer(f, q) + np.outer(g, p),
                           np.outer(f_dot, q) + np.outer(g_dot, p)])
-        # 1 / a is a difference, and its relative error that of the period.
+        # 1 / a is a difference, and its relative error is that of the period.
         return ExactMotion(path, 1.5 * a * (2.0 / r0 + squared / mu), "Kepler's equation")

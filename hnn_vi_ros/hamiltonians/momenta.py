@@ -1,14 +1,14 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The inverse of the Legendre transform: momenta of given velocities."""
+"""Inverse Legendre transform: momenta of given velocities."""
 
 from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
 _ITERATIONS, _HALVINGS = 50, 20
-# Residuals relative to the velocities, to H_pp p and to the rounding of H_p: at the first the
-# search ends, at the second, with room, its result is accepted.
+# Residuals relative to the velocities, to H_pp p and to the rounding of H_p: the iteration stops
+# at the first; the result is accepted at the second, which is larger.
 _AIM, _TOLERANCE = 1e-12, 1e-10
 
 
@@ -22,9 +22,9 @@ def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.n
     hamiltonian : Hamiltonian
         H of d coordinates.
     q, v : np.ndarray, shape (..., d)
-        Coordinates, and the velocities q' that are wanted there.
+        Coordinates, and the required velocities q'.
     start : np.ndarray, shape (..., d)
-        Where to begin; of several solutions one near it is found.
+        Initial guess; of several solutions one near it is returned.
 
     Returns
     -------
@@ -60,11 +60,11 @@ def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.n
                 break
             share[worse] *= 0.5
         p, missing = np.where(worse, p, trial), np.where(worse, missing, found)
-        # As close as rounding allows, or stuck.
+        # As close as rounding allows, or no progress.
         if worse.all():
             break
     size = np.abs(missing).max(axis=-1, keepdims=True)
-    # NaN is no solution.
+    # The negated form also rejects NaN.
     if not (size <= _TOLERANCE * scale).all():
         first = np.unravel_index(np.argmax(~(size <= _TOLERANCE * scale)), size.shape)[:-1]
         raise StateError(

@@ -11,22 +11,22 @@ Numbers = float | Sequence[float]
 
 
 def check_positive(**values: Numbers) -> None:
-    """Raise ValueError, which names it, for the first value that is not positive and finite."""
+    """Raise ValueError with the name of the first value that is not positive and finite."""
     _check(values, lambda value: value > 0.0, 'a positive number')
 
 
 def check_not_negative(**values: Numbers) -> None:
-    """Raise ValueError, which names it, for the first value below zero or not finite."""
+    """Raise ValueError with the name of the first value that is negative or not finite."""
     _check(values, lambda value: value >= 0.0, 'at least 0 and finite')
 
 
 def check_finite(**values: Numbers) -> None:
-    """Raise ValueError, which names it, for the first value that is not finite."""
+    """Raise ValueError with the name of the first value that is not finite."""
     _check(values, lambda value: True, 'a finite number')
 
 
 def check_between(low: float, high: float, /, **values: Numbers) -> None:
-    """Raise ValueError, which names it, for the first value that is not from low to high."""
+    """Raise ValueError with the name of the first value outside the range from low to high."""
     _check(values, lambda value: low <= value <= high, f'from {low} to {high}')
 
 
@@ -37,7 +37,7 @@ def _check(values: dict[str, Numbers], holds: Callable[[float], bool], what: str
 
 
 def check_names_once(**names: Sequence[str]) -> None:
-    """Raise ValueError for a list of names that is empty, or has one of them twice."""
+    """Raise ValueError for a list of names that is empty or contains duplicates."""
     for key, given in names.items():
         if not given or len(set(given)) < len(given):
             raise ValueError(f'{key} = {list(given)} must name at least one, each once')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The plane pendulum, the smallest nonlinear mechanism."""
+"""The planar pendulum, the smallest nonlinear mechanism."""
 
 import math
 
@@ -10,7 +10,7 @@ from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
-# Next to its separatrix the elliptic functions lose their digits.
+# Near the separatrix the elliptic functions are inaccurate.
 _SEPARATRIX = 1e-9
 
 
@@ -18,9 +18,9 @@ class Pendulum(AnalyticHamiltonian):
     """
     A bob on a massless rod, H(q, p) = p^2 / (2 m l^2) + m g l (1 - cos q).
 
-    The angle q is measured from the lowest position, where H = 0. The bob swings below
-    H = 2 m g l and turns over above; the separatrix between the two passes p = 2 m l sqrt(g l)
-    at q = 0. Small swings have the angular frequency sqrt(g / l) [rad/s].
+    The angle q is measured from the lowest position, where H = 0. The bob swings below H = 2 m g l
+    and rotates above; the separatrix between both has p = 2 m l sqrt(g l) at q = 0. Small
+    oscillations have the angular frequency sqrt(g / l) [rad/s].
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ class Pendulum(AnalyticHamiltonian):
 
     def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion | None:
         """
-        Return a swing or a turn by Jacobi's elliptic functions; None next to the separatrix.
+        Return the motion by Jacobi's elliptic functions, None near the separatrix.
 
-        With k^2 = H / (2 m g l), a swing (k < 1) has sin(q / 2) = k sn(omega t + u0 | k^2) and a
-        turn (k > 1) has q / 2 = am(k omega t + u0 | 1 / k^2), where omega^2 = g / l.
+        With k^2 = H / (2 m g l), an oscillation (k < 1) has sin(q / 2) = k sn(omega t + u0 | k^2)
+        and a rotation (k > 1) has q / 2 = am(k omega t + u0 | 1 / k^2), where omega^2 = g / l.
         """
-        # Imported here: who only reads a scene needs no special functions.
+        # Imported lazily: reading a scene needs no special functions.
         from scipy.special import ellipj, ellipk, ellipkinc
         omega = math.sqrt(self.gravity / self.length)
         top = 2.0 * omega * self.mass * self.length ** 2
@@ -84,5 +84,5 @@ class Pendulum(AnalyticHamiltonian):
             angle = 2.0 * sign * (amplitude + math.pi * whole)
             momentum = sign * top * k * dn
         path = np.column_stack([angle + 2.0 * math.pi * turns, momentum])
-        # How much longer a swing takes for a change of its energy.
+        # Relative change of the period for a relative change of the energy.
         return ExactMotion(path, max(1.0, 1.0 / abs(1.0 - m)), 'Jacobi elliptic functions')

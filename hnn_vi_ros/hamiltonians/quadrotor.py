@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A rigid body that flies."""
+"""A flying rigid body."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -18,11 +18,11 @@ def _momentum(i: int, q: np.ndarray, p: np.ndarray) -> float:
 
 class Quadrotor(AnalyticHamiltonian):
     """
-    A rigid body under its weight, H = |p|^2 / (2 m) + sum of L_i^2 / (2 I_i) + m g z.
+    A rigid body with its weight, H = |p|^2 / (2 m) + sum of L_i^2 / (2 I_i) + m g z.
 
-    q is the place of its centre of mass, z upwards, then its attitude; the momenta are p in space,
-    then the angular momentum L in the frame of the body. Its rotors are no part of H: the effect
-    ``external_force`` takes their thrust and torques as commands.
+    q is the position of its centre of mass, z upwards, then its attitude; the momenta are p in
+    space, then the angular momentum L in the frame of the body. Rotors are not part of H: the
+    effect ``external_force`` accepts their thrust and torques as commands.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Quadrotor(AnalyticHamiltonian):
     Raises
     ------
     ValueError
-        A constant out of its range, or moments that no body has.
+        A constant is out of its range, or no body has these moments.
 
     References
     ----------
@@ -46,12 +46,12 @@ class Quadrotor(AnalyticHamiltonian):
     """
 
     separable = True
-    # The horizontal momentum [kg m/s], and that of turning, in space [kg m^2/s].
+    # The horizontal momentum [kg m/s], and the spatial angular momentum [kg m^2/s].
     known_invariants = {
         **{f'momentum_{axis}': partial(_momentum, i) for i, axis in enumerate('xy')},
         **{f'spin_{axis}': partial(spatial_component, i) for i, axis in enumerate('xyz')}}
     coordinates = (Coordinate('body', 'm', 'kg m/s', 'pose'),)
-    names = ('x', 'y', 'z', 'a', 'b', 'c', 'd')  # the last four a quaternion
+    names = ('x', 'y', 'z', 'a', 'b', 'c', 'd')  # the last four are a quaternion
     formula = ('(p_x^2 + p_y^2 + p_z^2) / (2 * m)'
                '+ (p_a^2 / I1 + p_b^2 / I2 + p_c^2 / I3) / 2 + weight * z')
 

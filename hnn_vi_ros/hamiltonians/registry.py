@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hamiltonians: analytic ones by name, others by how they are described."""
+"""Hamiltonians: analytic ones by name, others by their description."""
 
 from hnn_vi_ros.hamiltonians.ball_joint_pendulum import BallJointPendulum
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
@@ -31,7 +31,7 @@ HAMILTONIANS = {
     'quadrotor': Quadrotor,
     'tao': Tao,
 }
-# Systems that a scene describes: by a formula, or by a file, which it locates; see scene.
+# Systems defined in a scene by a formula or a file, whose path it resolves; see scene.
 DESCRIBED = {
     'formula': Formula,
     'urdf': RigidBodyTree,

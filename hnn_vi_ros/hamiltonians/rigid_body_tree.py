@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A robot of rigid bodies that a URDF describes."""
+"""A robot of rigid bodies from a URDF."""
 
 from collections.abc import Mapping, Sequence
 from copy import copy
@@ -19,37 +19,37 @@ import numpy as np
 
 class RigidBodyTree(Hamiltonian):
     """
-    A robot that a URDF describes, H = p . M(q)^-1 p / 2 + V(q).
+    A robot from a URDF, H = p . M(q)^-1 p / 2 + V(q).
 
-    Up to 12 joints move, revolute, continuous or prismatic; they name the coordinates. M covers
-    the links and the rotors; V = -sum of m g . c over the links that
-    move, with centres of mass c from the origin of the base. Nothing else acts: limits, damping
-    and friction of the URDF do where a scene lists effects for them.
+    Up to 12 joints move, revolute, continuous or prismatic; their names are the names of the
+    coordinates. M includes the links and the rotors; V = -sum of m g . c over the moving links,
+    with centres of mass c relative to the origin of the base. Limits, damping and friction of the
+    URDF act only if a scene lists the effects `joint_limits` and `joint_friction`.
 
     Parameters
     ----------
     file : str
-        The URDF: a path, from the folder of the scene or else the working directory, or
-        package://PACKAGE/PATH in an installed ROS package; what its meshes are is not read.
+        The URDF: a path, relative to the folder of the scene or else the working directory, or
+        package://PACKAGE/PATH in an installed ROS package; meshes are not read.
     joints : list of str, optional
-        The joints that move, in the order of the coordinates; default: all that are not locked,
+        The moving joints, in the order of the coordinates; by default all that are not locked,
         from the base to the tips.
     locked : dict of str to float, optional
-        Joints that do not move, and where they are held [rad], [m].
+        Joints that do not move, and their values [rad], [m].
     gravity : sequence of float
-        The acceleration of free fall, three numbers in the frame of the base [m/s^2].
+        Acceleration of gravity, three numbers in the frame of the base [m/s^2].
     base : str, optional
-        The link that rests; what is not behind it is left out. Default: the root of the tree.
+        The fixed link; links that are not behind it are ignored. Default: the root of the tree.
     rotor_inertia : dict of str to float, optional
-        Inertia of the rotors behind joints as the joints feel it, that is times the square of the
-        gear ratio [kg m2], [kg].
+        Inertias of the rotors behind joints, reduced to the joint, that is multiplied by the
+        square of the gear ratio [kg m2], [kg].
 
     Raises
     ------
     ModelError
-        The file cannot be read, or describes what cannot be simulated.
+        The file cannot be read, or its robot cannot be simulated.
     ValueError
-        An argument that cannot be used.
+        An argument is invalid.
 
     """
 
@@ -81,7 +81,7 @@ class RigidBodyTree(Hamiltonian):
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
+        """Return the functions for simulations."""
         return tree_kernel(self.bodies)
 
 

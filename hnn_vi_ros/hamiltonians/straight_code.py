@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a formula to the functions of a kernel: code without loops, the same for all parameters."""
+"""Conversion of a formula to the functions of a kernel: code without loops, for any parameters."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, cached_property
@@ -23,17 +23,17 @@ NAME = r'^[^\W\d]\w*$'
 
 class AnalyticHamiltonian(Hamiltonian):
     """
-    A Hamiltonian whose formula is known.
+    A Hamiltonian given by a formula.
 
     Attributes
     ----------
     names : sequence of str
-        The names that the formula has for the columns of q; those of momenta begin with p.
-        Columns of momenta that there are not, as of a quaternion's fourth, stay zero.
+        Names of the columns of q in the formula; momenta have the prefix p. Missing columns of
+        momenta, such as the fourth of a quaternion, stay zero.
     formula : str
         H, in these names and those of constants.
     constants : dict of str to float
-        Their values.
+        Values of the constants.
 
     """
 
@@ -43,7 +43,7 @@ class AnalyticHamiltonian(Hamiltonian):
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
+        """Return the functions for simulations."""
         graph = Graph()
         root = read_hamiltonian(graph, self.names, self.formula, self.constants).root
         momenta = [f'p_{name}' for name in self.names]
@@ -53,12 +53,12 @@ class AnalyticHamiltonian(Hamiltonian):
 
 def read_hamiltonian(graph: Graph, names: Sequence[str], text: str,
                      parameters: Mapping[str, float]) -> Reader:
-    """Return H as it was read, the momentum of each coordinate c as p_c; see read_formula."""
+    """Return H as parsed, with the momentum of each coordinate c named p_c; see read_formula."""
     momenta = {f'p_{name}': name for name in names}
     momenta |= {own: name for name in names
                 if (own := momentum_name(name)) not in {*momenta, *names, *parameters}}
     check_names('parameters', [*parameters], {*names, *momenta})
-    # What the momenta are called makes no difference to the code.
+    # The code does not depend on the names of momenta.
     return read_formula('H', graph, text, [*names, *momenta], parameters, {
         name: f'p_{coordinate}' for name, coordinate in momenta.items()})
 
@@ -66,16 +66,16 @@ def read_hamiltonian(graph: Graph, names: Sequence[str], text: str,
 def graph_kernel(graph: Graph, root: int, names: Sequence[str], momenta: Sequence[str],
                  parameters: Mapping[str, float]) -> Kernel:
     """
-    Return the functions of H as straight code, the same for all values of the parameters.
+    Return the functions of H as code without loops, the same for all values of the parameters.
 
     Parameters
     ----------
     graph : Graph
-        Where H is; its derivatives are added.
+        The graph with H, to which its derivatives are added.
     root : int
         H.
     names, momenta : sequence of str
-        What the d coordinates and their momenta are called.
+        Names of the d coordinates and their momenta.
     parameters : mapping of str to float
         Values of the other names.
 
@@ -106,16 +106,16 @@ def graph_kernel(graph: Graph, root: int, names: Sequence[str], momenta: Sequenc
 
 class Code:
     """
-    Functions made of a graph.
+    Functions generated from a graph.
 
     Parameters
     ----------
     graph : Graph
-        With all that they compute.
+        The graph with all results.
     constants : sequence of int
-        Nodes that come as the parameters of the functions, in this order.
+        Nodes whose values are the parameters of the functions, in this order.
     inputs : mapping of str to str
-        Where the other names are found, such as ``q[k + 0]``.
+        Expressions for the other names, such as ``q[k + 0]``.
 
     """
 
@@ -130,17 +130,17 @@ class Code:
         Parameters
         ----------
         name : str
-            What it is called.
+            Its name.
         arguments : str
-            After ``parameters``.
+            Its arguments after ``parameters``.
         outputs : sequence of str
-            Where it puts the nodes, or adds them to; none: it returns the one that there is.
+            Targets of the nodes, assigned or added to; without any, the single node is returned.
         roots : sequence of int
             The nodes.
         head : str, optional
             Its first line, a loop or a statement.
         add : bool, optional
-            Whether the nodes are added to what is there.
+            True to add the nodes to the targets.
 
         """
         graph = self._graph
@@ -167,9 +167,9 @@ class Code:
 
 @cache
 def _compile(name: str, source: str) -> Callable[..., Any]:
-    """Return the function of generated source, which holds nothing of a user's text."""
+    """Return the function of generated source, which contains no text of a user."""
     namespace: dict[str, Any] = {'np': np, '__name__': __name__}
-    # As a part of this file its machine code is kept beside that of the other systems.
+    # As a part of this file, its machine code is cached like that of the other systems.
     exec(compile(source, __file__, 'exec'), namespace)
     function: Callable[..., Any] = namespace[name]
     function.__qualname__ = f'{name}_{sha256(source.encode()).hexdigest()[:16]}'
@@ -177,7 +177,7 @@ def _compile(name: str, source: str) -> Callable[..., Any]:
 
 
 def constants_of(graph: Graph, roots: Sequence[int], names: Iterable[str]) -> list[int]:
-    """Return the largest parts of nodes that do not depend on names and are no numbers."""
+    """Return the largest subexpressions that do not depend on names and are not numbers."""
     moving = graph.depending(roots, names)
     fixed = {part for a in moving for part in graph.arguments(a)} | set(roots)
     return sorted(a for a in fixed - moving if graph.nodes[a][0] != 'number')
@@ -187,27 +187,27 @@ def read_formula(key: str, graph: Graph, text: str, names: Sequence[str],
                  parameters: Mapping[str, float],
                  called: Mapping[str, str] = MappingProxyType({})) -> Reader:
     """
-    Return a formula whose names are known, all of whose parameters are used.
+    Return a formula after a check that all names are known and all parameters are used.
 
     Parameters
     ----------
     key : str
-        What the user calls it, for errors.
+        Name of the formula in error messages.
     graph : Graph
-        Where it is put.
+        The graph to extend.
     text : str
         The formula.
     names : sequence of str
-        Of what changes.
+        Names of the variables.
     parameters : mapping of str to float
-        Of what does not.
+        Values of the constants.
     called : mapping of str to str, optional
         Other names for some of the names.
 
     Raises
     ------
     ValueError
-        It cannot be read, or a name is not known or not used.
+        The formula is invalid, or a name is unknown or unused.
 
     """
     check_finite(**{f'parameters {name}': value for name, value in parameters.items()})
@@ -229,12 +229,12 @@ def read_formula(key: str, graph: Graph, text: str, names: Sequence[str],
 
 def check_names(key: str, names: Sequence[str], taken: Iterable[str] = (),
                 most: int = 1000) -> None:
-    """Raise ValueError unless these are names, each once, that a formula can have."""
+    """Raise ValueError unless these are distinct valid names for a formula."""
     taken = {'pi', *FUNCTIONS, *taken}
     if len(names) > most:
         raise ValueError(f'{key}: {len(names)} of them; give at most {most}')
     for i, name in enumerate(names):
-        # fullmatch: `$` alone lets a line break follow.
+        # fullmatch: `$` alone would accept a trailing line break.
         if not re.fullmatch(NAME, name):
             raise ValueError(f'{key} {name!r:.60} must be a letter or underscore, then letters, '
                              'digits, underscores')
@@ -243,7 +243,7 @@ def check_names(key: str, names: Sequence[str], taken: Iterable[str] = (),
 
 
 def _largest_term(graph: Graph, roots: Sequence[int], parameters: Mapping[str, float]) -> float:
-    """Return the largest bound of a term of some sums, of the terms that have one; else 0."""
+    """Return the largest bound of a term of some sums, over terms that have a bound; else 0."""
     moving = graph.depending(roots, {
         node[1] for node in graph.nodes if node[0] == 'name'} - parameters.keys())
     fixed = graph.values([a for a in graph.needed(roots) if a not in moving], parameters)
@@ -259,7 +259,7 @@ def _largest_term(graph: Graph, roots: Sequence[int], parameters: Mapping[str, f
             bounds[a] = math.prod(parts) if kind == 'product' else sum(parts)
         else:
             bounds[a] = {'cos': 1.0, 'sin': 1.0, 'tanh': 1.0, 'versine': 2.0}.get(kind, math.inf)
-    # A term alone is as exact as its size says.
+    # The error of a single term is relative to its size.
     terms, rest = [0.0], [a for a in roots if graph.nodes[a][0] == 'sum']
     while rest:
         a = rest.pop()

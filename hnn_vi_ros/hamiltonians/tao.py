@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tao's non-separable Hamiltonian, the standard test of methods for such systems."""
+"""Tao's non-separable Hamiltonian, the standard test for non-separable systems."""
 
 
 from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
@@ -9,9 +9,9 @@ from hnn_vi_ros.phase_space import Coordinate
 
 class Tao(AnalyticHamiltonian):
     """
-    H(q, p) = (q^2 + 1) (p^2 + 1) / 2, in which coordinate and momentum do not separate.
+    H(q, p) = (q^2 + 1) (p^2 + 1) / 2, which is not separable.
 
-    All quantities are without unit. Its orbits are closed, and its mixed derivative is 2 q p.
+    All quantities are dimensionless. Its orbits are closed, and its mixed derivative is 2 q p.
 
     References
     ----------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The functions of a rigid body that turns about a point, in a uniform field or in none."""
+"""Functions of a rigid body that rotates about a point, in a uniform field or in none."""
 
 from collections.abc import Sequence
 
@@ -29,7 +29,7 @@ def spatial_momentum(q: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def spatial_component(axis: int, q: np.ndarray, p: np.ndarray) -> float:
-    """Return a component in space of the angular momentum of a body, whose attitude ends q."""
+    """Return a spatial component of the angular momentum of a body; q ends with its attitude."""
     return float(spatial_momentum(q[-4:], p[-3:])[axis])
 
 
@@ -47,7 +47,7 @@ class TurningBody(AnalyticHamiltonian):
     inertia : sequence of float
         I1, I2, I3 about the body's axes [kg m^2].
     moment : float
-        m g l [N m], with l the place of the centre of mass on the third axis; 0 for no weight.
+        m g l [N m], with the centre of mass at l on the third axis; 0 for no weight.
 
     """
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of mechanisms: lines, boxes, balls and trails in metres, which know no viewer."""
+"""Parts of mechanisms: lines, boxes, balls and trails in metres, independent of the viewer."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Line:
 
     @property
     def moves(self) -> bool:
-        """Return whether the part has a place for each q, rather than one for all."""
+        """Return True if the part has a position for each q, False if it has a single one."""
         return self.points.ndim > 2
 
 
@@ -59,7 +59,7 @@ class Box:
 
     @property
     def moves(self) -> bool:
-        """Return whether the part has a place for each q, rather than one for all."""
+        """Return True if the part has a position for each q, False if it has a single one."""
         return self.center.ndim > 1
 
 
@@ -85,19 +85,19 @@ class Ball:
 
     @property
     def moves(self) -> bool:
-        """Return whether the part has a place for each q, rather than one for all."""
+        """Return True if the part has a position for each q, False if it has a single one."""
         return self.center.ndim > 1
 
 
 @dataclass(frozen=True)
 class Trail:
     """
-    A point that leaves a line behind it, as long as a viewer remembers where it was.
+    A point that leaves a trail of its past positions, as far as a viewer stores them.
 
     Parameters
     ----------
     point : np.ndarray, shape (..., 3)
-        Its place [m].
+        Its position [m].
     radius : float
         Radius of the line's cross-section [m].
     color : tuple of int
@@ -111,7 +111,7 @@ class Trail:
 
     @property
     def moves(self) -> bool:
-        """Return whether the part has a place for each q, rather than one for all."""
+        """Return True if the part has a position for each q, False if it has a single one."""
         return self.point.ndim > 1
 
 
@@ -120,7 +120,7 @@ Mechanism = Callable[[np.ndarray, float], dict[str, Part]]
 
 
 def place(x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float) -> np.ndarray:
-    """Return points of these coordinates, which are broadcast against each other, (..., 3)."""
+    """Return points with these coordinates, which are broadcast against each other, (..., 3)."""
     return np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(np.float64)
 
 

@@ -1,12 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Bodies to draw: a scene's coordinates as lines, boxes and balls in metres.
+Mechanisms for display: a scene's coordinates as lines, boxes and balls in metres.
 
-A mechanism is a function ``(q, reach) -> {part name: Line | Box | Ball | Trail}``. It knows no
-viewer and no message type, so that one description serves every display. Axes follow REP 103:
-z points up.
-A part that moves carries the leading axes of q; a part that stands still has none.
+A mechanism is a function ``(q, reach) -> {part name: Line | Box | Ball | Trail}``. It does not
+depend on a viewer or a message type, so one description serves every display. Axes follow REP 103:
+z points up. A moving part has the leading axes of q; a fixed part has none.
 """
 
 from collections.abc import Sequence
@@ -15,25 +14,25 @@ from hnn_vi_ros.hamiltonians.mechanisms.parts import (
     AMBER, Ball, Box, Line, Mechanism, Part, place, SILVER, STEEL, Trail)
 import numpy as np
 
-# Angles of the corners of a circle, which the last of them closes.
+# Angles of the corners of a closed circle.
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
 
 
 def pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw a bob on a rod that swings about y; it hangs down along -z at rest, in q = 0.
+    Return a bob on a rod that swings about y and hangs along -z at rest, at q = 0.
 
     Parameters
     ----------
     q : np.ndarray, shape (..., 1)
         Angle from the lowest position [rad], positive towards x.
     reach : float
-        Without effect: a rod is drawn 1 m long, whatever the angles are.
+        Unused: the rod is 1 m long for all angles.
 
     Returns
     -------
     dict of str to Part
-        The parts ``circle``, on which the bob moves, ``pivot``, ``rod``, ``bob`` and its ``path``.
+        Parts ``circle``, the path of the bob, ``pivot``, ``rod``, ``bob`` and its ``path``.
 
     """
     return _swinging(np.asarray(q, dtype=np.float64)[..., :1], ('rod',), ('bob',))
@@ -41,19 +40,19 @@ def pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
 
 def double_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw a bob on a rod that hangs from the bob of another, as :func:`pendulum` does.
+    Return a bob on a rod that hangs from the bob of another, as in :func:`pendulum`.
 
     Parameters
     ----------
     q : np.ndarray, shape (..., 2)
         Angles of the upper and the lower rod from the vertical [rad], positive towards x.
     reach : float
-        Without effect: a rod is drawn 1 m long, whatever the angles are.
+        Unused: each rod is 1 m long for all angles.
 
     Returns
     -------
     dict of str to Part
-        The parts ``circle``, which the lower bob cannot leave, ``pivot``, ``rod1``, ``bob1``,
+        Parts ``circle``, which the lower bob cannot leave, ``pivot``, ``rod1``, ``bob1``,
         ``rod2``, ``bob2`` and its ``path``.
 
     """
@@ -62,20 +61,20 @@ def double_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
 
 def cartesian_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw a bob by its place, on a rod from the origin.
+    Return a bob by its position, on a rod from the origin.
 
     Parameters
     ----------
     q : np.ndarray, shape (..., 2) or (..., 3)
         x and z of the bob in the plane y = 0, or its x, y and z [m].
     reach : float
-        Largest coordinate that the drawing leaves room for [m]; it sets every other length.
+        Largest coordinate in the drawing [m]; it determines all other lengths.
 
     Returns
     -------
     dict of str to Part
-        The parts ``pivot``, ``rod``, as long as the bob is away from the origin, ``bob`` and its
-        ``path``.
+        Parts ``pivot``, ``rod``, as long as the distance of the bob from the origin, ``bob`` and
+        its ``path``.
 
     """
     q = np.asarray(q, dtype=np.float64)
@@ -90,7 +89,7 @@ def cartesian_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
 
 def _swinging(angles: np.ndarray, rods: tuple[str, ...], bobs: tuple[str, ...]
               ) -> dict[str, Part]:
-    """Draw rods of 1 m, each from the bob of the one before, with angles of shape (..., rods)."""
+    """Return rods of 1 m, each from the previous bob, with angles of shape (..., rods)."""
     steps = place(np.sin(angles), 0.0, -np.cos(angles))
     joints = np.concatenate([np.zeros_like(steps[..., :1, :]), np.cumsum(steps, axis=-2)], axis=-2)
     circle = len(rods) * place(np.sin(_ROUND), 0.0, -np.cos(_ROUND))
@@ -106,25 +105,25 @@ def _swinging(angles: np.ndarray, rods: tuple[str, ...], bobs: tuple[str, ...]
 
 STIFF = (88, 166, 255)
 COILS, SOFT_COILS, STIFF_COILS = 9, 5, 7
-# A part each for every mass and spring: more would neither be seen nor drawn in time.
+# Each mass and spring is a part; more would be neither visible nor drawn in time.
 MOST_PAIRS = 20
 
 
 def mass_spring(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw a mass that a spring ties to a wall; the mass slides along x, at rest in x = 0.
+    Return a mass on a spring from a wall; the mass slides along x, at rest at x = 0.
 
     Parameters
     ----------
     q : np.ndarray, shape (..., 1)
         Displacement of the mass [m].
     reach : float
-        Largest displacement that the drawing leaves room for [m]; it sets every other length.
+        Largest displacement in the drawing [m]; it determines all other lengths.
 
     Returns
     -------
     dict of str to Part
-        The parts ``wall``, ``floor``, ``spring`` and ``mass``.
+        Parts ``wall``, ``floor``, ``spring`` and ``mass``.
 
     """
     x = np.asarray(q, dtype=np.float64)[..., 0]
@@ -143,7 +142,7 @@ def mass_spring(q: np.ndarray, reach: float) -> dict[str, Part]:
 
 def spring_chain(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw the chain of :class:`~hnn_vi_ros.hamiltonians.fput_chain.FputChain` between two walls.
+    Return the :class:`~hnn_vi_ros.hamiltonians.fput_chain.FputChain` between two walls.
 
     Parameters
     ----------
@@ -152,13 +151,13 @@ def spring_chain(q: np.ndarray, reach: float) -> dict[str, Part]:
         MOST_PAIRS; the masses of pair i are displaced by (c_i - s_i) / sqrt(2) and
         (c_i + s_i) / sqrt(2).
     reach : float
-        Largest coordinate that the drawing leaves room for [m]; it sets every other length.
+        Largest coordinate in the drawing [m]; it determines all other lengths.
 
     Returns
     -------
     dict of str to Part
-        The parts ``wall1``, ``wall2`` and ``floor``, the soft springs ``soft0`` to ``soft<m>``,
-        the stiff ones ``stiff1`` to ``stiff<m>``, and ``mass1`` to ``mass<2 m>``.
+        Parts ``wall1``, ``wall2`` and ``floor``, the soft springs ``soft0`` to ``soft<m>``, the
+        stiff ones ``stiff1`` to ``stiff<m>``, and ``mass1`` to ``mass<2 m>``.
 
     """
     q = np.asarray(q, dtype=np.float64)
@@ -168,7 +167,7 @@ def spring_chain(q: np.ndarray, reach: float) -> dict[str, Part]:
     rest = soft * np.arange(1, m + 1)[:, None] + stiff * (np.arange(m)[:, None] + np.array([0, 1]))
     end = soft * (m + 1) + stiff * m
     x = (rest - 0.5 * end + moved).reshape(*q.shape[:-1], 2 * m)
-    # Where each spring begins and ends: at a wall, or at the faces of two masses.
+    # Ends of each spring: a wall, or the face of a mass.
     wall = np.full_like(x[..., :1], 0.5 * end)
     begins = np.concatenate([-wall, x + half], axis=-1)
     ends = np.concatenate([x - half, wall], axis=-1)
@@ -199,26 +198,26 @@ def _zigzag(start: np.ndarray, end: np.ndarray, height: float, width: float, coi
 
 
 SUN, FIELD, LIMIT = (255, 221, 120), (88, 166, 255), (255, 123, 114)
-# Field lines along each side of the frame.
+# Number of field lines along each side of the frame.
 FIELD_LINES = 7
 
 
 def kepler(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw a body that moves around a centre in the plane z = 0.
+    Return a body that moves around a centre in the plane z = 0.
 
     Parameters
     ----------
     q : np.ndarray, shape (..., 2)
         x and y of the body [m].
     reach : float
-        Largest coordinate that the drawing leaves room for [m]; it sets every other length.
+        Largest coordinate in the drawing [m]; it determines all other lengths.
 
     Returns
     -------
     dict of str to Part
-        The parts ``circle`` of radius ``reach``, ``centre``, ``ray`` from there to the body,
-        ``body`` and its ``path``.
+        Parts ``circle`` of radius ``reach``, ``centre``, ``ray`` from there to the body, ``body``
+        and its ``path``.
 
     """
     body = _in_plane(q)
@@ -233,19 +232,19 @@ def kepler(q: np.ndarray, reach: float) -> dict[str, Part]:
 
 def henon_heiles(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw a star in the plane z = 0, in the triangle that it cannot leave below H = 1/6.
+    Return a star in the plane z = 0, in the triangle that it cannot leave below H = 1/6.
 
     Parameters
     ----------
     q : np.ndarray, shape (..., 2)
         x and y of the star [1].
     reach : float
-        Without effect: the triangle has its corners in (0, 1) and (+-sqrt(3) / 2, -1/2).
+        Unused: the triangle has its corners at (0, 1) and (+-sqrt(3) / 2, -1/2).
 
     Returns
     -------
     dict of str to Part
-        The parts ``triangle``, ``star`` and its ``path``.
+        Parts ``triangle``, ``star`` and its ``path``.
 
     """
     corner = 2.0 * np.pi * (0.25 + np.arange(4) / 3.0)
@@ -259,20 +258,19 @@ def henon_heiles(q: np.ndarray, reach: float) -> dict[str, Part]:
 
 def charged_particle(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw a particle in the plane z = 0 among the lines of a field along z.
+    Return a particle in the plane z = 0, with field lines along z.
 
     Parameters
     ----------
     q : np.ndarray, shape (..., 2)
         x and y of the particle [m].
     reach : float
-        Largest coordinate that the drawing leaves room for [m]; it sets every other length.
+        Largest coordinate in the drawing [m]; it determines all other lengths.
 
     Returns
     -------
     dict of str to Part
-        The parts ``frame``, around what the drawing leaves room for, ``field<i>``,
-        ``particle`` and its ``path``.
+        Parts ``frame``, the boundary of the drawing, ``field<i>``, ``particle`` and its ``path``.
 
     """
     corner = np.array([-1.0, 1.0, 1.0, -1.0, -1.0])
@@ -290,19 +288,19 @@ def charged_particle(q: np.ndarray, reach: float) -> dict[str, Part]:
 
 def bouncing_mass(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw a mass above a floor, which it touches in z = 0.
+    Return a mass above a floor, with contact at z = 0.
 
     Parameters
     ----------
     q : np.ndarray, shape (..., 1)
         Height of the lower face of the mass [m].
     reach : float
-        Largest height that the drawing leaves room for [m]; it sets every other length.
+        Largest height in the drawing [m]; it determines all other lengths.
 
     Returns
     -------
     dict of str to Part
-        The parts ``floor``, ``rail``, on which the height can be read, ``tick<i>`` and ``mass``.
+        Parts ``floor``, ``rail``, a scale of the height, ``tick<i>`` and ``mass``.
 
     """
     z = np.asarray(q, dtype=np.float64)[..., 0]
@@ -325,28 +323,28 @@ def _in_plane(q: np.ndarray) -> np.ndarray:
 
 
 RED, GREEN, BLUE = (235, 87, 87), (86, 190, 100), (88, 136, 255)
-# Corners of a cube, by number, in an order that goes along each of its edges at least once.
+# Corners of a cube by index, in an order that passes each of its edges at least once.
 _EDGES = (0, 1, 3, 2, 0, 4, 5, 1, 5, 7, 3, 7, 6, 2, 6, 4)
 
 
 def turning_body(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
-    Draw a body as the edges of a flat box, with its axes, and the path that it has come.
+    Return a body as the edges of a flat box, with its axes and its path.
 
     Parameters
     ----------
     q : np.ndarray, shape (..., 4) or (..., 7)
-        Its attitude, a quaternion x, y, z, w that takes vectors of the body to space; or its place
-        [m] and its attitude. Without a place it turns about the origin, and the path is that of
-        the end of its third axis; the vertical and a horizontal circle show how it stands.
+        Its attitude, a quaternion x, y, z, w that maps vectors of the body to space; or its
+        position [m] and attitude. Without a position it rotates about the origin, with the path of
+        the end of its third axis; the vertical and a horizontal circle show its orientation.
     reach : float
-        Largest coordinate that the drawing leaves room for [m]; it sets every other length.
+        Largest coordinate in the drawing [m]; it determines all other lengths.
 
     Returns
     -------
     dict of str to Part
-        The parts ``body``, ``x_axis``, ``y_axis`` and ``z_axis``, red, green and blue, and
-        ``path``; of one without a place ``vertical`` and ``circle`` as well.
+        Parts ``body``, ``x_axis``, ``y_axis`` and ``z_axis``, red, green and blue, and ``path``;
+        without a position also ``vertical`` and ``circle``.
 
     """
     q = np.asarray(q, dtype=np.float64)
@@ -373,7 +371,7 @@ def turning_body(q: np.ndarray, reach: float) -> dict[str, Part]:
     return parts
 
 
-# Each mechanism, and the numbers of columns of q that it draws.
+# Each mechanism, and the number of columns of q that it draws.
 _COLUMNS: dict[Mechanism, Sequence[int]] = {
     bouncing_mass: (1,),
     cartesian_pendulum: (2, 3),
@@ -388,5 +386,5 @@ _COLUMNS: dict[Mechanism, Sequence[int]] = {
 }
 MECHANISMS = {draw.__name__: draw for draw in _COLUMNS}
 COORDINATES = {draw.__name__: columns for draw, columns in _COLUMNS.items()}
-# Those of bodies that turn.
+# Mechanisms of rotating bodies.
 ROTATING = frozenset(('turning_body',))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Skeletons of robots: a bone from each joint of a URDF to the next, whatever shapes it names."""
+"""Skeletons of robots: a bone from each joint of a URDF to the next, without its shapes."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -20,28 +20,28 @@ import numpy as np
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-# Radii of bones and joints, over the size of the robot.
+# Radii of bones and joints, relative to the size of the robot.
 _BONE, _JOINT = 0.012, 0.025
-# Larger files of a shape are not shown [bytes].
+# Maximum size of a shape file [bytes].
 _LARGEST_SHAPE = 256_000_000
 _FILENAME = re.compile(r'\bfilename\s*=\s*("[^"]*"|\'[^\']*\')')
 
 
 def moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, 'Rotation']:
     """
-    Return where the child of a joint is in the frame of its parent.
+    Return the pose of the child of a joint in the frame of its parent.
 
     Parameters
     ----------
     joint : Joint
-        Of a URDF.
+        A joint of a URDF.
     values : np.ndarray, shape (n,)
-        Its coordinate [rad], [m].
+        Values of its coordinate [rad], [m].
 
     Returns
     -------
     tuple of (np.ndarray, shape (n, 3), Rotation)
-        Place [m] and attitudes.
+        Positions [m] and attitudes.
 
     """
     from scipy.spatial.transform import Rotation  # slow to import
@@ -52,18 +52,18 @@ def moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, 'Rotation']:
 
 
 def tip_of(link: Link) -> np.ndarray | None:
-    """Return about where a link ends that carries none: twice as far as its mass; else None."""
+    """Return the estimated end of a link without joints, twice its centre of mass; else None."""
     return None if link.inertial is None or link.joints else 2.0 * link.inertial.centre
 
 
 def bones(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> dict[str, np.ndarray]:
     """
-    Return where bones begin and end on a path, by the joint or the last link that they lead to.
+    Return the ends of bones on a path, by the joint or the last link at their end.
 
     Parameters
     ----------
     robot : Robot
-        Its links; a joint that is no coordinate is where it is held, or at zero.
+        Its links; a joint that is not a coordinate is at its locked value, or at zero.
     coordinates : sequence of str
         The joints that move, in the order of q.
     q : np.ndarray, shape (n, d)
@@ -72,7 +72,7 @@ def bones(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> dict[str, 
     Returns
     -------
     dict of str to np.ndarray, shape (n, 2, 3)
-        Places [m].
+        Positions [m].
 
     """
     from scipy.spatial.transform import Rotation  # slow to import
@@ -94,7 +94,7 @@ def bones(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> dict[str, 
 
 
 def skeleton(robot: Robot, coordinates: Sequence[str]) -> Mechanism:
-    """Return what draws a robot as lines, with a ball at each joint that moves; see bones."""
+    """Return the mechanism of a robot: lines, with a ball at each moving joint; see bones."""
     return partial(_draw, robot, [*coordinates])
 
 
@@ -114,21 +114,21 @@ def _draw(robot: Robot, coordinates: Sequence[str], q: np.ndarray, reach: float
 
 def shapes_of(robot: Robot) -> tuple[str, str]:
     """
-    Return the URDF of a robot that names no file but its meshes and textures, and what it lacks.
+    Return the URDF of a robot with only its meshes and textures as files, and a warning.
 
-    Files are found by their whole paths. Only regular files of limited size count, in the folder
-    of the URDF or in the package that holds it or that they name: those who open them would
-    wait for a FIFO, never come to the end of a device, and show any file of this machine.
+    Files are replaced by absolute paths. Only regular files of limited size are accepted, in the
+    folder of the URDF or in a package that contains it or that they name: a viewer that opened
+    others would wait for a FIFO, read a device without end, or show any file of this machine.
 
     Parameters
     ----------
     robot : Robot
-        Read from a file.
+        A robot read from a file.
 
     Returns
     -------
     tuple of (str, str)
-        The text, and a line on shapes that are not there, empty if all are.
+        The text, and a line on missing shapes, '' if there are none.
 
     """
     files = {name: _shape_file(name, Path(robot.where))
@@ -153,7 +153,7 @@ def shapes_of(robot: Robot) -> tuple[str, str]:
 
 
 def _shape_file(name: str, urdf: Path) -> tuple[Path, str]:
-    """Return the file of a shape, and why it cannot be used, empty if it can."""
+    """Return the file of a shape, and the reason it cannot be used, '' if it can."""
     folder = Path(os.path.abspath(urdf)).parent
     try:
         path = package_file(name) if name.startswith(SCHEME) else \
@@ -163,7 +163,7 @@ def _shape_file(name: str, urdf: Path) -> tuple[Path, str]:
     packages = [one for one in (path.parent, *path.parents) if (one / 'package.xml').is_file()]
     own = next((one for one in (folder, *folder.parents) if (one / 'package.xml').is_file()), None)
     inside = [folder.resolve() in path.resolve().parents]
-    # In a workspace that was built with links, files of a package are links to their sources.
+    # In a workspace built with links, files of a package are links to their sources.
     inside += [one in Path(os.path.normpath(path)).parents
                for one in [own, *(packages if name.startswith(SCHEME) else [])] if one]
     if not any(inside):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A robot as a URDF describes it: links and the joints between them."""
+"""A robot from a URDF: links and the joints between them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,10 +10,10 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
-# Joints with one coordinate, and those without.
+# Joints with one coordinate, and without.
 TURNING, SLIDING, RIGID = ('revolute', 'continuous'), 'prismatic', 'fixed'
 KINDS = (*TURNING, SLIDING, RIGID)
-# Slack for a file's rounded digits: relative to the largest moment of inertia, and [kg m2].
+# Tolerance for rounded digits in a file: relative to the largest moment of inertia, and [kg m2].
 _ROUNDING, _NOTHING = 1e-6, 1e-12
 
 _NUMBERS = ('mass', 'centre_x', 'centre_y', 'centre_z', 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
@@ -44,11 +44,11 @@ class Inertial:
     Parameters
     ----------
     mass : float
-        [kg].
+        Mass [kg].
     centre : np.ndarray, shape (3,)
-        Its centre of mass, in the frame of the link [m].
+        Centre of mass in the frame of the link [m].
     moments : np.ndarray, shape (3, 3)
-        Its inertia about the centre of mass, in the axes of the link [kg m2].
+        Inertia about the centre of mass, in the axes of the link [kg m2].
 
     """
 
@@ -58,18 +58,18 @@ class Inertial:
 
     @classmethod
     def of(cls, numbers: Sequence[float]) -> 'Inertial':
-        """Return the inertia of these ``numbers``."""
+        """Return the inertia with these ``numbers``."""
         (mass, *centre), moments = numbers[:4], np.zeros((3, 3))
         moments[_MOMENTS] = moments[_MOMENTS[::-1]] = numbers[4:]
         return cls(mass, np.array(centre), moments)
 
     def numbers(self) -> list[float]:
-        """Return mass, centre and moments, one after another, as _NUMBERS names them."""
+        """Return mass, centre and moments in sequence, in the order of _NUMBERS."""
         return [self.mass, *self.centre, *self.moments[_MOMENTS]]
 
     @property
     def fault(self) -> str:
-        """Return why no body has this mass and these moments of inertia; empty if one has."""
+        """Return the reason no body has this mass and these moments of inertia, '' if one has."""
         low, middle, high = np.linalg.eigvalsh(self.moments)
         room = _NOTHING + _ROUNDING * abs(high)
         text = f'principal moments of inertia {low:g}, {middle:g}, {high:g} kg m2'
@@ -88,16 +88,16 @@ class Inertial:
 @dataclass(frozen=True)
 class Limits:
     """
-    Limits of a joint; None where the file does not say.
+    Limits of a joint; None if not in the file.
 
     Parameters
     ----------
     lower, upper : float or None
-        Of the coordinate [rad] or [m].
+        Limits of the coordinate [rad] or [m].
     velocity : float or None
-        [rad/s] or [m/s].
+        Velocity limit [rad/s] or [m/s].
     effort : float or None
-        [N m] or [N].
+        Effort limit [N m] or [N].
 
     """
 
@@ -117,23 +117,23 @@ class Joint:
     name : str
         Its name.
     kind : str
-        The URDF's type, also one that is not in KINDS.
+        The URDF's type, which may be missing in KINDS.
     place : str
         ``file:line: joint 'name'``, for errors.
     parent, child : str
-        The links that it joins.
+        The links that it connects.
     origin : np.ndarray, shape (3,)
-        Of the child, in the frame of the parent [m], where the coordinate is zero.
+        Origin of the child in the frame of the parent [m], at coordinate zero.
     rotation : np.ndarray, shape (3, 3)
-        Of the child's frame from the parent's.
+        Rotation of the child's frame from the parent's.
     axis : np.ndarray, shape (3,)
-        A unit vector in the child's frame.
+        Unit vector in the child's frame.
     limits : Limits
-        They act only through an effect that a scene lists, as do the next two.
+        Limits; like damping and friction they act only through an effect of a scene.
     damping : float
-        Of the force -damping q' [N m s/rad] or [N s/m].
+        Coefficient of the force -damping q' [N m s/rad] or [N s/m].
     friction : float
-        Static [N m] or [N].
+        Static friction [N m] or [N].
     mimics : str or None
         The joint that this one follows.
 
@@ -154,21 +154,21 @@ class Joint:
 
     @property
     def units(self) -> Units:
-        """Return its units."""
+        """Return the units of the joint."""
         return Units.of(self.kind)
 
     @property
     def moves(self) -> bool:
-        """Return whether it has a coordinate."""
+        """Return True if it has a coordinate."""
         return self.kind in (*TURNING, SLIDING)
 
     @property
     def bounds(self) -> tuple[float | None, float | None]:
-        """Return the limits of its coordinate; None where it has none."""
+        """Return the limits of its coordinate, None where it has none."""
         lower, upper = self.limits.lower, self.limits.upper
         if self.kind == 'continuous' or (lower is None and upper is None):
             return None, None
-        # A single missing one is 0, by the format.
+        # A single missing limit is 0 in the format.
         return lower or 0.0, upper or 0.0
 
 
@@ -184,9 +184,9 @@ class Link:
     place : str
         ``file:line: link 'name'``, for errors.
     inertial : Inertial or None
-        None where it weighs nothing.
+        Inertia; None for a massless link.
     joints : tuple of Joint
-        Those on it that carry others.
+        Joints on it that carry other links.
 
     """
 
@@ -204,15 +204,15 @@ class Robot:
     Parameters
     ----------
     name : str
-        That the file gives it.
+        Name in the file.
     links : dict of str to Link
-        By name.
+        Links by name.
     root : str
-        The link that no joint carries.
+        The link that is not carried by a joint.
     where, text : str
         The file, and its text.
     locked : mapping of str to float
-        Joints that do not move, and where they are held [rad], [m].
+        Joints that do not move, and their values [rad], [m].
 
     """
 
@@ -236,7 +236,7 @@ class Robot:
         Raises
         ------
         ModelError
-            No body could be a link with these.
+            A link with these numbers is physically impossible.
 
         """
         values, links = self.numbers() | dict(numbers), dict(self.links)

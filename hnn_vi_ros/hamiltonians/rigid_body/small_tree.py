@@ -3,10 +3,10 @@
 """
 H of a tree of few bodies as a formula, which becomes code without loops.
 
-The composite bodies of ``sweeps`` are taken here in the frame of each body: so a joint turns only
-what is behind it, and M depends on no more angles than it must. What is zero or one by the
-robot's shape, such as most entries of rotations between its axes, leaves no operation behind. With
-M = L D L^T and y = L^-1 p,
+The composite bodies of ``sweeps`` are computed here in the frame of each body: a joint then only
+rotates the bodies behind it, and M depends on as few angles as possible. Entries that are zero or
+one for this robot, such as most entries of rotations between its axes, cost no operation. With M =
+L D L^T and y = L^-1 p,
 
     H = sum of y_i^2 / (2 D_i) + V(q).
 """
@@ -20,15 +20,15 @@ from hnn_vi_ros.hamiltonians.straight_code import graph_kernel
 from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
-# Joints up to which straight code takes a fourth of the time of sweeps or less; it grows with the
-# cube of their number, and so does the time to compile it.
+# Maximum number of joints for code without loops, which takes at most a fourth of the time of
+# sweeps; it grows with the cube of their number, like the time to compile it.
 MOST_STRAIGHT = 3
-# Entries of rotations closer to -1, 0 and 1 than this are these numbers.
+# Entries of rotations closer to -1, 0 and 1 than this are replaced by these numbers.
 _ROUNDING = 1e-14
 
 
 def small_tree_kernel(bodies: Bodies) -> Kernel:
-    """Return the functions of H of some bodies as straight code; see sweeps."""
+    """Return the functions of H of some bodies as code without loops; see sweeps."""
     graph, d = Graph(), bodies.parent.size - 1
     names, momenta = ([f'{kind}{i}' for i in range(d)] for kind in 'qp')
     q, p = ([Symbol(graph, graph.name(name)) for name in both] for both in (names, momenta))
@@ -59,12 +59,12 @@ def mass_kernel(graph: Graph, mass: np.ndarray, energy: Symbol, y: list[Symbol],
                 names: tuple[Sequence[str], Sequence[str]], values: Mapping[str, float]
                 ) -> Kernel:
     """
-    Return the functions of H = p . M^-1 p / 2 + V as straight code.
+    Return the functions of H = p . M^-1 p / 2 + V as code without loops.
 
     Parameters
     ----------
     graph : Graph
-        Where M and V are.
+        The graph with M and V.
     mass : np.ndarray of Symbol, shape (d, d)
         M in its lower triangle; overwritten.
     energy : Symbol
@@ -72,7 +72,7 @@ def mass_kernel(graph: Graph, mass: np.ndarray, energy: Symbol, y: list[Symbol],
     y : list of Symbol
         p in the order of the rows of M; overwritten.
     names : pair of sequence of str
-        What coordinates and momenta are called.
+        Names of coordinates and momenta.
     values : mapping of str to float
         Values of the other names.
 
@@ -89,7 +89,7 @@ def mass_kernel(graph: Graph, mass: np.ndarray, energy: Symbol, y: list[Symbol],
 
 
 def _composed(bodies: Bodies, values: Sequence[Symbol]) -> tuple[np.ndarray, np.ndarray]:
-    """Return M, its lower triangle, and the first moment of all; of the values of the joints."""
+    """Return the lower triangle of M, and the total first moment, for values of the joints."""
     n = bodies.parent.size
     axis, force = (np.zeros((n, 6), dtype=object) for _ in range(2))
     mass, inertia = np.zeros((n - 1, n - 1), dtype=object), bodies.inertia.copy()
@@ -126,7 +126,7 @@ def _composed(bodies: Bodies, values: Sequence[Symbol]) -> tuple[np.ndarray, np.
 
 
 def _turned(vector: np.ndarray, slides: bool, angle: Symbol) -> np.ndarray:
-    """Return a vector of a body in the axes that it has where its joint is at zero."""
+    """Return a vector of a body in its axes at joint value zero."""
     if slides:
         return vector
     (x, y, z), c, s = vector, angle.cos(), angle.sin()

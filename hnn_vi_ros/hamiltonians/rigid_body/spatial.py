@@ -1,12 +1,12 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Spatial vectors and inertias of bodies, one a row, with axes of the base at each body's origin.
+Spatial vectors and inertias of bodies, one per row, in base axes with origin at each body.
 
-A motion is (angular, linear), the velocity of the point of the body that passes its origin; a
+A motion is (angular, linear), where linear is the velocity of the body's point at its origin; a
 force or momentum is (moment about that origin, linear). An inertia is (m, h, I): mass, first
 moment and, of the symmetric matrix about that origin, xx, xy, yy, xz, yz, zz. Row 0 is the base;
-``offset`` is the origin of each body from that of its parent.
+``offset`` is the origin of each body relative to that of its parent.
 """
 
 from hnn_vi_ros.kernels import inlined
@@ -15,7 +15,7 @@ import numpy as np
 
 @inlined
 def momentum(inertia: np.ndarray, motion: np.ndarray, i: int, force: np.ndarray) -> None:
-    """Put the momentum of body i in its motion into its row of ``force``."""
+    """Store the momentum of body i in its row of ``force``."""
     m, x, y, z = inertia[i, 0], inertia[i, 1], inertia[i, 2], inertia[i, 3]
     xx, xy, yy = inertia[i, 4], inertia[i, 5], inertia[i, 6]
     xz, yz, zz = inertia[i, 7], inertia[i, 8], inertia[i, 9]
@@ -31,7 +31,7 @@ def momentum(inertia: np.ndarray, motion: np.ndarray, i: int, force: np.ndarray)
 
 @inlined
 def inherit(offset: np.ndarray, parent: int, i: int, motion: np.ndarray) -> None:
-    """Put what body i moves by as a part of its parent into its row of ``motion``."""
+    """Store the motion of the parent, at the origin of body i, in its row of ``motion``."""
     x, y, z = offset[i, 0], offset[i, 1], offset[i, 2]
     a, b, c = motion[parent, 0], motion[parent, 1], motion[parent, 2]
     motion[i, 0], motion[i, 1], motion[i, 2] = a, b, c
@@ -42,7 +42,7 @@ def inherit(offset: np.ndarray, parent: int, i: int, motion: np.ndarray) -> None
 
 @inlined
 def hand_down(offset: np.ndarray, parent: int, i: int, force: np.ndarray) -> None:
-    """Add the force on body i to that on its parent."""
+    """Add the force on body i to the force on its parent."""
     x, y, z = offset[i, 0], offset[i, 1], offset[i, 2]
     u, v, w = force[i, 3], force[i, 4], force[i, 5]
     force[parent, 0] += force[i, 0] + y * w - z * v
@@ -55,7 +55,7 @@ def hand_down(offset: np.ndarray, parent: int, i: int, force: np.ndarray) -> Non
 
 @inlined
 def join(offset: np.ndarray, parent: int, i: int, inertia: np.ndarray) -> None:
-    """Add the inertia of body i to that of its parent: the parallel axis theorem."""
+    """Add the inertia of body i to that of its parent, by the parallel axis theorem."""
     m, x, y, z = inertia[i, 0], offset[i, 0], offset[i, 1], offset[i, 2]
     a = inertia[i, 1] + 0.5 * m * x
     b = inertia[i, 2] + 0.5 * m * y
@@ -74,7 +74,7 @@ def join(offset: np.ndarray, parent: int, i: int, inertia: np.ndarray) -> None:
 
 @inlined
 def cross_motion(left: np.ndarray, right: np.ndarray, i: int, motion: np.ndarray) -> None:
-    """Put left x right, the change of the right motion as a part of what moves so, into a row."""
+    """Store left x right, the change of ``right`` when it moves with ``left``, in row i."""
     a, b, c = left[i, 0], left[i, 1], left[i, 2]
     u, v, w = left[i, 3], left[i, 4], left[i, 5]
     x, y, z = right[i, 0], right[i, 1], right[i, 2]
@@ -86,7 +86,7 @@ def cross_motion(left: np.ndarray, right: np.ndarray, i: int, motion: np.ndarray
 
 @inlined
 def add_cross_force(motion: np.ndarray, force: np.ndarray, i: int, change: np.ndarray) -> None:
-    """Add the change of a force as a part of what moves so."""
+    """Add the change of a force that is carried along by a motion."""
     a, b, c = motion[i, 0], motion[i, 1], motion[i, 2]
     u, v, w = motion[i, 3], motion[i, 4], motion[i, 5]
     x, y, z = force[i, 3], force[i, 4], force[i, 5]
@@ -109,7 +109,7 @@ def power(motion: np.ndarray, force: np.ndarray, i: int) -> float:
 @inlined
 def weight_power(motion: np.ndarray, mass: float, first: np.ndarray, gravity: np.ndarray, i: int
                  ) -> float:
-    """Return motion . (h x g, m g) of body i, whose first moment h is ``first[i, 1:4]``."""
+    """Return motion . (h x g, m g) of body i, with the first moment h in ``first[i, 1:4]``."""
     x, y, z = first[i, 1], first[i, 2], first[i, 3]
     a, b, c = gravity[0], gravity[1], gravity[2]
     return (motion[i, 0] * (y * c - z * b) + motion[i, 1] * (z * a - x * c)

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Sweeps over a tree of bodies: from the base outward, and from the tips inward.
+Recursions over a tree of bodies: outward from the base, and inward from the tips.
 
 With joint axes S_j, velocities v_i = sum over the path to body i of S_k q'_k, and inertias I_i,
 
@@ -30,20 +30,20 @@ from numpy.typing import DTypeLike
 
 class Bodies(NamedTuple):
     """
-    A tree of d bodies, each behind one joint; row 0 of the arrays is the base, which rests.
+    A tree of d bodies, each behind one joint; row 0 of the arrays is the base, which is fixed.
 
-    The axes of a body are such that its joint turns about z, or slides along it.
+    In the axes of a body its joint rotates about z, or slides along it.
 
     Parameters
     ----------
     parent : np.ndarray of int, shape (d + 1,)
-        The row of the parent of each body, which stands before it.
+        Row of the parent of each body, which precedes it.
     coordinate : np.ndarray of int, shape (d + 1,)
-        Which coordinate that of its joint is.
+        Index of the coordinate of its joint.
     prismatic : np.ndarray of int, shape (d + 1,)
-        1 where the joint slides, 0 where it turns.
+        1 if the joint slides, 0 if it rotates.
     placement : np.ndarray, shape (d + 1, 12)
-        The rotation, row by row, and the origin [m] in the parent's frame, where q = 0.
+        The rotation, row by row, and the origin [m] in the parent's frame, at q = 0.
     inertia : np.ndarray, shape (d + 1, 10)
         m [kg], h [kg m] and I [kg m2] in the body's own frame; see spatial.
     armature : np.ndarray, shape (d + 1,)
@@ -51,7 +51,7 @@ class Bodies(NamedTuple):
     gravity : np.ndarray, shape (3,)
         g [m/s2], in the frame of the base.
     load : np.ndarray, shape (d + 1,)
-        A constant force that acts against each coordinate [N m], [N].
+        A constant force against each coordinate [N m], [N].
 
     """
 
@@ -67,30 +67,30 @@ class Bodies(NamedTuple):
 
 class Work(NamedTuple):
     """
-    Space for one state of d bodies; what ends in ``_v`` is a change along a direction.
+    Workspace for one state of d bodies; names ending in ``_v`` are changes along a direction.
 
     Parameters
     ----------
     rotation : np.ndarray, shape (d + 1, 9)
-        Of each body from the base, row by row.
+        Rotation of each body from the base, row by row.
     offset : np.ndarray, shape (d + 1, 3)
-        Origin of each body from its parent's, in the axes of the base [m].
+        Origin of each body relative to its parent's, in the axes of the base [m].
     inertia, composite : np.ndarray, shape (d + 1, 10)
-        Of each body, and with all behind it.
+        Inertia of each body, and including all bodies behind it.
     axis, velocity, momentum : np.ndarray, shape (d + 1, 6)
-        S, v, and the momentum h of all behind the joint.
+        S, v, and the momentum h of all bodies behind the joint.
     product : np.ndarray, shape (d + 1, 6)
         S x v.
     shift, axis_v, velocity_v, momentum_v : np.ndarray, shape (d + 1, 6)
         The displacement of each body along a direction, and the changes.
     spare, impulse : np.ndarray, shape (d + 1, 6)
-        For what is used at once.
+        Temporary vectors.
     first_v : np.ndarray, shape (d + 1, 4)
-        The change of the first moment of all behind a joint, from place 1.
+        Change of the first moment of all bodies behind a joint, from index 1.
     mass : np.ndarray, shape (d, d)
         M, in its lower triangle, and then its Cholesky factor.
     rates, rates_v : np.ndarray, shape (d,)
-        The velocities of the joints in the order of the bodies.
+        Velocities of the joints in the order of the bodies.
 
     """
 
@@ -115,7 +115,7 @@ class Work(NamedTuple):
 
     @classmethod
     def empty(cls, d: int, dtype: DTypeLike = np.float64) -> 'Work':
-        """Return space for d bodies; the base is at rest in it."""
+        """Return workspace for d bodies, with the base at rest."""
         widths = (9, 3, 10, 10, *[6] * 10, 4)
         work = cls._make([*(np.zeros((d + 1, n), dtype) for n in widths),
                           np.zeros((d, d), dtype), *np.zeros((2, d), dtype)])
@@ -124,7 +124,7 @@ class Work(NamedTuple):
 
 
 class TreeParameters(NamedTuple):
-    """Parameters of the functions of a tree, their first argument: the bodies, and space."""
+    """Parameters of the functions of a tree, their first argument: the bodies, and workspace."""
 
     bodies: Bodies
     work: Work
@@ -132,7 +132,7 @@ class TreeParameters(NamedTuple):
 
 @inlined
 def place(bodies: Bodies, work: Work, q: np.ndarray, start: int) -> None:
-    """Fill where the bodies are, their axes and inertias, for the state that starts there."""
+    """Fill positions, axes and inertias of the bodies for the state at offset ``start``."""
     rotation, offset, axis = work.rotation, work.offset, work.axis
     placement, own, inertia = bodies.placement, bodies.inertia, work.inertia
     inertia[0, :] = 0.0
@@ -167,7 +167,7 @@ def place(bodies: Bodies, work: Work, q: np.ndarray, start: int) -> None:
 
 @inlined
 def compose(bodies: Bodies, work: Work) -> None:
-    """Fill the composite inertias and the lower triangle of M; after ``place``."""
+    """Fill the composite inertias and the lower triangle of M; call ``place`` first."""
     composite, axis, offset, force = work.composite, work.axis, work.offset, work.spare
     for i in range(bodies.parent.size):
         for k in range(10):
@@ -182,7 +182,7 @@ def compose(bodies: Bodies, work: Work) -> None:
         work.mass[i - 1, i - 1] = power(axis, force, i) + bodies.armature[i]
         at, j = i, bodies.parent[i]
         while j > 0:
-            # The moment about the origin of the next body towards the base.
+            # Moment about the origin of the next body towards the base.
             a, b, c = offset[at, 0], offset[at, 1], offset[at, 2]
             x, y, z = x + b * w - c * v, y + c * u - a * w, z + a * v - b * u
             work.mass[i - 1, j - 1] = (axis[j, 0] * x + axis[j, 1] * y + axis[j, 2] * z
@@ -192,7 +192,7 @@ def compose(bodies: Bodies, work: Work) -> None:
 
 @inlined
 def solve_rates(bodies: Bodies, work: Work, p: np.ndarray, start: int) -> None:
-    """Fill v = M^-1 p, NaN where M is not positive definite; leave the factor of M."""
+    """Fill v = M^-1 p, NaN if M is not positive definite, and store the factor of M."""
     regular = factorise(work.mass)
     for i in range(work.rates.size):
         work.rates[i] = p[start + bodies.coordinate[i + 1]] if regular else np.nan
@@ -201,7 +201,7 @@ def solve_rates(bodies: Bodies, work: Work, p: np.ndarray, start: int) -> None:
 
 @inlined
 def move(bodies: Bodies, work: Work) -> None:
-    """Fill velocities, momenta and S x v; after ``solve_rates``."""
+    """Fill velocities, momenta and S x v; call ``solve_rates`` first."""
     velocity, momenta, axis = work.velocity, work.momentum, work.axis
     for k in range(6):
         momenta[0, k] = 0.0
@@ -217,7 +217,7 @@ def move(bodies: Bodies, work: Work) -> None:
 
 @inlined
 def force_of(bodies: Bodies, work: Work, i: int) -> float:
-    """Return H_q of the joint of body i; after ``move``."""
+    """Return H_q of the joint of body i; call ``move`` first."""
     composite = work.composite
     return (power(work.product, work.momentum, i)
             - weight_power(work.axis, composite[i, 0], composite, bodies.gravity, i)
@@ -226,7 +226,7 @@ def force_of(bodies: Bodies, work: Work, i: int) -> float:
 
 @inlined
 def displace(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
-    """Fill the changes along v_q at fixed rates; after ``move``."""
+    """Fill the changes along v_q at constant rates; call ``move`` first."""
     shift, axis, axis_v = work.shift, work.axis, work.axis_v
     velocity_v, momentum_v, first_v, spare = (
         work.velocity_v, work.momentum_v, work.first_v, work.spare)
@@ -261,7 +261,7 @@ def displace(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
 
 @inlined
 def solve_rate_changes(bodies: Bodies, work: Work, v_p: np.ndarray, start: int) -> None:
-    """Fill the change of the rates, M^-1 (v_p - (M v)'), and add what it changes."""
+    """Fill the change of the rates, M^-1 (v_p - (M v)'), and add its contributions."""
     axis, momentum_v, rate, impulse = work.axis, work.momentum_v, work.spare, work.impulse
     for i in range(1, bodies.parent.size):
         work.rates_v[i - 1] = (v_p[start + bodies.coordinate[i]]
@@ -277,7 +277,7 @@ def solve_rate_changes(bodies: Bodies, work: Work, v_p: np.ndarray, start: int) 
             work.velocity_v[i, k] += rate[i, k]
         momentum(work.inertia, rate, i, impulse)
     for i in range(bodies.parent.size - 1, 0, -1):
-        # After those behind it were handed down.
+        # The bodies behind it have been processed.
         for k in range(6):
             momentum_v[i, k] += impulse[i, k]
         hand_down(work.offset, bodies.parent[i], i, impulse)
@@ -285,7 +285,7 @@ def solve_rate_changes(bodies: Bodies, work: Work, v_p: np.ndarray, start: int) 
 
 @inlined
 def force_change_of(bodies: Bodies, work: Work, i: int) -> float:
-    """Return the change of H_q of the joint of body i; after ``solve_rate_changes``."""
+    """Return the change of H_q of the joint of body i; call ``solve_rate_changes`` first."""
     composite, spare = work.composite, work.spare
     cross_motion(work.axis_v, work.velocity, i, spare)
     change = power(spare, work.momentum, i)

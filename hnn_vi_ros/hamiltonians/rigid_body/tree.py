@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a robot to the bodies that its moving joints carry: what is rigid is one body."""
+"""Reduction of a robot to the bodies of its moving joints; rigidly joined links are one body."""
 
 from collections.abc import Mapping, Sequence
 import math
@@ -15,9 +15,9 @@ import numpy as np
 
 MOST_JOINTS = 12
 _NAME = re.compile(r'[^\W\d][\w.-]*\Z')
-# Least eigenvalue of M, its diagonal scaled to one, that is no rounding.
+# Smallest eigenvalue of M, with its diagonal scaled to one, that counts as positive.
 _SINGULAR = 1e-13
-# Configurations that have nothing to do with one another, at which M is looked at.
+# Generic configurations at which M is tested.
 _PROBES = 4
 
 
@@ -30,26 +30,26 @@ def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, flo
     Parameters
     ----------
     robot : Robot
-        Of any links and joints; what is not behind ``base`` is left out.
+        A robot; links that are not behind ``base`` are ignored.
     joints : sequence of str or None
         The moving joints in the order of the coordinates; by default all that are not locked, from
         the base to the tips.
     locked : mapping of str to float
         Values of joints that do not move [rad] or [m].
     gravity : sequence of float
-        In the frame of the base [m/s2].
+        Gravity in the frame of the base [m/s2].
     base : str
-        The link that rests.
+        The fixed link.
     rotor_inertia : mapping of str to float
-        Of the rotors behind joints, as their coordinates see it [kg m2] or [kg].
+        Inertias of rotors behind joints, reduced to the joint [kg m2] or [kg].
 
     Raises
     ------
     ModelError
-        The robot has no such link or joint, has joints that cannot be simulated, or parts that can
-        be moved without inertia.
+        A link or joint does not exist, a joint cannot be simulated, or parts can move without
+        inertia.
     ValueError
-        An argument that cannot be used.
+        An argument is invalid.
 
     """
     if base not in robot.links:
@@ -142,7 +142,7 @@ def _check_mass(bodies: Bodies, joints: Sequence[Joint]) -> None:
 
 
 class _Body:
-    """Links that are rigid together: a row of Bodies in the making."""
+    """Rigidly connected links: a row of Bodies under construction."""
 
     def __init__(self, parent: int, slides: bool, turns: bool, rotation: np.ndarray,
                  origin: np.ndarray):
@@ -153,7 +153,7 @@ class _Body:
         self._links: list[Inertial] = []
 
     def add(self, link: Inertial, rotation: np.ndarray, origin: np.ndarray) -> None:
-        """Add a link by the place of its frame in the frame of the body."""
+        """Add a link, given the pose of its frame in the frame of the body."""
         centre = origin + rotation @ link.centre
         self._links.append(Inertial(link.mass, centre, rotation @ link.moments @ rotation.T))
         self.mass += link.mass
@@ -163,7 +163,7 @@ class _Body:
 
     @property
     def fault(self) -> str:
-        """Return why no body can have its mass and, if it turns, its moments; else nothing."""
+        """Return the reason its mass, or its moments if it rotates, are invalid, '' if valid."""
         centre = self.first / self.mass if self.mass > 0.0 else np.zeros(3)
         moments = np.zeros((3, 3))
         for link in self._links if self.turns else ():
@@ -173,19 +173,19 @@ class _Body:
 
 
 class _Builder:
-    """Walk a robot from a link to the tips."""
+    """Traversal of a robot from a link to the tips."""
 
     def __init__(self, robot: Robot, locked: Mapping[str, float], base: str):
         self._robot, self._locked = robot, locked
         self._rows = [_Body(0, False, False, np.eye(3), np.zeros(3))]
-        # Links that no body could be, with their rows and why.
+        # Physically impossible links, with their rows and the reason.
         self._odd: list[tuple[Link, int, str]] = []
-        # Those that move, in the order of the bodies; and those that could.
+        # The moving joints, in the order of the bodies; and all joints that could move.
         self.joints: list[Joint] = []
         self.met: dict[str, Joint] = {}
         self._mimics: list[Joint] = []
-        # Joints that are still to be passed, with the body that they are on and where the frame
-        # of the link that they are on lies in its own.
+        # Joints to visit, with the body that carries them and the pose of their link's frame in
+        # the frame of the body.
         self._waiting: list[tuple[Joint, int, np.ndarray, np.ndarray]] = []
         self._reach(base, 0, np.eye(3), np.zeros(3))
         while self._waiting:
@@ -203,14 +203,14 @@ class _Builder:
         if link.inertial is not None:
             if fault := link.inertial.fault:
                 self._odd.append((link, row, fault))
-            # What rests may weigh anything.
+            # A fixed link may have any mass.
             if row > 0:
                 self._rows[row].add(link.inertial, rotation, origin)
-        # The first one is passed next.
+        # The first one is visited next.
         self._waiting += [(joint, row, rotation, origin) for joint in reversed(link.joints)]
 
     def _judge(self) -> None:
-        """Raise for a link that no body could be where that matters, and warn of all others."""
+        """Raise for an impossible link that affects the motion, and warn about all others."""
         for link, row, fault in self._odd:
             assert link.inertial is not None, 'only what is there can be odd'
             if row > 0 and (link.inertial.mass < 0.0 or self._rows[row].fault):
@@ -256,7 +256,7 @@ class _Builder:
 
     def bodies(self, places: Sequence[int], armature: Sequence[float], gravity: Sequence[float]
                ) -> Bodies:
-        """Return them, with the place of each one's joint among the coordinates."""
+        """Return the bodies, given the coordinate of each one's joint."""
         rows = self._rows
         placement = [[*body.rotation.ravel(), *body.origin] for body in rows]
         inertia = [[body.mass, *body.first, *body.second[np.tril_indices(3)]] for body in rows]
@@ -268,7 +268,7 @@ class _Builder:
 
 
 def frame_of(axis: np.ndarray) -> np.ndarray:
-    """Return a rotation whose third column is a unit vector; of an axis of the frame, exactly."""
+    """Return a rotation whose third column is a unit vector; exact for an axis of the frame."""
     other = np.zeros(3)
     other[np.argmin(np.abs(axis))] = 1.0
     first = np.cross(other, axis)

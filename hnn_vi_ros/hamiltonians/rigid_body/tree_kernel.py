@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""H of a tree of bodies, compiled: of a few bodies as straight code; of more, the tree is data."""
+"""Compiled H of a tree of bodies: few bodies as code without loops, more as data of recursions."""
 
 from hnn_vi_ros.hamiltonians.base import compiled_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT, small_tree_kernel
@@ -12,9 +12,9 @@ import numpy as np
 
 
 def tree_kernel(bodies: Bodies) -> Kernel:
-    """Return the functions of H of some bodies, with working memory of their own."""
+    """Return the functions of H of some bodies, with their own workspace."""
     d = len(bodies.parent) - 1
-    # A bound of the moments of the weights: their sum times how far they may be away.
+    # A bound of the moments of the weights: their sum times the largest possible distance.
     reach = np.zeros(d + 1)
     for i in range(1, d + 1):
         reach[i] = reach[bodies.parent[i]] + np.linalg.norm(bodies.placement[i, 9:])
@@ -28,7 +28,7 @@ def tree_kernel(bodies: Bodies) -> Kernel:
 
 @inlined
 def _arrange(parameters: TreeParameters, q: np.ndarray, p: np.ndarray, start: int) -> None:
-    """Fill the work for the state that starts there, up to the rates of the joints."""
+    """Fill the workspace for the state at offset ``start``, up to the rates of the joints."""
     bodies, work = parameters.bodies, parameters.work
     place(bodies, work, q, start)
     compose(bodies, work)

@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Read a robot from a URDF of version 1.0 to 1.2: its links and joints, and not how it looks.
+Parser for URDF of version 1.0 to 1.2: links and joints of a robot, without its appearance.
 
-The format is that of urdfdom 6.0. What urdfdom leaves out of account with a warning, or reads as
-zero, such as a quaternion in a file of version 1.0, is refused: it would be another robot.
+The format is that of urdfdom 6.0. Content that urdfdom ignores with a warning, or reads as zero,
+such as a quaternion in a file of version 1.0, is refused: it would be another robot.
 """
 
 from collections import Counter
@@ -20,18 +20,18 @@ from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Inertial, Joint, Limits, Link, Robot, SLIDING, TURNING)
 import numpy as np
 
-# Without a way back: the time that it takes is proportional to the length.
+# Without backtracking: the time is proportional to the length.
 _NUMBER = re.compile(r'[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?\Z')
 _LONGEST_NAME = 200
 # Ten times as many links as the largest published humanoids.
 _MOST_LINKS = 2000
-# In SI units; larger ones, whose products overflow, are mistakes. Limits may be any number.
+# In SI units; larger numbers, whose products overflow, are mistakes. Limits may be any number.
 _LARGEST = 1e12
 _MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
-# The first has no quaternions; the last asks for both limits of a joint, or for none.
+# Version 1.0 has no quaternions; 1.2 requires both limits of a joint, or none.
 _VERSIONS = ('1.0', '1.1', '1.2')
-# What has physical meaning: its attributes, and the elements in it. Others, such as <visual>,
-# <gazebo>, <transmission> and <drake:...>, are not looked at.
+# Elements with physical meaning: their attributes, and their child elements. Others, such as
+# <visual>, <gazebo>, <transmission> and <drake:...>, are ignored.
 _ATTRIBUTES: dict[str, tuple[str, ...]] = {
     'robot': ('name', 'version'), 'link': ('name', 'type'), 'joint': ('name', 'type'),
     'inertial': (), 'mass': ('value',), 'inertia': _MOMENTS,
@@ -45,21 +45,21 @@ _ELEMENTS: dict[str, tuple[str, ...]] = {
     'robot': ('link', 'joint'), 'link': ('inertial',), 'inertial': ('origin', 'mass', 'inertia'),
     'joint': ('origin', 'parent', 'child', 'axis', 'limit', 'dynamics', 'mimic', 'calibration',
               'safety_controller')}
-# Further attributes of published robots, for Gazebo, Bullet, Drake and drivers: the format has
-# none of them.
+# Further attributes of published robots, for Gazebo, Bullet, Drake and drivers, which are not in
+# the format.
 _FOREIGN: dict[str, tuple[str, ...]] = {
     'link': ('concave',), 'joint': ('dont_collapse',), 'inertia': ('iyx', 'izx', 'izy'),
     'axis': ('rpy',), 'limit': ('command_effort', 'current', 'gear_velocity', 'twist'),
     'dynamics': ('D', 'K', 'mu_coulomb', 'mu_viscous', 'spring_reference', 'spring_stiffness')}
-# What has a meaning somewhere is misplaced elsewhere.
+# Words with a meaning in one place are misplaced elsewhere.
 _WORDS = {*_ATTRIBUTES, *(name for names in _ATTRIBUTES.values() for name in names)}
-# What attributes of tools that read URDFs begin with, on any element.
+# Prefixes of the attributes of tools that read URDFs, on any element.
 _TOOLS = ('drake_', 'gazebo_', 'mujoco_', 'isaac_')
 
 
 def read_urdf(path: Path) -> Robot:
     """
-    Read a robot.
+    Return the robot in a file.
 
     Parameters
     ----------
@@ -69,8 +69,8 @@ def read_urdf(path: Path) -> Robot:
     Raises
     ------
     ModelError
-        It cannot be read or describes no tree of links; one line names file, line, what is wrong
-        and the remedy.
+        The file is invalid or describes no tree of links; one line gives file, line, problem and
+        remedy.
 
     """
     return parse_urdf(_read(path), str(path))
@@ -126,14 +126,14 @@ def _read(path: Path) -> bytes:
 def _foreign(element: Element, where: str, version: str, label: str = 'robot'
              ) -> Iterator[str]:
     """
-    Yield the attributes that are of other tools.
+    Yield the attributes of other tools.
 
-    Raise for others that are not known, and for elements that are misspelt or misplaced.
+    Raise for other unknown attributes, and for misspelt or misplaced elements.
     """
     tag, place = element.tag, f'{where}:{element.line}: {label}'
     valid, inside = _ATTRIBUTES[tag], _ELEMENTS.get(tag, ())
     for name in element.attributes:
-        # Those of namespaces are theirs.
+        # Attributes with a namespace are of other tools.
         if name in (*valid, *_FOREIGN.get(tag, ()), 'xmlns') or ':' in name:
             continue
         hint = did_you_mean(name, valid, 0.6)
@@ -158,7 +158,7 @@ def _foreign(element: Element, where: str, version: str, label: str = 'robot'
 
 
 def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
-    """Return the one link that no joint carries; all others hang on it."""
+    """Return the single link that is not carried by a joint, the root of all others."""
     carriers: dict[str, Joint] = {}
     for joint in joints:
         if joint.child in carriers:
@@ -222,7 +222,7 @@ def _axis(element: Element, kind: str, place: str) -> np.ndarray:
 
 
 def _limits(element: Element | None, place: str, both: bool) -> Limits:
-    """Return the limits of a joint; where asked for ``both``, it has a lower and an upper one."""
+    """Return the limits of a joint; with ``both``, lower and upper limit are required."""
     found = {key: None if element is None or key not in element.attributes
              else _number(element, key, place, largest=math.inf) for key in _ATTRIBUTES['limit']}
     lower, upper = found.pop('lower'), found.pop('upper')
@@ -259,7 +259,7 @@ def _inertial(link: Element, where: str) -> Inertial | None:
 
 def _frame(element: Element, place: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the origin and the rotation, about fixed axes x, y, z in turn, of its <origin>."""
-    # Imported here, since it is slow to import and scenes without robots do not need it.
+    # Imported lazily: the import is slow, and scenes without robots do not need it.
     from scipy.spatial.transform import Rotation
     origin = _only(element, 'origin', place)
     xyz = _vector(origin, 'xyz', place, (0.0, 0.0, 0.0))
@@ -268,7 +268,7 @@ def _frame(element: Element, place: str) -> tuple[np.ndarray, np.ndarray]:
         return xyz, turn.as_matrix()
     if 'rpy' in origin.attributes:
         raise ModelError(f'{place}: origin has rpy and quat_xyzw; leave one of them out')
-    # It need not be of length one, as in urdfdom.
+    # As in urdfdom, it need not be normalised.
     quaternion = _vector(origin, 'quat_xyzw', place, (0.0, 0.0, 0.0, 1.0))
     size = np.abs(quaternion).max()
     if not size > 0.0:
