@@ -4,8 +4,8 @@
 """
 Compile numerical functions with numba, and cache them on disk by content.
 
-A ``Kernel`` holds the compiled functions of a Hamiltonian; ``addresses`` and ``linking`` let
-compiled functions call each other without compiling a whole. No formula is here.
+A ``Kernel`` contains the compiled functions of a Hamiltonian; ``addresses`` and ``linking`` let
+compiled functions call each other without being compiled as a whole. No formulas are here.
 """
 
 from typing import TYPE_CHECKING

@@ -1,12 +1,12 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Hamiltonians by address: a loop over steps is compiled once, for whichever H it is run with.
+Hamiltonians by address: a loop over steps is compiled once, for all Hamiltonians.
 
-Each function of a kernel is compiled by itself into an entry, which takes addresses: of a block
-of memory that holds the parameters as numba lays them out, and of the arrays. The kernel that
-loops get instead has one type for all Hamiltonians: its parameters are the addresses of its three
-entries, followed by the block, and its functions call what they find there.
+Each function of a kernel is compiled into an entry that takes addresses: of a block of memory that
+contains the parameters in numba's layout, and of the arrays. The kernel that loops use instead has
+one type for all Hamiltonians: its parameters are the addresses of its three entries, followed by
+the block, and its functions call these entries.
 """
 
 from collections.abc import Callable
@@ -29,9 +29,9 @@ from numba.core import types
 from numba.core.dispatcher import Dispatcher
 import numpy as np
 
-# Arrays that energy, gradient and hessian_vector take, and the bytes of their three addresses.
+# Number of array arguments of energy, gradient and hessian_vector; bytes of their addresses.
 _ARRAYS, _BEFORE = (2, 4, 6), 24
-# What entries find under these names is their own; see _entry.
+# Entries bind these names to their own values; see _entry.
 function: Any = None
 kind: Any = None
 _ENTRY: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'error_model': 'numpy'}
@@ -39,13 +39,13 @@ _ENTRY: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'error_model'
 
 class Target(NamedTuple):
     """
-    The parameters of a kernel by address.
+    Parameters of a kernel by address.
 
     Parameters
     ----------
     words : np.ndarray of int64
-        The addresses of the entries of energy, gradient and hessian_vector, and the parameters
-        that they take. Its memory belongs to an object that keeps all else alive.
+        Addresses of the entries of energy, gradient and hessian_vector, followed by their
+        parameters. Their memory belongs to an object that keeps everything else alive.
 
     """
 
@@ -53,10 +53,10 @@ class Target(NamedTuple):
 
 
 class _Memory(Block):
-    """The memory of a target's words, with the objects that they point to."""
+    """Memory of a target's words, with the objects that they point to."""
 
     kernel: Kernel
-    # The substitutes for entries stay: machine code may be running inside of them.
+    # Substitutes for entries are kept, because machine code may be running inside them.
     late: list[Any]
     entries: 'dict[int, _Entry]'
 
@@ -68,13 +68,13 @@ def by_address(kernel: Kernel) -> Kernel:
     Parameters
     ----------
     kernel : Kernel
-        Of a Hamiltonian, with effects or without; returned unchanged if it is not compiled. Its
-        arrays are not copied.
+        Kernel of a Hamiltonian, with or without effects; returned unchanged if it is not compiled.
+        Its arrays are not copied.
 
     """
     if not kernel.compiled or isinstance(kernel.parameters, Target):
         return kernel
-    # Three addresses, then the parameters; no entry is compiled before it is called.
+    # Three addresses, then the parameters; entries are compiled at their first call.
     words = [0, 0, 0, *flat(kernel.parameters)]
     memory = _Memory(np.array(words, dtype=np.int64).tobytes())
     memory.kernel = kernel
@@ -90,8 +90,8 @@ def provide(kernel: Kernel, *which: int) -> None:
     """
     Compile functions of a kernel by address now: 0 energy, 1 gradient, 2 hessian_vector.
 
-    Those that they call by address as well; of forces that are joined there are no second
-    derivatives but differences of gradients.
+    Functions that they call by address are compiled as well. Forces have no second derivatives:
+    their Hessian-vector product uses differences of gradients.
     """
     target: Any = kernel.parameters
     memory = _memory_of(target)
@@ -108,17 +108,17 @@ def provide(kernel: Kernel, *which: int) -> None:
 
 
 def original(kernel: Kernel) -> Kernel:
-    """Return the kernel whose functions are called by address; any other unchanged."""
+    """Return the kernel whose functions are called by address; any other kernel unchanged."""
     return _memory_of(kernel.parameters).kernel if isinstance(kernel.parameters, Target) \
         else kernel
 
 
 def provide_for(kernel: Kernel, step: Callable[..., Any], options: Parameters) -> None:
     """
-    Compile now what a step will call of a kernel by address.
+    Compile the functions of a kernel by address that a step will call.
 
-    Anything else is compiled when it is called. A function named ``..._tangent`` is called where
-    a solver, one of the options, uses its argument ``tangent``; see solvers.
+    Other functions are compiled when they are called. A function named ``..._tangent`` is called
+    if a solver, one of the options, uses its argument ``tangent``; see solvers.
     """
     functions = reached(step, options)
     solves = any(map(_takes_tangent, reached(options)))
@@ -141,7 +141,7 @@ def _memory_of(target: Target) -> _Memory:
 
 
 def _late(memory: _Memory, k: int) -> Any:
-    """Return a substitute for an entry until the first call, which compiles the entry."""
+    """Return a substitute for an entry, which compiles the entry at the first call."""
     def compile_and_call(result: int, error: int, *arguments: int) -> int:
         provide(memory.kernel._replace(parameters=Target(memory.words)), k)
         return memory.entries[k].native(result, error, *arguments)
@@ -150,7 +150,7 @@ def _late(memory: _Memory, k: int) -> Any:
 
 @cache
 def _prototype(k: int) -> Any:
-    """Return the type of an entry in C: where it leaves its result and its exception first."""
+    """Return the C type of an entry; the first arguments are pointers to result and exception."""
     return ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p,
                             *[ctypes.c_int64] * (_ARRAYS[k] + 2))
 
@@ -167,11 +167,11 @@ class _Entry:
 
 @cache
 def _entry(function: Dispatcher, kind: types.Type, name: str, k: int) -> _Entry:
-    """Return the entry of a kernel's function for one type of parameters, compiled."""
+    """Return the compiled entry of a kernel's function for one type of parameters."""
     code = (_energy_entry, _gradient_entry, _hessian_vector_entry)[k].__code__
     options = {name: value for name, value in function.targetoptions.items()
                if name in ('fastmath', 'error_model')}
-    # A part of the entry and of nothing else.
+    # The part belongs to this entry only.
     copy = Part(function.py_func, targetoptions={**options, 'forceinline': True})
     entry = FunctionType(code, {**globals(), 'function': copy, 'kind': kind}, code.co_name)
     entry.__qualname__ = name
@@ -181,8 +181,8 @@ def _entry(function: Dispatcher, kind: types.Type, name: str, k: int) -> _Entry:
 
 
 def _name(kernel: Kernel, kind: types.Type, k: int) -> str:
-    """Return a name for all that an entry is compiled from, the same in every process."""
-    # Numba caches a function under its name and code, blind to the values of global names.
+    """Return a name that is determined by all sources of an entry, the same in every process."""
+    # Numba caches a function by name and code, and ignores the values of global names.
     sources = digest_of(frozenset(part.__module__ for part in reached(kernel.parameters)))
     layout = re.sub(r' at 0x\w+', '', str(kind))
     text = '/'.join((identify(functions_of(kernel)[k]), layout, sources))
@@ -226,7 +226,7 @@ class _Linked(Part):
 
 
 def _address_of(array: np.ndarray) -> int:
-    """Return where an array begins; ``array.ctypes`` makes an object, which takes longer."""
+    """Return the address of an array; ``array.ctypes`` creates an object, which takes longer."""
     if array.size and array.flags.writeable:
         return ctypes.addressof(ctypes.c_char.from_buffer(array.data))
     return array.ctypes.data

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks of memory: values as numba lays them out, for code that is given their addresses."""
+"""Blocks of memory: values in numba's layout, for code that is given their addresses."""
 
 from functools import cache
 from typing import Any, TypeVar
@@ -19,18 +19,18 @@ _Value = TypeVar('_Value')
 
 def bare(value: _Value) -> _Value:
     """
-    Return the value with all arrays in it, however deep in tuples, as plain memory.
+    Return the value with all arrays in it, at any depth of tuples, as arrays without owner.
 
-    To be called once, at the top of a loop that is called from Python and returns no array: its
-    caller holds the arrays until it returns. Compiled code counts a reference wherever an array
-    is named, sliced or passed on, and each count is an atomic operation on memory. Without an
-    owner, a null that the compiler knows, all that is deleted. Run as plain Python, nothing
-    happens.
+    Call it once, at the top of a loop that is called from Python and returns no array: its caller
+    owns the arrays until it returns. Compiled code counts a reference whenever an array is named,
+    sliced or passed on, and each count is an atomic operation on memory. If the owner is a null
+    known to the compiler, these operations are removed. In plain Python the value is returned
+    unchanged.
 
     Parameters
     ----------
     value : any
-        An array, a number, a function, or a tuple of such.
+        An array, a number, a function, or a tuple of these.
 
     """
     return value
@@ -53,7 +53,7 @@ def _replace_owners(_context: Any, value: Any) -> Any:
 
 def without_owners(context: BaseContext, builder: ir.IRBuilder, kind: types.Type,
                    value: ir.Value, place: tuple[int, ...] = ()) -> ir.Value:
-    """Return a value, of numba's type ``kind`` at this place in it, with null owners there."""
+    """Return a value with null owners in its part ``place``, of numba's type ``kind``."""
     if isinstance(kind, types.Array):
         model = context.data_model_manager[kind]
         for owner in ('meminfo', 'parent'):
@@ -63,7 +63,7 @@ def without_owners(context: BaseContext, builder: ir.IRBuilder, kind: types.Type
         for k, part in enumerate(kind.types):
             value = without_owners(context, builder, part, value, (*place, k))
     elif context.data_model_manager[kind].contains_nrt_meminfo():
-        # Anything but an array keeps its count: the result is a reference of its own.
+        # Other reference-counted objects keep their count, since the result is a new reference.
         context.nrt.incref(builder, kind, builder.extract_value(value, place) if place else value)
     return value
 
@@ -72,7 +72,7 @@ _known: dict[Any, types.Type] = {}
 
 
 def type_of(value: object) -> types.Type:
-    """Return ``numba.typeof`` of a value, in a tenth of its time for tuples of many arrays."""
+    """Return ``numba.typeof`` of a value, ten times as fast for tuples of many arrays."""
     key = kind_of(value)
     if key not in _known:
         _known[key] = numba.typeof(value)
@@ -80,23 +80,23 @@ def type_of(value: object) -> types.Type:
 
 
 def kind_of(value: object) -> Any:
-    """Return what decides the type of a value, and nothing of its size or contents."""
+    """Return a cache key that determines the type of a value, without its size or contents."""
     if isinstance(value, tuple):
         return type(value), *map(kind_of, value)
     if type(value) is np.ndarray:
         return value.dtype, value.ndim, value.flags.num
-    # The value of an integer decides as well.
+    # For an integer the value also determines the type.
     return float if type(value) is float else numba.typeof(value)
 
 
 class Block(bytearray):
     """
-    Memory that holds a value as numba lays it out.
+    Memory that contains a value in numba's layout.
 
     Attributes
     ----------
     held : any
-        What keeps alive what the addresses in it lead to.
+        Objects that own the memory at the addresses in it.
 
     """
 
@@ -104,7 +104,7 @@ class Block(bytearray):
 
     @property
     def words(self) -> np.ndarray:
-        """Return the memory as an array of int64, which keeps it."""
+        """Return the memory as an array of int64 that keeps it alive."""
         return np.frombuffer(self, dtype=np.int64)
 
     @staticmethod
@@ -118,7 +118,7 @@ class Block(bytearray):
 
 def block(value: Any, *before: int) -> np.ndarray:
     """
-    Return the words of a value, and some before it, in memory that keeps its arrays alive.
+    Return the words of a value, after given words, in memory that keeps its arrays alive.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def block(value: Any, *before: int) -> np.ndarray:
 
 
 def check_words(kind: types.Type, count: int) -> None:
-    """Raise TypeError if a value of a type takes another number of words in memory."""
+    """Raise TypeError if a value of a type has another number of words in memory."""
     if _size_of(kind) != 8 * count:
         raise TypeError('parameters of a kernel, or options of a step, that are no whole words: '
                         'truth values beside each other; give them as int')
@@ -142,24 +142,24 @@ def check_words(kind: types.Type, count: int) -> None:
 
 @cache
 def _size_of(kind: types.Type) -> int:
-    """Return how many bytes a value of a type takes."""
+    """Return the size of a value of a type in bytes."""
     context = cpu_target.target_context
     return context.get_abi_sizeof(context.get_data_type(kind))
 
 
 def flat(value: object) -> list[int]:
     """
-    Return a value as words, as numba lays it out in memory; arrays without an owner.
+    Return a value as words in numba's memory layout; arrays have no owner.
 
     Parameters
     ----------
     value : tuple
-        Numbers, arrays, functions, and tuples of such.
+        Numbers, arrays, functions, and tuples of these.
 
     Raises
     ------
     TypeError
-        Something else is among them.
+        The value contains anything else.
 
     """
     if isinstance(value, tuple):
@@ -168,7 +168,7 @@ def flat(value: object) -> list[int]:
         return [0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides]
     if isinstance(value, float):
         return [int(np.float64(value).view(np.int64))]
-    # A truth value is a byte, padded to a word unless another one follows; see check_words.
+    # A bool is a byte, padded to a word unless another one follows; see check_words.
     if isinstance(value, int | np.integer):
         return [int(value)]
     if callable(value):
@@ -179,7 +179,7 @@ def flat(value: object) -> list[int]:
 
 @intrinsic
 def load(_context: Any, block: Any, kind: Any) -> Any:
-    """Return the value that stands at an address, its arrays as plain memory; see bare."""
+    """Return the value at an address, with arrays that have no owner; see bare."""
     def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
                  ) -> ir.Value:
         model = context.data_model_manager[signature.return_type]
@@ -204,14 +204,14 @@ def _pointer(_context: Any, address: Any) -> Any:
 
 @intrinsic
 def address_of(_context: Any, array: Any) -> Any:
-    """Return the address of the elements of an array without gaps."""
+    """Return the address of the elements of a contiguous array."""
     if array.ndim != 1 or array.dtype not in (types.float64, types.int64):
         raise numba.TypingError(f'{array} by address; expected float64 and shape (n,)')
 
     def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
                  ) -> ir.Value:
         part = context.make_array(signature.args[0])(context, builder, arguments[0])
-        if signature.args[0].layout != 'C':  # a row of a matrix, as numba does not know
+        if signature.args[0].layout != 'C':  # numba does not know a row is contiguous
             step = builder.extract_value(part.strides, 0)
             strided = builder.icmp_signed('!=', step, part.itemsize)
             with builder.if_then(strided, likely=False):
@@ -233,7 +233,7 @@ def clear(_context: Any, address: Any) -> Any:
 
 
 def entry_caller(result: types.Type) -> Any:
-    """Return what calls, with words, an entry with such a result at an address."""
+    """Return the intrinsic that calls an entry with this result type at an address."""
     @intrinsic
     def call(_context: Any, address: Any, words: Any) -> Any:
         def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compile a loop over a step over a Hamiltonian into one kernel, once for all processes."""
+"""Compile a loop over steps of a Hamiltonian into machine code, cached for all processes."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -26,23 +26,23 @@ _Function = TypeVar('_Function', bound=Callable[..., Any])
 _LOOP: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
 _naming = Lock()
 _identities: dict[Dispatcher, str] = {}
-# Keyed by the function and the kinds of its arguments.
+# Keyed by the function and the types of its arguments.
 _entries: dict[Any, Callable[..., Any]] = {}
 
 
 def kept(own: bool = True, **options: Any) -> Callable[[_Function], _Function]:
     """
-    Return a decorator that compiles a function of this package, for callers in Python as well.
+    Return a decorator that compiles a function of this package, also for callers in Python.
 
-    It is found again on disk for as long as no source changes that it is compiled from: numba by
-    itself looks at the function's own file only.
+    The cache on disk is valid as long as none of the sources of the function changes; numba itself
+    only checks the function's own file.
 
     Parameters
     ----------
     own : bool, optional
-        Whether all of it is this package's; what is not is compiled in each process.
+        True if all its code is in this package; other code is compiled in each process.
     options
-        Of numba.njit.
+        Options of numba.njit.
 
     """
     def compile_(function: _Function) -> _Function:
@@ -53,14 +53,14 @@ def kept(own: bool = True, **options: Any) -> Callable[[_Function], _Function]:
 @cache
 def compiled(function: Callable[..., Any], name: str) -> Part:
     """
-    Return a function compiled by numba, the same dispatcher each time.
+    Return a function compiled by numba, with a cached dispatcher.
 
     Parameters
     ----------
     function : callable
         Plain Python in numba's subset.
     name : str
-        What tells it from every other function that is compiled, in any process.
+        Name that is unique among all compiled functions, in any process.
 
     """
     dispatcher = Part(function, targetoptions={'forceinline': True})
@@ -76,11 +76,11 @@ def dispatcher(function: _Function) -> _Function:
 
 def entry_point(function: Callable[..., Any], *arguments: object) -> Callable[..., Any]:
     """
-    Return what calls a function with arguments of these very types and no others.
+    Return a callable for arguments of exactly these types.
 
-    For a dispatcher that is the compiled code without numba's look-up of the types, which for
-    arguments of many arrays takes ten times as long as the call; anything else is returned as it
-    is.
+    For a dispatcher it is the compiled code without numba's look-up of the types, which for
+    arguments of many arrays takes ten times as long as the call; other functions are returned
+    unchanged.
     """
     if not isinstance(function, Dispatcher):
         return function
@@ -93,7 +93,7 @@ def entry_point(function: Callable[..., Any], *arguments: object) -> Callable[..
 
 
 def compiled_options(options: Parameters) -> Parameters:
-    """Return options of a step with each function in them, however deep, compiled."""
+    """Return options of a step with each function in them, at any depth, compiled."""
     parts = []
     for part in options:
         if callable(part):
@@ -107,21 +107,21 @@ def compiled_options(options: Parameters) -> Parameters:
 def compiled_loop(loop: Callable[..., Any], kernel: Kernel, method: str,
                   parts: Parameters = (), own: bool = True) -> Callable[..., Any]:
     """
-    Return a loop over steps, to be compiled over one Hamiltonian and one method.
+    Return a loop over steps, to be compiled for one Hamiltonian and one method.
 
     Parameters
     ----------
     loop : callable
-        One of the module loops.
+        A loop of the module loops.
     kernel : Kernel
-        Of the Hamiltonian. Where all its functions are this package's, what is compiled is found
-        again by later processes; changes of functions from elsewhere could not be noticed.
+        Kernel of the Hamiltonian. If all its functions are in this package, the compiled code is
+        cached for later processes; changes of other functions could not be detected.
     method : str
         Name of the method's step.
     parts : tuple, optional
-        The step and its options: with the sources of their functions, what is compiled changes.
+        The step and its options; the compiled code changes with the sources of their functions.
     own : bool, optional
-        Whether the step is all of this package.
+        True if all code of the step is in this package.
 
     """
     functions = functions_of(kernel)
@@ -138,8 +138,8 @@ def _uncached(loop: _Function) -> _Function:
 
 @cache
 def _cached(loop: Callable[..., Any], *names: str) -> Callable[..., Any]:
-    # Under a name of its own it has an index of its own on disk. In one index for all, reading
-    # any kernel would rebuild the functions of every other one, even from older sources.
+    # With a name of its own it has its own index on disk. With one index for all, reading any
+    # kernel would rebuild the functions of all others, even from older sources.
     copy = FunctionType(loop.__code__, loop.__globals__, loop.__name__)
     digest = sha256('/'.join(names).encode()).hexdigest()
     copy.__qualname__ = f'{loop.__name__}_{digest[:16]}'
@@ -147,12 +147,12 @@ def _cached(loop: Callable[..., Any], *names: str) -> Callable[..., Any]:
 
 
 def identify(dispatcher: Dispatcher, name: str = '') -> str:
-    """Give a compiled function the name that it has in every process, and return it."""
-    # A function that is passed to a compiled one is part of its signature, by which numba looks
-    # up its cache on disk. Numba knows such a function by a random number, new in each process;
-    # a name that changes with our sources makes the look-up succeed.
+    """Set a name of a compiled function that is the same in every process; return the function."""
+    # A function passed to a compiled one is part of its signature, by which numba looks up its
+    # cache on disk. Numba identifies such a function by a random number, new in each process; with
+    # a name that changes with the sources the look-up succeeds.
     function = dispatcher.py_func
-    # A name is given once, also where threads ask for it at the same time.
+    # The name is set once, even if several threads request it at the same time.
     with _naming:
         if dispatcher not in _identities:
             name = name or f'{function.__module__}.{function.__qualname__}'
@@ -174,7 +174,7 @@ def composed(kernel: Kernel, functions: Functions, kinds: tuple[type, ...],
     Parameters
     ----------
     kernel : Kernel
-        The other.
+        The inner kernel.
     functions : tuple of callable
         Replacements for ``functions_of(kernel)``: plain Python, the same functions for the same
         kernel and kinds.
@@ -186,7 +186,7 @@ def composed(kernel: Kernel, functions: Functions, kinds: tuple[type, ...],
     """
     if kernel.compiled:
         for function in functions_of(kernel):
-            # Before it is compiled into others, when numba names what has no name yet.
+            # Before it is compiled into others, when numba assigns a random name.
             identify(function)
         energy, gradient, hessian_vector = (
             _compile(function, base, kinds)
@@ -200,26 +200,26 @@ def composed(kernel: Kernel, functions: Functions, kinds: tuple[type, ...],
 @cache
 def _compile(function: Callable[..., Any], base: Dispatcher, kinds: tuple[type, ...]
              ) -> Callable[..., Any]:
-    # The name lists the composed parts, with the module of any part from elsewhere; see identify
-    # and compiled_loop.
+    # The name lists the composed parts, with the module of any part from outside; see identify and
+    # compiled_loop.
     names = ','.join(kind.__qualname__ for kind in kinds)
     foreign = [kind.__module__ for kind in kinds if not is_own(kind.__module__)]
     function.__module__ = [*foreign, base.py_func.__module__][0]
     function.__qualname__ = f'{names}({base.py_func.__qualname__})'
-    # Inlined like what it calls; see the network's gradient.
+    # Inlined like the functions it calls; see the network's gradient.
     inline = base.targetoptions.get('forceinline', False)
     return numba.njit(function, error_model='numpy', forceinline=inline, no_cfunc_wrapper=True)
 
 
 def _digest(*values: object) -> str:
-    """Return a digest of the sources of functions, in tuples too, and of all that they call."""
+    """Return a digest of the sources of functions, also in tuples, and of all that they call."""
     return digest_of(frozenset(function.__module__ for function in reached(*values)))
 
 
-# What compiling took for each byte of the bytecode that is reached [s], 0.5 to 1.2 ms on one core
-# of a server over ten scenes from an empty cache.
+# Compile time per byte of reached bytecode [s], 0.5 to 1.2 ms on one core of a server over ten
+# scenes from an empty cache.
 _SECONDS = 0.8e-3
-# What takes less is not worth a line [s].
+# Shortest compile time that is announced [s].
 _SHORT = 1.0
 _NAMES = {'advance': 'the loop over steps', 'take_substeps': 'the sub-steps',
           '_step_entry': 'a step', '_energy_entry': 'H', '_gradient_entry': 'the gradient of H',
@@ -228,20 +228,20 @@ _NAMES = {'advance': 'the loop over steps', 'take_substeps': 'the sub-steps',
 
 class _Announcer(Listener):
     """
-    Listener to compilations, which reports those that are not a part of another.
+    Listener that reports outermost compilations.
 
-    Estimates follow what those before have taken here; who is late is reported again.
+    Estimates are scaled by earlier compilations; a late compilation is reported again.
     """
 
     def __init__(self, tell: Callable[[str], None]):
         self._tell, self._depth = tell, 0
-        # Seconds expected and taken so far, of which the first second is what others took.
+        # Total of expected and measured seconds, starting with 1 s each from the default.
         self._expected, self._taken = 1.0, 1.0
         self._begin, self._seconds = 0.0, 0.0
         self._late: Timer | None = None
 
     def on_start(self, event: Event) -> None:
-        """Announce it, if it takes long; what is found on disk comes here not at all."""
+        """Announce a long compilation; code found on disk does not cause this event."""
         self._depth += 1
         function = event.data['dispatcher'].py_func
         seconds = _SECONDS * sum(len(part.__code__.co_code) for part in reached(
@@ -256,7 +256,7 @@ class _Announcer(Listener):
             self._wait(what, seconds)
 
     def on_end(self, event: Event) -> None:
-        """Return to the compilation that this one is a part of, or learn from its time."""
+        """Leave a nested compilation, or update the estimate from the measured time."""
         self._depth -= 1
         if self._depth == 0:
             self.stop()
@@ -264,7 +264,7 @@ class _Announcer(Listener):
             self._taken += time.perf_counter() - self._begin
 
     def _wait(self, what: str, seconds: float) -> None:
-        """Report, after twice the time that was expected, that it goes on."""
+        """Report that it continues, after twice the expected time."""
         def tell() -> None:
             self._tell(f'still compiling {what}: this machine is slower or busy, '
                        f'about {2.0 * seconds:.0f} s more')
@@ -274,7 +274,7 @@ class _Announcer(Listener):
         self._late.start()
 
     def stop(self) -> None:
-        """Report no more of what goes on."""
+        """Stop reporting the present compilation."""
         if self._late is not None:
             self._late.cancel()
 
@@ -282,12 +282,12 @@ class _Announcer(Listener):
 @contextmanager
 def announced(tell: Callable[[str], None]) -> Iterator[None]:
     """
-    Announce each function that is compiled meanwhile, before that is begun.
+    Announce each function that is compiled inside the context, before it is compiled.
 
     Parameters
     ----------
     tell : callable
-        Takes a line: what is compiled, and an estimate of the time [s].
+        Receives a line: the function, and an estimate of the time [s].
 
     """
     announcer = _Announcer(tell)
@@ -299,33 +299,33 @@ def announced(tell: Callable[[str], None]) -> Iterator[None]:
 
 
 class NotKept(Exception):
-    """Refusal to compile what is not on disk."""
+    """Raised instead of compiling code that is not cached on disk."""
 
 
 class _Refuser(Listener):
-    """Listener that refuses compilations of the thread that it was made in."""
+    """Listener that refuses compilations in the thread that created it."""
 
     def __init__(self) -> None:
         self._thread = get_ident()
 
     def on_start(self, event: Event) -> None:
-        """Refuse it; what is found on disk comes here not at all."""
+        """Refuse the compilation; code found on disk does not cause this event."""
         if get_ident() == self._thread:
             raise NotKept
 
     def on_end(self, event: Event) -> None:
-        """Nothing was begun."""
+        """Do nothing: no compilation was started."""
 
 
 @contextmanager
 def kept_only() -> Iterator[None]:
-    """Raise NotKept where this thread would compile a function meanwhile."""
+    """Raise NotKept if this thread would compile a function inside the context."""
     with install_listener('numba:compile', _Refuser()):
         yield
 
 
 def _functions_in(kinds: tuple[types.Type, ...]) -> Iterator[Callable[..., Any]]:
-    """Yield the compiled functions among types of arguments, in tuples too."""
+    """Yield the compiled functions among types of arguments, also in tuples."""
     for kind in kinds:
         if isinstance(kind, types.Dispatcher):
             yield kind.dispatcher.py_func

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A Hamiltonian as functions that are compiled."""
+"""A Hamiltonian as functions to be compiled."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 # First argument of the functions of a Hamiltonian, an effect or a network: numbers, arrays and
-# tuples of such, a different type for each.
+# tuples of these, with a different type for each.
 Parameters = tuple[Any, ...]
-# The functions of a Kernel, which see.
+# Functions of a `Kernel`.
 Energy = Callable[[Any, np.ndarray, np.ndarray], float]
 Gradient = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
 HessianVector = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray,
@@ -27,33 +27,33 @@ class Kernel(NamedTuple):
     energy : callable
         ``energy(parameters, q, p)`` returns H [J]; q and p have shape (d,).
     gradient : callable
-        ``gradient(parameters, q, p, dH_dq, dH_dp)`` fills the last two. All have shape (m d,):
-        m states one after another.
+        ``gradient(parameters, q, p, dH_dq, dH_dp)`` fills the last two. All have shape (m d,): m
+        states in sequence.
     hessian_vector : callable
         ``hessian_vector(parameters, q, p, v_q, v_p, product_q, product_p)`` fills the last two
         with H''(q, p) (v_q, v_p); shapes as for the gradient.
     parameters : tuple
-        Numbers and arrays that all functions take first.
+        Numbers and arrays, the first argument of all functions.
     dimension : int
         The number d of degrees of freedom, channels included.
     gradient_scale : tuple of float
-        Rounding error of dH/dq and of dH/dp in units of the unit round-off, where it exceeds
-        that of a number of their size; 0 where it does not.
+        Rounding error of dH/dq and of dH/dp in units of the unit round-off, if it exceeds that of
+        a number of their size; else 0.
     compiled : bool
         True if the functions are numba dispatchers, False if they are plain Python.
     channels : int
-        How many of the last coordinates are times since the start of the step, and their momenta
-        integrals over it; implicit equations are not solved for the integrals' sake.
+        Number of channels, the last coordinates: times since the start of the step, whose momenta
+        are integrals over it; implicit equations ignore the residuals of the integrals.
     energy_scale : float
-        Rounding error of H in units of the unit round-off, where it exceeds that of its value.
+        Rounding error of H in units of the unit round-off, if it exceeds that of its value.
     rotations : tuple of int
-        The columns of q at which unit quaternions (x, y, z, w) begin, in order; H is smooth around
-        norm 1 as well, and dH_dq is its derivative by each of the four. The momentum of a
-        rotation has three columns: those after it follow at once, and as many columns as there
-        are rotations stay zero at the end of p and of dH_dp, before the channels.
+        Columns of q at which unit quaternions (x, y, z, w) begin, in order; H is also smooth
+        around norm 1, and dH_dq is its derivative by each of the four. The momentum of a rotation
+        has three columns, immediately followed by the next ones; as many columns as there are
+        rotations stay zero at the end of p and of dH_dp, before the channels.
 
     quadratic : bool
-        Whether H = p . M^-1 p / 2 + V(q) with constant masses, by gradients of nanoseconds.
+        True if H = p . M^-1 p / 2 + V(q) with constant masses and gradients that take nanoseconds.
 
     """
 
@@ -70,11 +70,11 @@ class Kernel(NamedTuple):
     quadratic: bool = False
 
     def energies(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Return H [J] at m states one after another, shape (m,), for q and p of shape (m d,)."""
+        """Return H [J] at m states in sequence, shape (m,), for q and p of shape (m d,)."""
         d = self.dimension
         found = np.empty(q.size // d)
         if self.compiled and found.size != 1:
-            # Imported here: who only reads a scene compiles nothing.
+            # Imported lazily: reading a scene needs no compiler.
             from hnn_vi_ros.kernels.addresses import fill_energies, Target
             if isinstance(self.parameters, Target):
                 fill_energies(self.parameters, q, p, found)

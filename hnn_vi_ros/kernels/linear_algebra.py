@@ -5,13 +5,13 @@
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
-# Share of the diagonal below which a pivot is rounding.
+# Fraction of the diagonal below which a pivot is rounding.
 DEPENDENT = 1e-12
 
 
 @inlined
 def solve_linear(matrix: np.ndarray, right: np.ndarray) -> int:
-    """Solve in place by elimination with row pivots; return the sign of the determinant."""
+    """Solve in place by elimination with row pivoting; return the sign of the determinant."""
     n, sign = right.size, 1
     for k in range(n):
         pivot = k
@@ -34,14 +34,14 @@ def solve_linear(matrix: np.ndarray, right: np.ndarray) -> int:
 @inlined
 def factorise_rows(matrix: np.ndarray, pivots: np.ndarray) -> bool:
     """
-    Put the factors L and U of a matrix with its rows exchanged into its place.
+    Factorise a matrix with row exchanges in place into L and U.
 
     Parameters
     ----------
     matrix : np.ndarray, shape (n, n)
-        Holds U on and above its diagonal afterwards, and L, whose own diagonal is one, below.
+        Matrix; on return U on and above its diagonal, and L, with a unit diagonal, below.
     pivots : np.ndarray, shape (n,)
-        Filled: with which row each row was exchanged, in order.
+        Receives the row with which each row was exchanged, in order.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def factorise_rows(matrix: np.ndarray, pivots: np.ndarray) -> bool:
 
 @inlined
 def solve_factorised(matrix: np.ndarray, pivots: np.ndarray, right: np.ndarray) -> None:
-    """Solve in place with what ``factorise_rows`` has left."""
+    """Solve in place with the result of ``factorise_rows``."""
     n = right.size
     for k in range(n):
         pivot = pivots[k]
@@ -86,18 +86,18 @@ def solve_factorised(matrix: np.ndarray, pivots: np.ndarray, right: np.ndarray) 
 @inlined
 def invert(matrix: np.ndarray, first: int, n: int) -> bool:
     """
-    Invert a complex matrix in place, by Gauss-Jordan elimination without exchanges.
+    Invert a complex matrix in place, by Gauss-Jordan elimination without pivoting.
 
-    It is for matrices near the identity, and where a few digits of the inverse will do.
+    For matrices near the identity, if a few digits of the inverse suffice.
 
     Parameters
     ----------
     matrix : np.ndarray of complex, shape (N,)
-        Holds the n x n entries, row by row.
+        The n x n entries, row by row.
     first : int
-        Where they begin.
+        Index of the first entry.
     n : int
-        Rows.
+        Number of rows.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def invert(matrix: np.ndarray, first: int, n: int) -> bool:
         inverse = 1.0 / size
         share = complex(pivot.real * inverse, -pivot.imag * inverse)
         matrix[own + k] = share
-        # Zeros are skipped: of a separable H half of the entries are.
+        # Zeros are skipped: of a separable H half of the entries are zero.
         for j in range(n):
             if j != k and matrix[own + j] != 0.0:
                 entry = matrix[own + j] * share
@@ -131,14 +131,14 @@ def invert(matrix: np.ndarray, first: int, n: int) -> bool:
 @inlined
 def solve_in_order(matrix: np.ndarray, right: np.ndarray, diagonal: np.ndarray) -> int:
     """
-    Solve in place by elimination without exchanges, for a matrix near a positive definite one.
+    Solve in place by elimination without pivoting, for a matrix close to a positive definite one.
 
     Parameters
     ----------
     matrix : np.ndarray, shape (n, n)
-        Holds pivots on its diagonal afterwards.
+        Matrix; on return with pivots on its diagonal.
     right, diagonal : np.ndarray, shape (n,)
-        The right-hand side; and space for the diagonal of the matrix.
+        The right-hand side, and workspace for the diagonal of the matrix.
 
     Returns
     -------
@@ -158,7 +158,7 @@ def solve_in_order(matrix: np.ndarray, right: np.ndarray, diagonal: np.ndarray) 
 
 @inlined
 def _clear_column(matrix: np.ndarray, right: np.ndarray, k: int) -> None:
-    """Take row k from those below it so that their column k vanishes."""
+    """Subtract row k from the rows below it so that their column k vanishes."""
     for i in range(k + 1, right.size):
         factor = matrix[i, k] / matrix[k, k]
         right[i] -= factor * right[k]
@@ -178,9 +178,9 @@ def _substitute_back(matrix: np.ndarray, right: np.ndarray) -> None:
 @inlined
 def factorise(matrix: np.ndarray) -> bool:
     """
-    Put the Cholesky factor C of a symmetric matrix C C^T into its lower triangle.
+    Replace the lower triangle of a symmetric matrix C C^T by its Cholesky factor C.
 
-    The upper triangle is left alone. False if the matrix is not positive definite.
+    The upper triangle is unchanged. Returns False if the matrix is not positive definite.
     """
     for j in range(matrix.shape[0]):
         for i in range(j, matrix.shape[0]):

@@ -1,14 +1,14 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Functions that are compiled only as parts of others, at a third of what numba takes for them.
+Functions that are compiled only as parts of others, in a third of numba's compile time.
 
-Numba optimises each function as if it were to be called by itself, writes machine code for it,
-and does all that again wherever it is inlined: of a step with its solver and its gradient only
-the outermost result is ever called. Functions that are compiled by LinkOnly are translated and
-inlined into their callers, whose own compilation optimises them, once.
+Numba optimises each function as if it were called separately, generates machine code for it, and
+repeats that wherever it is inlined; but of a step with its solver and its gradient only the
+outermost result is ever called. Functions compiled by LinkOnly are lowered and inlined into their
+callers, whose own compilation optimises them once.
 
-This is the one file that uses numba's compiler passes, code libraries and cache.
+Only this file uses numba's compiler passes, code libraries and cache.
 """
 
 from collections.abc import Callable, Iterator
@@ -45,7 +45,7 @@ class _Library(JITCodeLibrary):
     link_only = True
 
     def finalize(self) -> None:
-        """Link what this code calls, and inline it."""
+        """Link the called code, and inline it."""
         if not self.link_only:
             super().finalize()
             return
@@ -63,7 +63,7 @@ class _Library(JITCodeLibrary):
         self._finalized = True
 
     def defines(self, variable: str) -> bool:
-        """Return whether the code itself holds a global variable."""
+        """Return True if the code itself defines a global variable."""
         try:
             self._final_module.get_global_variable(variable)
         except NameError:
@@ -72,40 +72,40 @@ class _Library(JITCodeLibrary):
 
 
 class _Lower(Lower):
-    """Numba's translation into LLVM's language, whose environment is defined where it is used."""
+    """Numba's lowering to LLVM, with the environment defined where it is used."""
 
     def emit_environment_object(self) -> None:
-        """Leave the environment out until something asks for it."""
+        """Omit the environment until it is requested."""
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):
-    """Numba's last pass, into a library that is only linked."""
+    """Numba's lowering pass, into a library that is only linked."""
 
     _name = 'link_only_lowering'
 
     @property
     def lowering_class(self) -> type[Lower]:
-        """Return what translates a function."""
+        """Return the lowering class."""
         return _Lower
 
     def run_pass(self, state: Any) -> bool:
-        """Translate a function, and register it for those that call it."""
+        """Lower a function, and register it for its callers."""
         context = state.targetctx
         state.library = library = _Library(context.codegen(), state.func_id.func_qualname)
-        # A copy: numba finds compiled functions by the flags of their callers.
+        # A copy: numba looks up compiled functions by the flags of their callers.
         state.flags = state.flags.copy()
         state.flags.no_compile = True
         super().run_pass(state)
         function, environment = state['cr'].fndesc, state['cr'].env
         if library.defines(context.get_env_name(function)):
-            # Python makes anything it prints or raises, from an environment that numba finds by
-            # its address: this one has to be loaded.
+            # To print or raise, it creates Python objects from an environment that numba locates
+            # by address: this function must be loaded.
             library.link_only = False
             library.enable_object_caching()
             entry = context.get_executable(library, function, environment)
         else:
-            # Callers find a function by this object, so that each needs one of its own.
+            # Callers look a function up by this object, so each needs its own.
             entry = _dynfunc.make_function(
                 function.lookup_module(), function.qualname.split('.')[-1], 'linked only', 0,
                 environment, (library,))
@@ -116,12 +116,12 @@ class _Lowering(NativeLowering):
 
 
 class _WholeLibrary(JITCodeLibrary):
-    """Code that holds all that it calls, under names that nothing outside of it sees."""
+    """Code that contains everything it calls, under names that are private to it."""
 
     def _optimize_final_module(self) -> None:
         # Numba numbers functions of one name and type in the order in which a process compiles
-        # them. Code from the cache may hold the number of another function of this process, of
-        # which the first to be loaded would be called by both.
+        # them. Code from the cache may contain the number of another function of this process;
+        # both would then call the one that was loaded first.
         super()._optimize_final_module()
         for function in self._final_module.functions:
             if function.linkage == Linkage.linkonce_odr:
@@ -130,19 +130,19 @@ class _WholeLibrary(JITCodeLibrary):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _WholeLowering(NativeLowering):
-    """Numba's last pass, into a library that shares nothing."""
+    """Numba's lowering pass, into a library that shares nothing."""
 
     _name = 'whole_lowering'
 
     def run_pass(self, state: Any) -> bool:
-        """Translate and load a function with all that it calls."""
+        """Lower and load a function with everything it calls."""
         state.library = _WholeLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         return bool(super().run_pass(state))
 
 
 class _Compiler(CompilerBase):
-    """Numba's compiler with another last pass."""
+    """Numba's compiler with another lowering pass."""
 
     lowering: type[NativeLowering]
 
@@ -157,13 +157,13 @@ class _Compiler(CompilerBase):
 
 
 class LinkOnly(_Compiler):
-    """For functions that are never called from Python."""
+    """Compiler of functions that are never called from Python."""
 
     lowering = _Lowering
 
 
 class Whole(_Compiler):
-    """For functions that nothing but Python calls."""
+    """Compiler of functions that are only called from Python."""
 
     lowering = _WholeLowering
 
@@ -177,11 +177,11 @@ class Part(CPUDispatcher):
     Parameters
     ----------
     function : callable
-        In numba's subset.
+        Function in numba's subset.
     targetoptions : dict
-        For numba's compiler.
+        Options of numba's compiler.
     others
-        For numba, which rebuilds such an object from a cache on disk.
+        Arguments of numba, which rebuilds such an object from a cache on disk.
 
     """
 
@@ -197,18 +197,18 @@ class Part(CPUDispatcher):
 
 
 def part(**options: Any) -> Callable[[Callable[..., Any]], Part]:
-    """Return a decorator that makes a function a Part, with these options of numba.njit."""
+    """Return a decorator that converts a function to a Part, with these options of numba.njit."""
     return lambda function: Part(function, targetoptions=options)
 
 
 _OPTIONS: dict[str, Any] = {'nopython': True, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
-# The same for what numba makes of a decorator such as register_jitable, once for each set of
-# options that a caller has.
+# Parts of functions that numba creates from a decorator such as register_jitable, one for each set
+# of options of a caller.
 LINK_ONLY: dict[str, Any] = {'pipeline_class': LinkOnly, **_OPTIONS}
 
 
 def _register(function: Callable[..., Any], inline: bool) -> None:
-    """Let compiled code call a marked function."""
+    """Register a marked function for calls from compiled code."""
     register_jitable(**({'forceinline': True} if inline else {}), **LINK_ONLY)(function)
 
 
@@ -218,23 +218,23 @@ register_by(_register)
 # A file begins with the version of numba that reads it, then the digest of the rest.
 _MARK = b'hnn_vi_ros, numba '
 _HEAD = _MARK + numba.__version__.encode() + b'\n'
-# Other versions' files begin with these; before files had a digest, they were pickles.
+# Prefixes of other versions' files; before files had a digest, they were pickles.
 _OTHERS = (_MARK, pickle.PROTO)
 
 
 class _Files(IndexDataCacheFile):
     """
-    Numba's files of a function, each with a digest and, inside, the place where it belongs.
+    Numba's cache files of a function, each with a digest and the name of its index.
 
-    Damaged files, or files in the place of another, count as absent: a changed bit in machine code
-    ends a process, or changes a number. Other versions' files count as absent as well.
+    Damaged files, and files of another function, count as absent: a changed bit in machine code
+    ends a process, or changes a number. Files of other versions count as absent as well.
     """
 
     # Files beside the source of the function, which another user may have compiled.
     beside: '_Files | None' = None
 
     def save(self, key: Any, data: Any) -> None:
-        """Keep what belongs to a key."""
+        """Save the data of a key."""
         super().save(key, (key, data))
 
     def load(self, key: Any) -> Any:
@@ -266,7 +266,7 @@ class _Files(IndexDataCacheFile):
             file.write(_HEAD + sha256(data).digest() + data)
 
     def _read(self, path: str) -> Any:
-        """Return what a file of this function holds, None if it cannot be used."""
+        """Return the content of a file of this function, None if it is unusable."""
         try:
             whole = Path(path).read_bytes()
         except FileNotFoundError:
@@ -283,7 +283,7 @@ class _Files(IndexDataCacheFile):
         try:
             name, content = pickle.loads(data)
         except Exception:
-            # It comes from other sources, whose types no longer exist.
+            # It was created from other sources, whose types no longer exist.
             return None
         if name != self._index_name:
             self._warn('files are in the place of others')
@@ -307,7 +307,7 @@ _warned: set[str] = set()
 
 
 def _warn_once(what: str, reason: str, then: str) -> None:
-    """Warn of what comes of a reason, once for all files."""
+    """Warn about a consequence with its reason, once for all files."""
     if then not in _warned:
         _warned.add(then)
         warnings.warn(f'{what} ({reason}): {then}', stacklevel=2)
@@ -315,9 +315,9 @@ def _warn_once(what: str, reason: str, then: str) -> None:
 
 class _Cache(FunctionCache):
     """
-    Numba's cache on disk, which looks at all sources that a function comes from.
+    Numba's cache on disk, invalidated by a change of any source of a function.
 
-    Without it, as on a full disk, compiled code runs as well.
+    Without it, as on a full disk, compiled code also runs.
     """
 
     _cache_file: Any
@@ -328,8 +328,8 @@ class _Cache(FunctionCache):
         described = files._index_name.removesuffix('.nbi'), files._source_stamp
         self._cache_file = _Files(self._cache_path, *described)
         beside = Path(py_func.__code__.co_filename).parent / '__pycache__'
-        # A package that root has built and compiled is found by those who cannot write there: it
-        # is trusted as its sources are. Who names a folder has all in that one.
+        # A package built and compiled by root is also read by users who cannot write there: its
+        # cache is trusted like its sources. NUMBA_CACHE_DIR replaces both folders.
         if not numba.config.CACHE_DIR and beside != Path(self._cache_path):
             self._cache_file.beside = _Files(str(beside), *described)
 
@@ -338,7 +338,7 @@ class _Cache(FunctionCache):
         return (*super()._index_key(signature, codegen), digest)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled function; warn, once for all, that it cannot be kept."""
+        """Save a compiled function, or warn once that it cannot be saved."""
         try:
             super().save_overload(sig, data)
         except OSError as problem:
@@ -353,22 +353,22 @@ def _warn_of_lost(folder: str, reason: str) -> None:
 
 def set_identity(dispatcher: CPUDispatcher, identity: str) -> None:
     """
-    Let numba know a function by a name, in place of a number that is new in each process.
+    Register a function under a stable name instead of a number that is new in each process.
 
-    Another thread may just be compiling a caller of the function, for which numba has numbered it:
-    then its code is right all the same, but later processes do not find it on disk.
+    If another thread is just compiling a caller, numba has already numbered the function: the code
+    of the caller is correct, but later processes do not find it on disk.
     """
     with suppress(AssertionError):
         dispatcher._set_uuid(identity)
 
 
-# Wall time after which a process that has stopped is waited for no more, and between looks [s].
+# Maximum time to wait for a stopped process, and time between attempts [s].
 _LONGEST, _LOOK = 300.0, 0.02
 
 
 @contextmanager
 def _locked(cache: Any) -> Iterator[None]:
-    """Lock the files of a function, where there can be any."""
+    """Lock the cache files of a function, if the folder is writable."""
     path = Path(cache._cache_path, f'{cache._cache_file._index_name}.lock')
     with ExitStack() as stack:
         try:
@@ -386,28 +386,27 @@ def _locked(cache: Any) -> Iterator[None]:
         try:
             yield
         finally:
-            # Who waits has the file open; who comes later locks another, and finds the code.
+            # Waiting processes have this file open; later ones lock a new one, and find the code.
             path.unlink(missing_ok=True)
 
 
 def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
     """
-    Have a function compiled in a thread of its own wherever the main thread wants it.
+    Compile a function in a separate thread if the main thread requests it.
 
-    Signals are handled by the main thread alone, between instructions of Python. Of those the
-    first, after seconds of optimising, may be one of llvmlite's that swallows KeyboardInterrupt.
+    Signals are handled only in the main thread, between Python instructions; after seconds of
+    optimisation the first may be in a llvmlite callback, which swallows KeyboardInterrupt.
     """
     compile_ = dispatcher.compile
 
     def compile_once(signature: Any) -> Any:
-        # By one process at a time: the others wait, and find it on disk.
+        # One process at a time compiles; the others wait, and find the result on disk.
         kept = isinstance(dispatcher._cache, _Cache)
         with _locked(dispatcher._cache) if kept else nullcontext():
             return compile_(signature)
 
     def compile_aside(signature: Any) -> Any:
-        # Of what is compiled as a part of another only the whole is locked: no two wait for each
-        # other.
+        # Only the outermost compilation is locked, so that no two wait for each other.
         if global_compiler_lock.is_locked():
             return compile_(signature)
         if current_thread() is not main_thread():
@@ -424,7 +423,7 @@ def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
 
 
 def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:
-    """Cache a function of this package on disk for as long as its sources stay unchanged."""
+    """Cache a function of this package on disk as long as its sources are unchanged."""
     try:
         dispatcher._cache = _Cache(dispatcher.py_func)
     except RuntimeError:

@@ -1,11 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Marks of functions that are compiled into others; marking one does not load the compiler.
+Marks of functions that are compiled into others; marking does not load the compiler.
 
-A marked function stays plain Python when called from Python. What is marked is only noted here;
-the compiler, once it is loaded, asks for it (see linking.py). So the classes of effects and
-integrators can be read, as a scene does for its schema, in a process without numba.
+A marked function is plain Python when called from Python. Marks are only recorded here; the
+compiler reads them once it is loaded (see linking.py). So the classes of effects and integrators
+can be read, for example for the schema of scenes, in a process without numba.
 """
 
 from collections.abc import Callable
@@ -18,14 +18,14 @@ _Registrar = Callable[[Callable[..., Any], bool], None]
 _PACKAGE = __name__.partition('.')[0]
 
 _lock = Lock()
-# Functions marked and not registered yet, and the registrars, once there is one.
+# Marked functions that are not registered yet, and the registrars.
 _waiting: list[tuple[Callable[..., Any], bool]] = []
 _registrars: list[_Registrar] = []
 
 
 def inlined(function: _Function) -> _Function:
     """
-    Mark a function that is inlined where compiled code calls it.
+    Mark a function to be inlined where compiled code calls it.
 
     A call that is not inlined passes every field of every array and counts its references.
     """
@@ -33,7 +33,7 @@ def inlined(function: _Function) -> _Function:
 
 
 def called(function: _Function) -> _Function:
-    """Mark one called so seldom that a call costs less than a larger function to compile."""
+    """Mark a rarely called function: a call costs less than compiling a larger function."""
     return _mark(function, False)
 
 
@@ -46,12 +46,12 @@ def _mark(function: _Function, inline: bool) -> _Function:
 
 def register_by(registrar: _Registrar) -> None:
     """
-    Register all marked functions, now and at later marks.
+    Register all marked functions, and functions marked later.
 
     Parameters
     ----------
     registrar : callable
-        Makes a function known to the compiler; its second argument is whether it is inlined.
+        Function that registers a function with the compiler; its second argument is ``inline``.
 
     """
     with _lock:
@@ -66,5 +66,5 @@ def _register_waiting() -> None:
 
 
 def is_own(module: str | None) -> bool:
-    """Return whether a module (None for none) is of this package, whose changes are noticed."""
+    """Return True if a module, possibly None, is in this package, whose changes are detected."""
     return module is not None and module.startswith(f'{_PACKAGE}.')

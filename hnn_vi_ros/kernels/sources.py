@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sources of this package that a function is compiled from, as a digest."""
+"""Digest of the sources of this package that a function is compiled from."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -17,12 +17,12 @@ from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.version import __version__
 from llvmlite import binding
 
-# torch counts only where it computes.
+# torch is listed only if it is loaded.
 _LIBRARIES = ('numpy', 'scipy', 'numba', 'llvmlite')
 
 
 def identity() -> dict[str, str]:
-    """Return what two runs must have in common to agree bit by bit, by name."""
+    """Return the versions that two runs must share to agree bit by bit, by name."""
     torch = {'torch': version('torch')} if 'torch' in sys.modules else {}
     return _fixed() | torch
 
@@ -39,29 +39,29 @@ def _fixed() -> dict[str, str]:
 
 _PACKAGE = __name__.partition('.')[0]
 _ROOT = Path(__file__).parents[1]
-# The rooms that what is compiled comes from, or by which it is composed.
+# Rooms with the sources of compiled code and of its composition.
 _ROOMS = ('effects', 'hamiltonians', 'integrators', 'kernels', 'models', 'simulation')
 _IMPORT = re.compile(rf'^[ \t]*from ({_PACKAGE}[\w.]*) import (\([^)]*\)|[^\n]*)', re.M)
 
 
 @cache
 def sources() -> str:
-    """Return a digest of all sources that a step of any simulation may come from."""
+    """Return a digest of all possible sources of a step of any simulation."""
     return _digest(path for room in _ROOMS for path in (_ROOT / room).rglob('*.py'))
 
 
 def digest_of(modules: frozenset[str]) -> str:
     """
-    Return a digest of modules of this package, and of all that they import of it.
+    Return a digest of modules of this package and of all their imports from it.
 
-    Those of others are left out: what is compiled from them is not kept.
+    Other modules are ignored, because code compiled from them is not cached.
     """
     return _digest_of(frozenset(module for module in modules if is_own(module)))
 
 
 @cache
 def _digest_of(modules: frozenset[str]) -> str:
-    # How functions are compiled counts for each of them.
+    # The sources of the compilation itself are part of each digest.
     rest = [*modules, *(f'{_PACKAGE}.kernels.{path.stem}'
                         for path in (_ROOT / 'kernels').glob('*.py'))]
     found: set[Path] = set()
@@ -101,12 +101,12 @@ def _digest(paths: Iterator[Path] | set[Path]) -> str:
 
 
 def reached(*values: object) -> set[FunctionType]:
-    """Return the functions of Python among values, however deep in tuples, and all they call."""
+    """Return the Python functions among values, at any depth of tuples, and all they call."""
     return set().union(*map(_reached_by, _functions(values)))
 
 
 def _functions(value: object) -> Iterator[FunctionType]:
-    """Yield the functions in a value, however deep in tuples."""
+    """Yield the functions in a value, at any depth of tuples."""
     value = getattr(value, 'py_func', value)
     if isinstance(value, tuple):
         for part in value:
@@ -117,7 +117,7 @@ def _functions(value: object) -> Iterator[FunctionType]:
 
 @cache
 def _reached_by(function: FunctionType) -> frozenset[FunctionType]:
-    """Return a function and all it calls in compiled form: by the globals of the first time."""
+    """Return a function and all it calls in compiled form, from the globals at the first call."""
     rest, found = [function], set()
     while rest:
         own = rest.pop()
@@ -129,13 +129,13 @@ def _reached_by(function: FunctionType) -> frozenset[FunctionType]:
 
 
 def names_in(code: CodeType) -> set[str]:
-    """Return the globals and attributes that code names, that of functions inside it too."""
+    """Return the global and attribute names in code, including nested functions."""
     inner = [names_in(part) for part in code.co_consts if isinstance(part, CodeType)]
     return set(code.co_names).union(*inner)
 
 
 def _named(function: FunctionType) -> Iterator[object]:
-    """Yield what of this package or of its user a function finds under global names."""
+    """Yield the objects of this package or its user that a function refers to by global names."""
     names = names_in(function.__code__)
     for name in names & function.__globals__.keys():
         value = function.__globals__[name]
