@@ -32,8 +32,8 @@ class LearnedDissipation(Force):
 
     D is a model with the coordinates of H, or the second network of a dissipative HNN, whose first
     network is H. In a magnetic field both are functions of P = p - c A(q), because they were
-    trained without it. For joints use `learned_friction`. Energy account: the power H_q . D_q +
-    H_p . D_p.
+    trained without it. For joints use `learned_friction`. Energy account: the power
+    H_q . D_q + H_p . D_p.
 
     Parameters
     ----------

@@ -154,9 +154,9 @@ def _exchange(kernel: Kernel, h: float, bath: Bath, uniform: float, z: Point
 
     With H_pp = C C^T at rest and the kinetic momentum P = p + H_pp^-1 H_p(q, 0), the reduced
     momenta x = C^T P have the kinetic energy x . x / 2. Each follows its own Ornstein-Uhlenbeck
-    process. If H is not quadratic in p, as a learned H, that process would not preserve exp(-H /
-    kT); the result is therefore accepted with the Metropolis-Hastings probability, and p is
-    unchanged otherwise.
+    process. If H is not quadratic in p, as a learned H, that process would not preserve
+    exp(-H / kT); the result is therefore accepted with the Metropolis-Hastings probability, and p
+    is unchanged otherwise.
 
     Parameters
     ----------

@@ -29,8 +29,8 @@ class FputChain(Hamiltonian):
             + (1/4) sum_(i = 0..m) (c_(i + 1) - s_(i + 1) - c_i - s_i)^4
 
     All quantities are dimensionless. The energies I_i = (p_(s_i)^2 + omega^2 s_i^2) / 2 of the
-    stiff springs are exchanged slowly; their sum is an adiabatic invariant, conserved to O(1 /
-    omega) over times that grow exponentially with omega.
+    stiff springs are exchanged slowly; their sum is an adiabatic invariant, conserved to
+    O(1 / omega) over times that grow exponentially with omega.
 
     Parameters
     ----------

@@ -126,8 +126,8 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
     Solve for s stages with one matrix I - h A x J in each step.
 
     J = (H_pq, H_pp; -H_qq, -H_qp) is evaluated at the middle stage of the initial guess, with the
-    forces. In the eigenvectors of A the matrix splits into I - mu J, one for each eigenvalue mu /
-    h. With d <= s / 2 coordinates, J needs at most s products with H''.
+    forces. In the eigenvectors of A the matrix splits into I - mu J, one for each eigenvalue
+    mu / h. With d <= s / 2 coordinates, J needs at most s products with H''.
 
     With constant masses, G computes coordinates from the new momenta (Gauss-Seidel). That takes a
     fifth more iterations but no matrix, which is used only if convergence is slow.

@@ -284,8 +284,8 @@ def continuation(equation: Callable, tangent: Callable, problem: Any, x: np.ndar
     """
     Follow the solution from h = 0 to this h, then apply Newton's method; see solvers.
 
-    x(s) = b + s (G(x(s)) - b) for s from 0 to 1, where b = problem.base solves the equation with h
-    = 0. Points are so close that Newton's method contracts from each to the next and the
+    x(s) = b + s (G(x(s)) - b) for s from 0 to 1, where b = problem.base solves the equation with
+    h = 0. Points are so close that Newton's method contracts from each to the next and the
     determinant of I - s G' stays positive, so it cannot jump to another solution. The path ends
     with NO_SOLUTION at a fold, where that determinant passes through 0.
 

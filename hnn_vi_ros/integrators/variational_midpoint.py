@@ -75,11 +75,11 @@ class VariationalMidpoint(EnergyConserving):
 
         W(u~) (u1 - u0) = h H'(u~),
 
-    a one-step map that does not depend on gradients in theta. W is skew, so (u1 - u0) . H'(u~) =
-    0, and H changes by terms of third order, which need not cancel without time reversal symmetry.
-    Therefore D is the midpoint discrete gradient of H, which is H'(u~) up to those terms; see
-    DiscreteGradient. Then (u1 - u0) . D = H(u1) - H(u0) = 0: the energy is conserved up to the
-    rounding of H.
+    a one-step map that does not depend on gradients in theta. W is skew, so (u1 - u0) .
+    H'(u~) = 0, and H changes by terms of third order, which need not cancel without time reversal
+    symmetry. Therefore D is the midpoint discrete gradient of H, which is H'(u~) up to those
+    terms; see DiscreteGradient. Then (u1 - u0) . D = H(u1) - H(u0) = 0: the energy is conserved up
+    to the rounding of H.
 
     Symmetric, order 2, not symplectic; for models of the family `symplectic_form`. If W is
     constant, it is DiscreteGradient in canonical coordinates.

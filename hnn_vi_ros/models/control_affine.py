@@ -13,8 +13,8 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
     """
     H(q, p) = |A(q)^T p|^2 / 2 + V(q), with M^-1 = A A^T, of a control-affine network.
 
-    The network ``mass_inverse`` gives the entries of the lower triangular A, row by row. With u =
-    A^T p,
+    The network ``mass_inverse`` gives the entries of the lower triangular A, row by row. With
+    u = A^T p,
 
         H_p = A u,    H_q = V' + sum_ij p_i u_j A_ij'.
 

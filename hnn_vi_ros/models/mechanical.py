@@ -110,8 +110,8 @@ class MechanicalHamiltonian(LearnedHamiltonian):
     H(q, p) = p . M(q)^-1 p / 2 + V(q), with M = S (L L^T + floor) S.
 
     The network ``mass`` gives the entries y of the lower triangular L, with log(1 + exp(y)) on its
-    diagonal, and ``potential`` gives V; the card defines their inputs from q, S and the floor. p =
-    M(q) v is the model's own momentum. With u = S v and w = L^T u,
+    diagonal, and ``potential`` gives V; the card defines their inputs from q, S and the floor.
+    p = M(q) v is the model's own momentum. With u = S v and w = L^T u,
 
         H_p = v = M^-1 p,    H_q = V' - sum_ij u_i w_j L_ij',
 

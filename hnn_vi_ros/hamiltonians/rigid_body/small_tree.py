@@ -5,8 +5,8 @@ H of a tree of few bodies as a formula, which becomes code without loops.
 
 The composite bodies of ``sweeps`` are computed here in the frame of each body: a joint then only
 rotates the bodies behind it, and M depends on as few angles as possible. Entries that are zero or
-one for this robot, such as most entries of rotations between its axes, cost no operation. With M =
-L D L^T and y = L^-1 p,
+one for this robot, such as most entries of rotations between its axes, cost no operation. With
+M = L D L^T and y = L^-1 p,
 
     H = sum of y_i^2 / (2 D_i) + V(q).
 """

@@ -20,8 +20,8 @@ class Coefficients(NamedTuple):
     Parameters
     ----------
     vector, less_one : float
-        The unit quaternion of tau(x) has the vector part vector x and the scalar part 1 +
-        less_one.
+        The unit quaternion of tau(x) has the vector part vector x and the scalar part
+        1 + less_one.
     along, squared : float
         (dtau^-1_x)^* m = m + x cross m / 2 + along (x . m) x - squared |x|^2 m, with the
         right-trivialised tangent dtau: (d/dt tau(x)) tau(x)^-1 = dtau_x x'. For -x the second term
