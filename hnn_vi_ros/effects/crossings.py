@@ -9,8 +9,7 @@ from hnn_vi_ros.kernels import called
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-# Next actions: FREE, there is no crossing; TRY another length; LAND on the crossing; LOST, give
-# up.
+# Next actions: stop without a crossing, try another length, land on the crossing, give up.
 FREE, TRY, LAND, LOST = 0, 1, 2, 3
 # Number of parts of an interval in which a polynomial is examined: enough to separate the roots of
 # paths that turn a few times in a step.
@@ -200,7 +199,7 @@ def _look(search: Search, high: bool) -> float:
 
 @called
 def _last(c: tuple[float, ...], falling: bool, low: float, high: float) -> float:
-    """Return by bisection the end of the fall of the polynomial, or of its positive part."""
+    """Return by bisection the end of the falling part of a polynomial, or of the positive part."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         if (slope_at(c, middle) < 0.0) if falling else (value_at(c, middle) >= 0.0):

@@ -28,7 +28,7 @@ class DiscreteEulerLagrange(Integrator):
 
     Derivatives come from torch's automatic differentiation. L_d is the action of one step [J s]:
     the factor h of the paper's sum is inside L_d. Symplectic for every L_d, which determines the
-    order and symmetry. Use it to test an L_d of your own; `gauss8` is faster.
+    order and symmetry. Use it for an L_d of your own, otherwise `gauss8`.
 
     Parameters
     ----------

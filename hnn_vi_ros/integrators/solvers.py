@@ -30,14 +30,14 @@ from hnn_vi_ros.kernels import inlined
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-# Maximum iterations of the secant method; resolved steps need no more. Of 6155 steps of two
-# methods for H = q sin(5 p), one converged to another solution without being detected.
+# Iterations of the secant method that suffice for resolved steps. Of 6155 steps of two methods for
+# H = q sin(5 p), one converged to another solution without being detected.
 QUICK = 5
 # Residuals that are larger than rounding errors.
 _NOISE = 1e-11
 GO_ON = -1
-# Next actions: a residual is relative to the scale of the largest unknown (COMMON), then to the
-# scale of each (OWN); or the solver returns to an earlier accepted iterate (BACK).
+# Stages of a solver: the residual is relative to the scale of the largest unknown (COMMON), then
+# to that of each (OWN); or the solver returns to an accepted iterate (BACK).
 COMMON, OWN, BACK = 0, 1, 2
 
 

@@ -75,9 +75,9 @@ class VariationalMidpoint(EnergyConserving):
 
         W(u~) (u1 - u0) = h H'(u~),
 
-    a one-step map that does not depend on gradients in theta. W is skew, so (u1 - u0) .
-    H'(u~) = 0, and H changes by terms of third order, which need not cancel without time reversal
-    symmetry. Therefore D is the midpoint discrete gradient of H, which is H'(u~) up to those
+    a one-step map that does not depend on gradients in theta. W is skew, so
+    (u1 - u0) . H'(u~) = 0, and H changes by terms of third order, which need not cancel without
+    time reversal. Therefore D is the midpoint discrete gradient of H, which is H'(u~) up to those
     terms; see DiscreteGradient. Then (u1 - u0) . D = H(u1) - H(u0) = 0: the energy is conserved up
     to the rounding of H.
 

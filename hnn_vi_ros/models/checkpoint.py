@@ -245,7 +245,7 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
 
 def complete_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """
-    Replace the file that this process created by a model, atomically.
+    Write a model over the file that this process created, atomically.
 
     Raises
     ------

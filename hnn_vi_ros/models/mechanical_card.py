@@ -46,8 +46,8 @@ class FrictionCard(StrictModel):
     """
     Friction at each coordinate, whose power is never positive, and the offset of a motor.
 
-    If b and c of Coulomb terms depend on the sign of v, the transition is c_- + (c_+ - c_-)
-    (1 + tanh(v / s)) / 2.
+    If b and c of Coulomb terms depend on the sign of v, the transition is
+    c_- + (c_+ - c_-) (1 + tanh(v / s)) / 2.
     """
 
     viscous: list[NotNegative] = Field(description='b of the friction -b v')

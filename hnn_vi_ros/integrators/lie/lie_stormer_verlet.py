@@ -50,8 +50,8 @@ class LieStormerVerlet(Integrator):
     middle moment for all axes, which commutes with the rest, and the differences of the other two,
     in three rotations: one of half a step, one of a step, one of half a step.
 
-    Symplectic, symmetric, order 2; for accuracy use it as the base of `kahan_li8`. Spatial
-    momentum is conserved if V is independent of q. A rotation of 3 rad or more in a step fails.
+    Symplectic, symmetric, order 2; for accuracy use it in `kahan_li8`. Spatial momentum is
+    kept if V is independent of the attitude. A rotation of 3 rad or more in a step fails.
 
     References
     ----------
