@@ -205,7 +205,6 @@ def test_model_is_evaluated_by_motions_that_a_configuration_computes(files: Path
 
 def test_log_that_lacks_what_a_family_learns_from_is_refused_in_one_line(files: Path):
     (files / 'log.yaml').write_text(dump_yaml(
-        LOG | {'family': {'kind': 'control_affine'}, 'loss': FIELDS['control_affine'].get('loss', {
-            'kind': 'vector_field'})}))
+        LOG | {'family': {'kind': 'control_affine'}, 'loss': {'kind': 'vector_field'}}))
     with refused(DataError):
         train.main(words(files, 'log', 'm'))
