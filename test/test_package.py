@@ -139,6 +139,20 @@ def test_other_rooms_import_from_the_room_and_not_from_its_files():
     assert not wrong, '\n'.join(wrong)
 
 
+def test_every_name_that_a_room_exports_is_defined_where_it_says():
+    wrong = []
+    for room, path in NAMES.items():
+        for name, module in (exported(path) if path.name == '__init__.py' else {}).items():
+            home = tree(NAMES[module.partition('.')[2]])
+            defined = {node.name for node in home.body
+                       if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+            defined |= {node.id for node in ast.walk(home)
+                        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+            if name not in defined and name not in exported(NAMES[module.partition('.')[2]]):
+                wrong.append(f'{room} exports {name} of {module}')
+    assert not wrong, '\n'.join(wrong)
+
+
 def test_tests_stand_in_the_rooms_of_what_they_test():
     folders = {path.relative_to(ROOT / 'test').parts[0] for path in TEST_FILES
                if path.parent != ROOT / 'test'}
