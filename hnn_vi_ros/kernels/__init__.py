@@ -20,7 +20,7 @@ if TYPE_CHECKING:
         load, type_of)
     from hnn_vi_ros.kernels.compilation import (
         announced, compiled, compiled_loop, compiled_options, composed, dispatcher, entry_point,
-        functions_of, identify, kept, kept_only, NotKept)
+        functions_of, kept, kept_only, name_stably, NotKept)
     from hnn_vi_ros.kernels.kernel import (
         Energy, Functions, Gradient, HessianVector, Kernel, Parameters)
     from hnn_vi_ros.kernels.linear_algebra import (

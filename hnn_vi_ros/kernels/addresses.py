@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.kernels.blocks import (
     address_of, array_at, Block, check_words, entry_caller, flat, load, type_of)
-from hnn_vi_ros.kernels.compilation import functions_of, identify, kept
+from hnn_vi_ros.kernels.compilation import functions_of, kept, name_stably
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part
 from hnn_vi_ros.kernels.marks import is_own
@@ -185,7 +185,7 @@ def _name(kernel: Kernel, kind: types.Type, k: int) -> str:
     # Numba caches a function by name and code, and ignores the values of global names.
     sources = digest_of(frozenset(part.__module__ for part in reached(kernel.parameters)))
     layout = re.sub(r' at 0x\w+', '', str(kind))
-    text = '/'.join((identify(functions_of(kernel)[k]), layout, sources))
+    text = '/'.join((name_stably(functions_of(kernel)[k]), layout, sources))
     return f'{Kernel._fields[k]}_{sha256(text.encode()).hexdigest()[:16]}'
 
 
@@ -219,8 +219,8 @@ class _Linked(Part):
             provide(memory.kernel._replace(parameters=target), k)
         for array in arrays:
             if array.dtype != np.float64 or array.ndim != 1 or not array.flags.c_contiguous:
-                raise ValueError(f'an array of {array.dtype} and shape {array.shape}; expected '
-                                 'contiguous ones of float64 and shape (n,)')
+                raise ValueError(f'an array has type {array.dtype} and shape {array.shape}, '
+                                 'expected contiguous float64 of shape (n,)')
         return memory.entries[k].call(_address_of(target.words) + _BEFORE,
                                       *map(_address_of, arrays), arrays[0].size)
 

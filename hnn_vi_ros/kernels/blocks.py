@@ -5,11 +5,10 @@
 from functools import cache
 from typing import Any, TypeVar
 
-from hnn_vi_ros.kernels.linking import LINK_ONLY, Part
+from hnn_vi_ros.kernels.linking import LINK_ONLY, Part, without_owners
 from llvmlite import ir
 import numba
-from numba.core import cgutils, types
-from numba.core.base import BaseContext
+from numba.core import types
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic, overload
 import numpy as np
@@ -38,34 +37,10 @@ def bare(value: _Value) -> _Value:
 
 @overload(bare, jit_options={'forceinline': True, **LINK_ONLY})
 def _bare(value: Any) -> Any:
-    def replace_owners(value: Any) -> Any:
-        return _replace_owners(value)
-    return replace_owners
-
-
-@intrinsic
-def _replace_owners(_context: Any, value: Any) -> Any:
-    def generate(context: BaseContext, builder: ir.IRBuilder, signature: Any, arguments: Any
-                 ) -> ir.Value:
-        return without_owners(context, builder, signature.return_type, arguments[0])
-    return value(value), generate
-
-
-def without_owners(context: BaseContext, builder: ir.IRBuilder, kind: types.Type,
-                   value: ir.Value, place: tuple[int, ...] = ()) -> ir.Value:
-    """Return a value with null owners in its part ``place``, of numba's type ``kind``."""
-    if isinstance(kind, types.Array):
-        model = context.data_model_manager[kind]
-        for owner in ('meminfo', 'parent'):
-            null = cgutils.get_null_value(context.get_value_type(model.get_type(owner)))
-            value = builder.insert_value(value, null, (*place, model.get_field_position(owner)))
-    elif isinstance(kind, types.BaseTuple):
-        for k, part in enumerate(kind.types):
-            value = without_owners(context, builder, part, value, (*place, k))
-    elif context.data_model_manager[kind].contains_nrt_meminfo():
-        # Other reference-counted objects keep their count, since the result is a new reference.
-        context.nrt.incref(builder, kind, builder.extract_value(value, place) if place else value)
-    return value
+    def borrowed(value: Any) -> Any:
+        # As all that a part returns.
+        return value
+    return borrowed
 
 
 _known: dict[Any, types.Type] = {}
@@ -136,8 +111,8 @@ def block(value: Any, *before: int) -> np.ndarray:
 def check_words(kind: types.Type, count: int) -> None:
     """Raise TypeError if a value of a type has another number of words in memory."""
     if _size_of(kind) != 8 * count:
-        raise TypeError('parameters of a kernel, or options of a step, that are no whole words: '
-                        'truth values beside each other; give them as int')
+        raise TypeError('parameters of a kernel and options of a step must not contain adjacent '
+                        'bools, which do not fill whole words; give them as int')
 
 
 @cache
@@ -174,7 +149,7 @@ def flat(value: object) -> list[int]:
     if callable(value):
         return [0]
     raise TypeError(f'{type(value).__name__} in the parameters of a kernel; valid: int, float, '
-                    'numpy arrays, functions, and tuples of such')
+                    'numpy arrays, functions, and tuples of these')
 
 
 @intrinsic
@@ -206,7 +181,7 @@ def _pointer(_context: Any, address: Any) -> Any:
 def address_of(_context: Any, array: Any) -> Any:
     """Return the address of the elements of a contiguous array."""
     if array.ndim != 1 or array.dtype not in (types.float64, types.int64):
-        raise numba.TypingError(f'{array} by address; expected float64 and shape (n,)')
+        raise numba.TypingError(f'{array} by address, expected float64 and shape (n,)')
 
     def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
                  ) -> ir.Value:
@@ -216,7 +191,7 @@ def address_of(_context: Any, array: Any) -> Any:
             strided = builder.icmp_signed('!=', step, part.itemsize)
             with builder.if_then(strided, likely=False):
                 context.call_conv.return_user_exc(
-                    builder, ValueError, ('an array by address has gaps',))
+                    builder, ValueError, ('an array by address is not contiguous',))
         return builder.ptrtoint(part.data, context.get_value_type(types.int64))
     return types.int64(array), generate
 

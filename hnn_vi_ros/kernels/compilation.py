@@ -64,7 +64,7 @@ def compiled(function: Callable[..., Any], name: str) -> Part:
 
     """
     dispatcher = Part(function, targetoptions={'forceinline': True})
-    identify(dispatcher, name)
+    name_stably(dispatcher, name)
     return dispatcher
 
 
@@ -127,7 +127,7 @@ def compiled_loop(loop: Callable[..., Any], kernel: Kernel, method: str,
     functions = functions_of(kernel)
     if not (own and all(is_own(function.py_func.__module__) for function in functions)):
         return _uncached(loop)
-    return _cached(loop, *(identify(function) for function in functions), method,
+    return _cached(loop, *(name_stably(function) for function in functions), method,
                    _digest(loop, parts))
 
 
@@ -146,7 +146,7 @@ def _cached(loop: Callable[..., Any], *names: str) -> Callable[..., Any]:
     return keep(numba.njit(copy, **_LOOP))
 
 
-def identify(dispatcher: Dispatcher, name: str = '') -> str:
+def name_stably(dispatcher: Dispatcher, name: str = '') -> str:
     """Set a name of a compiled function that is the same in every process; return the function."""
     # A function passed to a compiled one is part of its signature, by which numba looks up its
     # cache on disk. Numba identifies such a function by a random number, new in each process; with
@@ -187,7 +187,7 @@ def composed(kernel: Kernel, functions: Functions, kinds: tuple[type, ...],
     if kernel.compiled:
         for function in functions_of(kernel):
             # Before it is compiled into others, when numba assigns a random name.
-            identify(function)
+            name_stably(function)
         energy, gradient, hessian_vector = (
             _compile(function, base, kinds)
             for function, base in zip(functions, functions_of(kernel), strict=True))
@@ -218,9 +218,9 @@ def _digest(*values: object) -> str:
 
 # Compile time per byte of reached bytecode [s], 0.5 to 1.2 ms on one core of a server over ten
 # scenes from an empty cache.
-_SECONDS = 0.8e-3
+_SECONDS_PER_BYTE = 0.8e-3
 # Shortest compile time that is announced [s].
-_SHORT = 1.0
+_MIN_ANNOUNCED_SECONDS = 1.0
 _NAMES = {'advance': 'the loop over steps', 'take_substeps': 'the sub-steps',
           '_step_entry': 'a step', '_energy_entry': 'H', '_gradient_entry': 'the gradient of H',
           '_hessian_vector_entry': "products with H''"}
@@ -244,15 +244,15 @@ class _Announcer(Listener):
         """Announce a long compilation; code found on disk does not cause this event."""
         self._depth += 1
         function = event.data['dispatcher'].py_func
-        seconds = _SECONDS * sum(len(part.__code__.co_code) for part in reached(
+        seconds = _SECONDS_PER_BYTE * sum(len(part.__code__.co_code) for part in reached(
             function, *_functions_in(event.data['args'])))
         if self._depth > 1:
             return
         self._begin, self._seconds = time.perf_counter(), seconds
         seconds *= self._taken / self._expected
-        if seconds >= _SHORT:
+        if seconds >= _MIN_ANNOUNCED_SECONDS:
             what = _NAMES.get(function.__name__, function.__name__)
-            self._tell(f'compiling {what}, once: about {seconds:.0f} s')
+            self._tell(f'compiling {what} once: about {seconds:.0f} s')
             self._wait(what, seconds)
 
     def on_end(self, event: Event) -> None:
@@ -266,7 +266,7 @@ class _Announcer(Listener):
     def _wait(self, what: str, seconds: float) -> None:
         """Report that it continues, after twice the expected time."""
         def tell() -> None:
-            self._tell(f'still compiling {what}: this machine is slower or busy, '
+            self._tell(f'still compiling {what}: this machine is slow or busy; '
                        f'about {2.0 * seconds:.0f} s more')
             self._wait(what, 2.0 * seconds)
         self._late = Timer(2.0 * seconds, tell)

@@ -54,6 +54,9 @@ class Kernel(NamedTuple):
 
     quadratic : bool
         True if H = p . M^-1 p / 2 + V(q) with constant masses and gradients that take nanoseconds.
+    internal : int
+        Number of the first channels whose coordinates are not times, but constants of a step that
+        the integrals change after it.
 
     """
 
@@ -68,6 +71,7 @@ class Kernel(NamedTuple):
     energy_scale: float = 0.0
     rotations: tuple[int, ...] = ()
     quadratic: bool = False
+    internal: int = 0
 
     def energies(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return H [J] at m states in sequence, shape (m,), for q and p of shape (m d,)."""

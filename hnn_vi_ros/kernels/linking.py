@@ -6,7 +6,9 @@ Functions that are compiled only as parts of others, in a third of numba's compi
 Numba optimises each function as if it were called separately, generates machine code for it, and
 repeats that wherever it is inlined; but of a step with its solver and its gradient only the
 outermost result is ever called. Functions compiled by LinkOnly are lowered and inlined into their
-callers, whose own compilation optimises them once.
+callers, whose own compilation optimises them once. If they create no array they count no
+references, which for workspaces of a hundred arrays is half of the code: their outermost caller
+owns all arrays.
 
 Only this file uses numba's compiler passes, code libraries and cache.
 """
@@ -15,6 +17,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager, ExitStack, nullcontext, suppress
 from fcntl import flock, LOCK_EX, LOCK_NB
+import gc
 from hashlib import sha256
 from pathlib import Path
 import pickle
@@ -25,16 +28,21 @@ import warnings
 
 from hnn_vi_ros.kernels.marks import register_by
 from hnn_vi_ros.kernels.sources import digest_of
+from llvmlite import ir
 from llvmlite.binding import Linkage
 import numba
 from numba import _dynfunc
+from numba.core import cgutils, types
+from numba.core.base import BaseContext
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_lock import global_compiler_lock, require_global_compiler_lock
 from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.ir import Return
 from numba.core.lowering import Lower
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime.context import NRTContext
 from numba.core.typed_passes import NativeLowering
 from numba.extending import register_jitable
 
@@ -43,6 +51,15 @@ class _Library(JITCodeLibrary):
     """Code to be linked into other libraries: inlined within itself, neither optimised nor run."""
 
     link_only = True
+    # True if the code counts references to arrays.
+    counts = False
+
+    def creates_arrays(self) -> bool:
+        """Return True if the code, or code that it calls, allocates what references are to."""
+        # Those that are linked contain what they call.
+        return any(function.name.startswith('NRT_MemInfo_alloc')
+                   for library in dict.fromkeys((self, *self._linking_libraries))
+                   for function in library._final_module.functions)
 
     def finalize(self) -> None:
         """Link the called code, and inline it."""
@@ -71,11 +88,52 @@ class _Library(JITCodeLibrary):
         return True
 
 
+class _Borrowed(NRTContext):
+    """References that are not counted: the caller owns all arrays."""
+
+    def incref(self, builder: ir.IRBuilder, typ: types.Type, value: ir.Value) -> None:
+        """Count nothing."""
+
+    def decref(self, builder: ir.IRBuilder, typ: types.Type, value: ir.Value) -> None:
+        """Count nothing."""
+
+
+def without_owners(context: BaseContext, builder: ir.IRBuilder, kind: types.Type,
+                   value: ir.Value, place: tuple[int, ...] = ()) -> ir.Value:
+    """Return a value with null owners in its part ``place``, of numba's type ``kind``."""
+    if isinstance(kind, types.Array):
+        model = context.data_model_manager[kind]
+        for owner in ('meminfo', 'parent'):
+            null = cgutils.get_null_value(context.get_value_type(model.get_type(owner)))
+            value = builder.insert_value(value, null, (*place, model.get_field_position(owner)))
+    elif isinstance(kind, types.BaseTuple):
+        for k, part in enumerate(kind.types):
+            value = without_owners(context, builder, part, value, (*place, k))
+    elif context.data_model_manager[kind].contains_nrt_meminfo():
+        # Other reference-counted objects keep their count, since the result is a new reference.
+        NRTContext(context, True).incref(
+            builder, kind, builder.extract_value(value, place) if place else value)
+    return value
+
+
 class _Lower(Lower):
-    """Numba's lowering to LLVM, with the environment defined where it is used."""
+    """Numba's lowering to LLVM, for a library that is only linked."""
+
+    def __init__(self, *arguments: Any, **keywords: Any):
+        super().__init__(*arguments, **keywords)
+        if not self.library.counts:
+            self.context.nrt = _Borrowed(self.context, True)
 
     def emit_environment_object(self) -> None:
-        """Omit the environment until it is requested."""
+        """Omit the environment, which is defined where it is used."""
+
+    def lower_inst(self, inst: Any) -> None:
+        """Lower an instruction; what is borrowed is returned without owners."""
+        if isinstance(inst, Return) and not self.library.counts:
+            name = inst.value.name
+            self.storevar(without_owners(
+                self.context, self.builder, self.typeof(name), self.loadvar(name)), name)
+        super().lower_inst(inst)
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -92,11 +150,15 @@ class _Lowering(NativeLowering):
     def run_pass(self, state: Any) -> bool:
         """Lower a function, and register it for its callers."""
         context = state.targetctx
-        state.library = library = _Library(context.codegen(), state.func_id.func_qualname)
         # A copy: numba looks up compiled functions by the flags of their callers.
         state.flags = state.flags.copy()
         state.flags.no_compile = True
-        super().run_pass(state)
+        for counts in (False, True):
+            state.library = library = _Library(context.codegen(), state.func_id.func_qualname)
+            library.counts = counts
+            super().run_pass(state)
+            if not library.creates_arrays():
+                break
         function, environment = state['cr'].fndesc, state['cr'].env
         if library.defines(context.get_env_name(function)):
             # To print or raise, it creates Python objects from an environment that numba locates
@@ -243,7 +305,7 @@ class _Files(IndexDataCacheFile):
         if data is None and self.beside is not None:
             return self.beside.load(key)
         if own != key:
-            self._warn('files are in the place of others')
+            self._warn('files belong to other functions')
             return None
         return data
 
@@ -286,12 +348,12 @@ class _Files(IndexDataCacheFile):
             # It was created from other sources, whose types no longer exist.
             return None
         if name != self._index_name:
-            self._warn('files are in the place of others')
+            self._warn('files belong to other functions')
             return None
         return content
 
     def _warn(self, reason: str) -> None:
-        _warn_once(f'compiled code in {self._cache_path} cannot be used', reason,
+        _warn_once(f'cached compiled code in {self._cache_path} cannot be used', reason,
                    'it is compiled again')
 
 
@@ -346,7 +408,7 @@ class _Cache(FunctionCache):
 
 
 def _warn_of_lost(folder: str, reason: str) -> None:
-    _warn_once(f'compiled code cannot be kept in {folder}', reason,
+    _warn_once(f'compiled code cannot be cached in {folder}', reason,
                'the next start compiles again; free space, or set NUMBA_CACHE_DIR to another '
                'folder')
 
@@ -363,7 +425,7 @@ def set_identity(dispatcher: CPUDispatcher, identity: str) -> None:
 
 
 # Maximum time to wait for a stopped process, and time between attempts [s].
-_LONGEST, _LOOK = 300.0, 0.02
+_MAX_LOCK_SECONDS, _LOCK_INTERVAL = 300.0, 0.02
 
 
 @contextmanager
@@ -377,17 +439,33 @@ def _locked(cache: Any) -> Iterator[None]:
         except OSError:
             yield
             return
-        until = time.monotonic() + _LONGEST
+        until = time.monotonic() + _MAX_LOCK_SECONDS
         while time.monotonic() < until:
             with suppress(BlockingIOError):
                 flock(file, LOCK_EX | LOCK_NB)
                 break
-            time.sleep(_LOOK)
+            time.sleep(_LOCK_INTERVAL)
         try:
             yield
         finally:
             # Waiting processes have this file open; later ones lock a new one, and find the code.
             path.unlink(missing_ok=True)
+
+
+# Allocated objects before garbage is looked for while code is compiled.
+_COLLECTED_AFTER = 200_000
+
+
+@contextmanager
+def _seldom_collected() -> Iterator[None]:
+    """Look for garbage seldom: it takes an eighth of a compilation, which leaves hardly any."""
+    with global_compiler_lock:
+        first, *others = gc.get_threshold()
+        gc.set_threshold(max(first, _COLLECTED_AFTER) if first else 0, *others)
+        try:
+            yield
+        finally:
+            gc.set_threshold(first, *others)
 
 
 def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
@@ -402,7 +480,7 @@ def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
     def compile_once(signature: Any) -> Any:
         # One process at a time compiles; the others wait, and find the result on disk.
         kept = isinstance(dispatcher._cache, _Cache)
-        with _locked(dispatcher._cache) if kept else nullcontext():
+        with _locked(dispatcher._cache) if kept else nullcontext(), _seldom_collected():
             return compile_(signature)
 
     def compile_aside(signature: Any) -> Any:
@@ -427,5 +505,5 @@ def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:
     try:
         dispatcher._cache = _Cache(dispatcher.py_func)
     except RuntimeError:
-        _warn_of_lost('the package or a folder of caches', 'neither can be written')
+        _warn_of_lost('the package or a cache folder', 'neither is writable')
     return aside(dispatcher)

@@ -15,7 +15,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels import compilation
 from hnn_vi_ros.kernels.addresses import by_address, fill_energies, provide
-from hnn_vi_ros.kernels.compilation import compiled_loop, identify
+from hnn_vi_ros.kernels.compilation import compiled_loop, name_stably
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import reached
 from hnn_vi_ros.simulation import Simulation
@@ -114,7 +114,7 @@ def test_parameters_that_are_no_words_are_refused():
     kernel = HAMILTONIANS['tao']().kernel
     with pytest.raises(TypeError, match='str in the parameters'):
         by_address(kernel._replace(parameters=('text',)))
-    with pytest.raises(TypeError, match='truth values'):
+    with pytest.raises(TypeError, match='adjacent bools'):
         provide(by_address(kernel._replace(parameters=(True, True))), 0)
 
 
@@ -223,7 +223,7 @@ def test_function_is_named_once_where_two_threads_ask_at_the_same_time(monkeypat
     monkeypatch.setattr(compilation, '_digest', digest)
     dispatcher = numba.njit(lambda x: x)
     with ThreadPoolExecutor(2) as pool:
-        names = list(pool.map(identify, [dispatcher, dispatcher]))
+        names = list(pool.map(name_stably, [dispatcher, dispatcher]))
     assert names[0] == names[1]
     assert names[0].endswith('-digest')
 
@@ -244,5 +244,5 @@ def test_function_that_numba_has_numbered_meanwhile_can_be_named():
     function = numba.njit(lambda x: 3.0 * x)
     # As where another thread compiles a caller of the function.
     numbered = function._uuid
-    assert identify(function)
+    assert name_stably(function)
     assert (function._uuid, function(2.0)) == (numbered, 6.0)

@@ -104,7 +104,7 @@ def test_damaged_file_is_told_of_and_made_anew(which, damage, kept, folder):
 def test_file_in_the_place_of_another_is_told_of_and_made_anew(source, target, kept, folder):
     (found,), (place,) = folder.rglob(source), folder.rglob(target)
     place.write_bytes(found.read_bytes())
-    assert_made_anew(folder, 'in the place of others')
+    assert_made_anew(folder, 'belong to other functions')
 
 
 @pytest.mark.parametrize('which', range(3))
@@ -139,7 +139,7 @@ def test_code_whose_types_are_gone_is_made_anew(kept, monkeypatch):
 
 def test_code_runs_where_no_folder_can_be_written(monkeypatch):
     monkeypatch.setattr(numba.core.caching._CacheLocator, 'ensure_cache_path', refuse)
-    with pytest.warns(UserWarning, match='compiled code cannot be kept .*NUMBA_CACHE_DIR'):
+    with pytest.warns(UserWarning, match='compiled code cannot be cached .*NUMBA_CACHE_DIR'):
         assert code(double)(3) == 6
 
 

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Functions that are only linked into others, and loops whose arrays nobody counts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 import re
+import sys
 from types import FunctionType
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -16,6 +17,7 @@ from hnn_vi_ros.simulation.assembly import advance
 import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.event import install_recorder
+from numba.core.runtime import _nrt_python, rtsys
 import numpy as np
 import pytest
 
@@ -102,6 +104,55 @@ def test_bare_arrays_are_the_same_memory_and_their_owners_keep_them():
     assert fill((x, (y, 1)), 2.0) == 2.0
     assert y.tolist() == [2.0, 3.0, 4.0] and (x.base, y.base) == before
     assert bare(x) is x
+
+
+@pytest.fixture
+def allocations() -> Iterator[Callable]:
+    _nrt_python.memsys_enable_stats()
+    yield rtsys.get_allocation_stats
+    _nrt_python.memsys_disable_stats()
+
+
+def test_part_counts_no_references_and_returns_arrays_that_their_owner_keeps(allocations):
+    @part()
+    def rest(x):
+        y = x[1:]
+        return y, x
+
+    @numba.njit
+    def total(x):
+        own = x + 1.0
+        y, whole = rest(own)
+        return y.sum() + whole[0] + own[0]
+
+    x = np.arange(3.0)
+    total(x)
+    references, before = sys.getrefcount(x), allocations()
+    assert [total(x) for _ in range(100)] == [7.0] * 100
+    after = allocations()
+    assert sys.getrefcount(x) == references
+    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free >= 100
+
+
+def test_part_that_creates_arrays_frees_them(allocations):
+    @part()
+    def doubled(x):
+        return 2.0 * x
+
+    @part()
+    def quadrupled(x):
+        return doubled(doubled(x))
+
+    @numba.njit
+    def total(x):
+        return quadrupled(x).sum()
+
+    total(np.ones(2))
+    before = allocations()
+    assert [total(np.ones(2)) for _ in range(100)] == [8.0] * 100
+    after = allocations()
+    # The argument itself, and two for each.
+    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free == 300
 
 
 def test_text_beside_bare_arrays_keeps_its_owner():
