@@ -14,16 +14,20 @@ from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
     from hnn_vi_ros.effects.base import (
-        Effect, EffectError, EffectState, Force, Joined, Layer, per_coordinate, Place, Potential)
+        Effect, EffectError, EffectState, Force, InternalForce, Joined, per_coordinate, Place,
+        Potential, StepLayer)
     from hnn_vi_ros.effects.commands import (
-        Aim, Command, Commanded, contents, EFFORT, JointCommand, JointPath, LARGEST, NUMBERS,
-        OBSERVATION, Observation, PATH, POSITION, printable, select, VELOCITY, whole_turns)
+        Command, Commanded, contents, EFFORT, JointCommand, JointPath, LARGEST, NUMBERS,
+        OBSERVATION, Observation, PATH, POSITION, printable, select, ServoTarget, VELOCITY,
+        whole_turns)
     from hnn_vi_ros.effects.damping import Damping
+    from hnn_vi_ros.effects.elastic_gears import gear_effects
     from hnn_vi_ros.effects.external_force import ExternalForce
     from hnn_vi_ros.effects.input_map import has_map
     from hnn_vi_ros.effects.kernels import add_forces, join
     from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
     from hnn_vi_ros.effects.learned_friction import LearnedFriction
+    from hnn_vi_ros.effects.loops import ClosedChains, LoopManifold
     from hnn_vi_ros.effects.manifold import Manifold
     from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
     from hnn_vi_ros.effects.registry import effect_name, EFFECTS

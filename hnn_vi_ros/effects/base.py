@@ -12,9 +12,9 @@ from typing import Any, ClassVar, NamedTuple
 from hnn_vi_ros.effects.commands import Reference
 from hnn_vi_ros.errors import listed, reduce_error
 from hnn_vi_ros.hamiltonians import Hamiltonian
-from hnn_vi_ros.integrators import Integrator, Point, PointWork, Step
+from hnn_vi_ros.integrators import Integrator, PhasePoint, PointWork, Step
 from hnn_vi_ros.kernels import Energy, Functions, Gradient, HessianVector, Parameters
-from hnn_vi_ros.phase_space import columns, Coordinate, scalar_columns
+from hnn_vi_ros.phase_space import columns, Coordinate, leaders, motor_names, scalar_columns
 import numpy as np
 
 
@@ -55,7 +55,10 @@ class EffectState(NamedTuple):
         The linear vector potential of all magnetic fields, c A(q) = gauge q. The kinetic momentum
         M v is p - gauge q.
     resting : np.ndarray, shape (K,)
-        For an effect with rigid stops, the sum of 2^k over the stops k on which coordinates rest.
+        Internal variable of each effect: x of an InternalForce, and for an effect with rigid
+        stops the sum of 2^k over the stops k on which coordinates rest. Bags have this name.
+    step : np.ndarray, shape (1,)
+        Size of the attempted step [s], not part of snapshots; 1 before the first step.
     reference : Reference
         The reference that servos follow.
 
@@ -68,6 +71,7 @@ class EffectState(NamedTuple):
     draws: np.ndarray
     gauge: np.ndarray
     resting: np.ndarray
+    step: np.ndarray
     reference: Reference
 
     @classmethod
@@ -75,7 +79,7 @@ class EffectState(NamedTuple):
         """Return the state before the first step, with space for this many knots of a path."""
         return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects),
                    np.zeros(dimension + 1), np.zeros(3, dtype=np.int64),
-                   np.zeros((dimension, dimension)), np.zeros(effects),
+                   np.zeros((dimension, dimension)), np.zeros(effects), np.ones(1),
                    Reference.empty(dimension, knots))
 
     def reset(self, stream: int, time: float = 0.0,
@@ -96,7 +100,7 @@ class EffectState(NamedTuple):
         for array in (self.clock, self.work, self.pending, self.command, self.draws,
                       self.resting, *self.reference):
             array[...] = 0
-        self.clock[0], self.draws[2] = time, stream
+        self.clock[0], self.draws[2], self.step[0] = time, stream, 1.0
         if held is not None:
             self.command[...] = held['live.command']
             for name, array in zip(Reference._fields, self.reference, strict=True):
@@ -152,6 +156,10 @@ class Effect(ABC):
         True if the viewer draws its force as an arrow, which takes microseconds of plain Python.
     knots : int
         Number of knots of a path that it needs space for; see Reference.
+    internal : bool
+        True for an InternalForce.
+    stiff : bool
+        True if it has a ``fastest_rate``, which steps should resolve.
     excludes : mapping of Place to str
         Places where no other effect may act, each with a clause of the error message that gives
         the reason.
@@ -169,6 +177,8 @@ class Effect(ABC):
     by_motors: bool | None = None
     drawn: ClassVar[bool] = False
     knots: ClassVar[int] = 0
+    internal: ClassVar[bool] = False
+    stiff: ClassVar[bool] = False
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
 
     def place(self, integrator: Integrator) -> Place:
@@ -178,6 +188,10 @@ class Effect(ABC):
     def accepts(self, integrator: Integrator) -> bool:
         """Return True if the method keeps its properties with this effect."""
         return integrator.requirements.hamiltonian
+
+    def fastest_rate(self, parameters: Any, inverse_mass: np.ndarray) -> float:
+        """Return the fastest rate of its own small motions [rad/s], from H_pp."""
+        raise NotImplementedError
 
     @abstractmethod
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Parameters:
@@ -197,6 +211,9 @@ class Effect(ABC):
             A name or a length does not match the coordinates; the message lists the valid ones.
 
         """
+
+    def check_beside(self, others: Sequence['Effect']) -> None:  # noqa: B027
+        """Raise ValueError if it does not fit the effects of its scene, itself included."""
 
     def check_state(  # noqa: B027
             self, hamiltonian: Hamiltonian, parameters: Any, q: np.ndarray) -> None:
@@ -350,7 +367,36 @@ class Force(Effect):
         return integrator.requirements.take_force(self.depends_on_momentum, self.held)
 
 
-class Layer:
+class InternalForce(Force):
+    """
+    A force on one coordinate whose internal variable x follows the velocity v or a command.
+
+    Within a step v is constant, so that x follows an exact flow and is bounded at any step size:
+    x at a node belongs to the time and the v of the node, and the change of x in a step is the
+    mean of those at the nodes. This is of order 2. ``add_force`` does not apply.
+
+    Attributes
+    ----------
+    respond : callable
+        ``respond(parameters, x, v, t, h)`` returns the force at the time t since the start of the
+        step, where x belongs, and the mean rate of x over the step h. Plain Python in numba's
+        subset. The first field of the parameters is the column of the coordinate.
+    respond_tangent : callable
+        ``respond_tangent(parameters, x, v, t, h, dx, dv)`` returns the changes of both.
+
+    """
+
+    depends_on_momentum, lockstep, internal = True, False, True
+    respond: Callable[..., tuple[float, float]]
+    respond_tangent: Callable[..., tuple[float, float]]
+
+    def accepts(self, integrator: Integrator) -> bool:
+        """Return True if the method supports forces of order 2 that depend on the velocity."""
+        return (integrator.order <= 2 and integrator.requirements.from_state
+                and super().accepts(integrator))
+
+
+class StepLayer:
     """
     A layer that Wrapped puts around a step, such as a StepEffect.
 
@@ -388,10 +434,10 @@ class Layer:
     @staticmethod
     def workspace(n: int, settings: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the workspace of the layer's step, by default a point."""
-        return PointWork(Point.empty(n))
+        return PointWork(PhasePoint.empty(n))
 
 
-class StepEffect(Effect, Layer):
+class StepEffect(Effect, StepLayer):
     """An effect that acts between or around steps of a method: a flow, a jump or a projection."""
 
     acts = Place.AROUND
@@ -406,11 +452,18 @@ class StepEffect(Effect, Layer):
         return super().accepts(integrator) and self.inner_step(integrator) is not None
 
 
+def motor_index(coordinates: Sequence[Coordinate], name: str) -> int:
+    """Return the column on which the motor of a coordinate acts; see ``coordinate_index``."""
+    return coordinate_index(coordinates, motor_names(coordinates).get(name, name))
+
+
 def coordinate_index(coordinates: Sequence[Coordinate], name: str) -> int:
     """Return the column of a coordinate in q, or raise ValueError with the valid names."""
     indices = scalar_columns(coordinates)
     if name not in indices:
-        raise ValueError(f'no coordinate {name!r}; valid coordinates: {listed(indices)}')
+        leader = leaders(coordinates).get(name)
+        why = '' if leader is None else f': this joint follows {leader}; name that one'
+        raise ValueError(f'no coordinate {name!r}{why}; valid coordinates: {listed(indices)}')
     return indices[name]
 
 
@@ -419,6 +472,6 @@ def per_coordinate(coordinates: Sequence[Coordinate], name: str, values: float |
     """Return one number for each column of p, from a number for all columns or a list."""
     array, names = np.array(values, dtype=np.float64), columns(coordinates)[1]
     if array.ndim and array.size != len(names):
-        raise ValueError(f'{name} has {array.size} values, expected 1 or one for each of the '
+        raise ValueError(f'{name} has {array.size} values, expected 1, or one for each of the '
                          f'coordinates {listed(names)}')
     return np.broadcast_to(array, len(names)).copy()

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels import identify, inlined, kept
+from hnn_vi_ros.kernels import inlined, kept, name_stably
 from hnn_vi_ros.models import (
     Checkpoint, evaluate_outputs, group_of, pack_layers, PackedOutputs, see_attitude, widened)
 from hnn_vi_ros.phase_space import Coordinate
@@ -40,7 +40,7 @@ def body_network(model: Checkpoint, name: str, coordinates: Sequence[Coordinate]
     """Return a network of a model, or raise ValueError if H is of another kind."""
     card = group_of(model)
     if [coordinate.kind for coordinate in coordinates] != [card.kind]:
-        raise ValueError(f'the model is of one {card.kind}; H has '
+        raise ValueError(f'the model has one coordinate, a {card.kind}; H has '
                          f'{", ".join(coordinate.kind for coordinate in coordinates)}')
     return BodyNetwork(
         pack_layers(widened(model, name), model.card.activation),
@@ -108,4 +108,4 @@ def _add(own: BodyNetwork, f_p: np.ndarray) -> None:
 
 for _function in (add_body_map, add_body_drag):
     # Functions in the parameters of compiled functions need a name; see identify.
-    identify(_function)
+    name_stably(_function)

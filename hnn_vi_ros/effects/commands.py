@@ -88,7 +88,7 @@ OBSERVATION = 'observation'
 # Upper bound on the numbers of a command in any unit, so that splines and forces stay finite.
 LARGEST = 1e12
 # Upper bounds on the observed position and velocity of a joint, so that numbers do not overflow.
-_LARGEST_OBSERVED = 1e9
+_MAX_OBSERVED = 1e9
 
 
 def contents(command: Command) -> set[str]:
@@ -102,7 +102,7 @@ def contents(command: Command) -> set[str]:
     found = {name for name in (POSITION, VELOCITY, EFFORT)
              if not np.isnan(getattr(command, name)).all()}
     if not found:
-        raise ValueError('the command holds no number: give a position, a velocity or an effort')
+        raise ValueError('the command is empty; give a position, a velocity or an effort')
     return found
 
 
@@ -136,7 +136,7 @@ class Reference(NamedTuple):
                    np.zeros(2, dtype=np.int64), np.zeros((knots, 1 + 3 * dimension)))
 
 
-class Aim(NamedTuple):
+class ServoTarget(NamedTuple):
     """
     Present targets of a servo.
 
@@ -202,7 +202,7 @@ class Commanded(ABC):
         """Apply the settings that act before the first command; by default none."""
         return
 
-    def aim(self, parameters: Any) -> Aim | None:
+    def servo_target(self, parameters: Any) -> ServoTarget | None:
         """Return the present targets, None if the effect follows none."""
         return None
 
@@ -220,21 +220,21 @@ def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.n
     given = list(command.names)
     for name in names:
         if given.count(name) != 1:
-            raise ValueError(f'joint {name!r} is observed {given.count(name)} times: name it '
-                             f'once; observed are {listed(names)}')
+            raise ValueError(f'joint {name!r} is listed {given.count(name)} times, expected once; '
+                             f'observed joints: {listed(names)}')
     rows = [given.index(name) for name in names]
     position, velocity = command.position[rows], command.velocity[rows]
-    if not (np.abs(position) <= _LARGEST_OBSERVED).all() \
-            or (np.abs(velocity) > _LARGEST_OBSERVED).any():
-        raise ValueError('a position is missing or not finite, or a velocity is infinite, or one '
-                         f'is beyond {_LARGEST_OBSERVED:g}')
+    if not (np.abs(position) <= _MAX_OBSERVED).all() \
+            or (np.abs(velocity) > _MAX_OBSERVED).any():
+        raise ValueError('positions and known velocities must be finite and at most '
+                         f'{_MAX_OBSERVED:g}')
     return position, velocity
 
 
 def whole_turns(difference: np.ndarray, turning: np.ndarray) -> np.ndarray:
     """Return the whole turns nearest to differences of positions of rotating joints [rad]."""
     # Impossible differences are left for ``select`` to refuse.
-    turning = turning & (np.abs(difference) <= _LARGEST_OBSERVED)
+    turning = turning & (np.abs(difference) <= _MAX_OBSERVED)
     return 2.0 * math.pi * np.where(turning, np.round(difference / (2.0 * math.pi)), 0.0)
 
 
@@ -250,11 +250,11 @@ def plus_motors(force: float, matrix: np.ndarray, fade: np.ndarray, command: np.
 def indices_of(names: Sequence[str], known: Sequence[str], wanted: np.ndarray) -> np.ndarray:
     """Return the indices of wanted names in a list of known names, or raise ValueError."""
     if len(set(names)) < len(names):
-        raise ValueError(f'name = [{printable(names)}] names a joint twice: give each once')
+        raise ValueError(f'name = [{printable(names)}] lists a joint twice; list each once')
     asked = [name for name, one in zip(names, wanted, strict=True) if one]
     for name in asked:
         if name not in known:
-            raise ValueError(f'no joint {name[:80]!r} is driven so; valid joints: '
+            raise ValueError(f'joint {name[:80]!r} does not accept this command; valid joints: '
                              f'{listed(known)}')
     return np.array([known.index(name) for name in asked], dtype=np.int64)
 

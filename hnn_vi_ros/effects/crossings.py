@@ -14,14 +14,14 @@ FREE, TRY, LAND, LOST = 0, 1, 2, 3
 # Number of parts of an interval in which a polynomial is examined: enough to separate the roots of
 # paths that turn a few times in a step.
 _PARTS = 8
-_HALVINGS = 60
+_MAX_HALVINGS = 60
 # Maximum number of intervals that wait for a search, and of trials for one crossing; they
 # determine the size of arrays. Well-behaved paths need a few of each.
-_MOST_INTERVALS = 64
-_MOST_TRIALS = 300
+_MAX_INTERVALS = 64
+_MAX_TRIALS = 300
 # A distance that is below zero for less than this fraction of the step does not count as a
 # crossing. Otherwise a path that only touches would divide intervals indefinitely.
-_SHORTEST = 1e-10
+_MIN_CROSSING = 1e-10
 
 
 class Search(NamedTuple):
@@ -48,7 +48,7 @@ class Search(NamedTuple):
     @classmethod
     def empty(cls) -> 'Search':
         """Return a search that has not begun."""
-        return cls(np.zeros((_MOST_INTERVALS + 2, 5)), np.zeros(2, dtype=np.int64), np.zeros(3))
+        return cls(np.zeros((_MAX_INTERVALS + 2, 5)), np.zeros(2, dtype=np.int64), np.zeros(3))
 
     @classmethod
     def several(cls, number: int) -> 'Search':
@@ -126,7 +126,7 @@ def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, fl
             return LAND, nodes[0, 0]
         top = counts[0]
         start, end = nodes[0, 0], nodes[top, 0]
-        if counts[1] > _MOST_TRIALS or top >= _MOST_INTERVALS:
+        if counts[1] > _MAX_TRIALS or top >= _MAX_INTERVALS:
             return LOST, end
         theta = _look(search, high)
         if nodes[top, 1] < 0.0:
@@ -144,7 +144,7 @@ def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, fl
             if not start < middle < end:
                 middle = 0.5 * (start + end)
             return (TRY, middle) if start < middle < end else (LAND, end)
-        if theta < 0.0 or end - start <= _SHORTEST * h:
+        if theta < 0.0 or end - start <= _MIN_CROSSING * h:
             for k in range(5):
                 nodes[0, k] = nodes[top, k]
             counts[0] -= 1
@@ -200,7 +200,7 @@ def _look(search: Search, high: bool) -> float:
 @called
 def _last(c: tuple[float, ...], falling: bool, low: float, high: float) -> float:
     """Return by bisection the end of the falling part of a polynomial, or of the positive part."""
-    for _ in range(_HALVINGS):
+    for _ in range(_MAX_HALVINGS):
         middle = 0.5 * (low + high)
         if (slope_at(c, middle) < 0.0) if falling else (value_at(c, middle) >= 0.0):
             low = middle

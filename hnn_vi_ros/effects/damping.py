@@ -50,11 +50,12 @@ class Damping(Force, StepEffect):
 
     def __init__(self, rate: float | list[float] | None = None, model: str | None = None):
         if (rate is None) == (model is None):
-            raise ValueError('rate is required, or a model in its place')
+            raise ValueError('give either rate or model')
         if model is not None:
             rate = load_checkpoint(model).card.friction
         if rate is None:
-            raise ModelError(f'{model}: has learned no friction, as dgnet does; give a rate')
+            raise ModelError(f'{model}: the model has no learned friction; give a rate, or a '
+                             'model of the family dgnet')
         check_not_negative(rate=rate)
         self.rate = rate
 

@@ -3,12 +3,12 @@
 """A force commanded while the simulation runs."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import Self, TYPE_CHECKING
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.commands import (
     Command, Commanded, EFFORT, indices_of, JointCommand, LARGEST, NUMBERS)
-from hnn_vi_ros.hamiltonians import check_names_once, check_positive
+from hnn_vi_ros.hamiltonians import check_finite, check_names_once, check_positive
 from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -27,7 +27,8 @@ class ExternalForce(Force, Commanded):
     velocity targets use `servo`. With a learned input map, the command u of a model's motors
     drives all coordinates: g(q) u, A u, or B u in the frame of a body. For a body named body,
     body_x to body_z are forces along the axes of space, body_fx to body_fz along its own axes, and
-    body_rx to body_rz torques. Energy account: f . H_p.
+    body_rx to body_rz torques. The force is gain * command + offset while a command acts: for
+    commands in volts, gain is the force constant of the motor. Energy account: f . H_p.
 
     Parameters
     ----------
@@ -43,12 +44,17 @@ class ExternalForce(Force, Commanded):
         ``input_map: learned``), instead of the coordinates; an ensemble acts by its mean.
     member : int, optional
         Number of the single member of an ensemble that acts, from 1.
+    gain : float or list of float, optional
+        Force per unit of the command, for all coordinates or for each; by default 1, for commands
+        that are forces.
+    offset : float or list of float, optional
+        Force at a command of zero, for all coordinates or for each [N], [N m].
 
     Raises
     ------
     ModelError, ValueError
         The model has no input map or no such member, the time-out is not positive, ``initial`` is
-        not a command, or coordinates, model and member are inconsistent.
+        not a command, or coordinates, model, member, gain and offset are inconsistent.
 
     References
     ----------
@@ -61,34 +67,59 @@ class ExternalForce(Force, Commanded):
 
     def __init__(self, coordinates: list[str] | None = None, timeout: float = 0.5,
                  model: str | None = None, member: int | None = None,
-                 initial: list[float] | None = None):
+                 initial: list[float] | None = None, gain: float | list[float] = 1.0,
+                 offset: float | list[float] = 0.0):
         check_positive(timeout=timeout)
+        check_finite(gain=gain, offset=offset)
         if (coordinates is None) == (model is None):
-            raise ValueError('coordinates is required, or a model in its place')
+            raise ValueError('give either coordinates or model')
         if member is not None and not model:
-            raise ValueError('member is of a model; give one instead of coordinates')
+            raise ValueError('member needs a model; give model instead of coordinates')
+        if coordinates is None and ((np.ravel(gain) != 1.0).any() or np.any(offset)):
+            raise ValueError('gain and offset need coordinates; a model has its own')
         if coordinates is not None:
             check_names_once(coordinates=coordinates)
         self.names, self.timeout = tuple(coordinates or ()), float(timeout)
         self.initial = initial
-        self.held, self.feels_command = model is None, model is not None
-        self.by_motors = model is not None
-        self.takes = frozenset({NUMBERS} if model else {NUMBERS, EFFORT})
-        # The input map of a model depends on q.
-        self.depends_on_state = model is not None
+        self.gain, self.offset = gain, offset
         self._model: Checkpoint | None = None
         if model is not None:
             from hnn_vi_ros.effects.input_map import load_map
             self._model = load_map(model, member)
+        self._describe()
+
+    @classmethod
+    def of(cls, checkpoint: 'Checkpoint', timeout: float) -> Self:
+        """Return the force of a model with an input map that is in no file."""
+        own = cls.__new__(cls)
+        own.names, own.timeout, own.initial, own._model = (), timeout, None, checkpoint
+        own.gain, own.offset = 1.0, 0.0
+        own._describe()
+        return own
+
+    def _describe(self) -> None:
+        mapped = self._model is not None
+        scaled = bool((np.ravel(self.gain) != 1.0).any() or np.any(self.offset))
+        self.held, self.feels_command, self.by_motors = not mapped, mapped or scaled, mapped
+        self.takes = frozenset({NUMBERS} if mapped else {NUMBERS, EFFORT})
+        # The input map of a model depends on q.
+        self.depends_on_state = mapped
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> 'InputParameters':
         """Return the command, the clock, the columns, and the function that adds forces."""
         from hnn_vi_ros.effects.input_map import by_map, by_name
-        parameters = by_name(state, coordinates, self.names) if self._model is None else by_map(
-            state, self._model, coordinates)
+        parameters = by_map(state, self._model, coordinates) if self._model is not None else \
+            by_name(state, coordinates, self.names, self.gain, self.offset)
         if self.initial is not None:
             self._checked('initial', np.array(self.initial, dtype=np.float64), parameters.columns)
         return parameters
+
+    def on(self, names: Sequence[str], timeout: float) -> 'ExternalForce':
+        """Return this effect on other coordinates; new ones have the gain 1 and no offset."""
+        gain, offset = (dict(zip(self.names, np.broadcast_to(values, len(self.names)).tolist(),
+                                 strict=True)) for values in (self.gain, self.offset))
+        return ExternalForce([*names], timeout, gain=[gain.get(name, 1.0) for name in names],
+                             offset=[offset.get(name, 0.0) for name in names])
 
     def begin(self, parameters: 'InputParameters') -> None:
         """Apply the initial command until the first one arrives."""
@@ -108,9 +139,10 @@ class ExternalForce(Force, Commanded):
 
     def _checked(self, what: str, values: np.ndarray, columns: np.ndarray) -> None:
         if values.shape != columns.shape or not (np.abs(values) <= LARGEST).all():
-            raise ValueError(f'{what} {values.tolist()!s:.80}: expected {columns.size} finite '
-                             f'numbers{", for " * bool(self.names)}{", ".join(self.names)}, '
-                             f'<= {LARGEST:g}')
+            raise ValueError(
+                f'{what} {values.tolist()!s:.80}: expected {columns.size} finite '
+                f'number{"s" * (columns.size > 1)}{", for " * bool(self.names)}'
+                f'{", ".join(self.names)}, at most {LARGEST:g}')
 
     @staticmethod
     @inlined

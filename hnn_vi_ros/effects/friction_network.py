@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.body_forces import add_body_drag, add_drag, body_network, BodyNetwork
 from hnn_vi_ros.effects.input_map import InputMatrix, motors_of
-from hnn_vi_ros.kernels import identify, kept
+from hnn_vi_ros.kernels import kept, name_stably
 from hnn_vi_ros.models import (
     Checkpoint, evaluate_outputs, even_layers, Features, Layers, pack_features, pack_layers,
     PackedOutputs, see)
@@ -26,7 +26,7 @@ class FrictionNetwork(NamedTuple):
     product: np.ndarray
 
 
-class Load(NamedTuple):
+class FrictionInputs(NamedTuple):
     """Coefficients k, (d,), the input matrix of motors, and command and clock of EffectState."""
 
     share: np.ndarray
@@ -49,7 +49,7 @@ class LearnedFrictionParameters(NamedTuple):
         c where v > 0, where v < 0, and 1/w of each term.
     stribeck : np.ndarray, shape (l, 3, d)
         c, 1/w and 1/s of each term.
-    load : Load
+    load : FrictionInputs
         Inputs of the friction that increases with the force of motors.
     add : callable
         The function that adds the friction of the network; see add_by_network.
@@ -63,7 +63,7 @@ class LearnedFrictionParameters(NamedTuple):
     viscous: np.ndarray
     coulomb: np.ndarray
     stribeck: np.ndarray
-    load: Load
+    load: FrictionInputs
     add: Callable[..., None]
     own: FrictionNetwork | BodyNetwork | tuple[int]
 
@@ -72,7 +72,8 @@ def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate], state: Eff
                 ) -> LearnedFrictionParameters:
     """Return the friction of a model, or raise ValueError if its coordinates do not match."""
     d, card = len(columns(coordinates)[0]), model.card
-    none = Load(np.zeros(d), InputMatrix(np.zeros((d, 0)), np.zeros(0)), np.zeros(1), np.zeros(2))
+    none = FrictionInputs(
+        np.zeros(d), InputMatrix(np.zeros((d, 0)), np.zeros(0)), np.zeros(1), np.zeros(2))
     if card.mechanical is None:
         nothing = np.zeros((0, 3, d))
         return LearnedFrictionParameters(
@@ -94,7 +95,7 @@ def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate], state: Eff
         np.array(friction.offset or np.zeros(d)),
         np.array([friction.viscous, friction.viscous_back or friction.viscous]),
         np.reshape(coulomb, (-1, 3, d)), np.reshape(stribeck, (-1, 3, d)),
-        none if friction.load is None else Load(
+        none if friction.load is None else FrictionInputs(
             np.array(friction.load), motors_of(card.mechanical), state.command, state.clock),
         *network_of(model))
 
@@ -102,7 +103,7 @@ def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate], state: Eff
 def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork | tuple[int]]:
     """Return ``add`` and ``own`` of LearnedFrictionParameters."""
     card = model.card.mechanical
-    assert card is not None, 'checked by the effect: the family has one'
+    assert card is not None, 'the effect has checked the family'
     if card.friction_features is None:
         return add_none, (0,)
     d, members = len(card.kinds), model.members or (model,)
@@ -142,4 +143,4 @@ def add_none(own: tuple[int], q: np.ndarray, velocity: np.ndarray, f_p: np.ndarr
 
 for _function in (add_by_network, add_none):
     # Functions in the parameters of compiled functions need a name; see identify.
-    identify(_function)
+    name_stably(_function)

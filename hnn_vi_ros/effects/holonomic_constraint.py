@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.effects.base import Effect, EffectState, Place
 from hnn_vi_ros.effects.points import resolve_pair
-from hnn_vi_ros.effects.rattle import ConstraintEquation
+from hnn_vi_ros.effects.rattle import ConstraintEquation, suits_rattle
 from hnn_vi_ros.files import import_named, NAMES_CODE
 from hnn_vi_ros.hamiltonians import check_finite, check_positive
 from hnn_vi_ros.integrators import Integrator
@@ -83,8 +83,7 @@ class HolonomicConstraint(Effect):
 
     def accepts(self, integrator: Integrator) -> bool:
         """Return True if the method is symmetric, symplectic and of order 2, like RATTLE."""
-        keeps = integrator.requirements
-        return keeps.symmetric and keeps.symplectic and integrator.order == 2 and keeps.hamiltonian
+        return suits_rattle(integrator)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> tuple[ConstraintEquation, ...]:
@@ -100,11 +99,11 @@ def _check_options(form: str, options: Mapping[str, Any]) -> dict[str, Any]:
     there = {name: value for name, value in options.items() if value is not None}
     for name in required:
         if name not in there:
-            raise ValueError(f'{name} is required by the form {form}, which takes '
+            raise ValueError(f'the form {form} requires {name}; valid keys: '
                              f'{", ".join(required + optional)}')
     for name in there:
         if name not in required + optional:
-            raise ValueError(f'{name} has no meaning for the form {form}, which takes '
+            raise ValueError(f'the form {form} does not use {name}; valid keys: '
                              f'{", ".join(required + optional)}')
     if form == 'rod':
         there.setdefault('length', 1.0)
@@ -128,18 +127,18 @@ def _equations(form: str, options: Mapping[str, Any], coordinates: Sequence[Coor
         check_finite(anchor=float(np.abs(anchor).max()))
     n = len(point)
     if normal is not None and len(normal) != n:
-        raise ValueError(f'normal has {len(normal)} entries, point has {n}: expected the same '
-                         'number')
+        raise ValueError(f'normal has {len(normal)} entries but point has {n}, expected the '
+                         'same number')
     length = options.get('length', options.get('radius', 0.0))
     distance = ConstraintEquation(*ends, length, np.zeros(n))
     if form == 'plane':
         return (_plane(ends, options['normal']),)
     if form == 'circle' and n not in (2, 3):
-        raise ValueError(f'point has {n} entries, but a circle is in 2 or 3 coordinates')
+        raise ValueError(f'point has {n} entries, expected 2 or 3 for a circle')
     if form == 'circle' and (n == 3) != (normal is not None):
-        raise ValueError('normal is required for a circle in 3 coordinates; leave it out in 2')
+        raise ValueError('give normal for a circle in 3 coordinates, but not in 2')
     if form == 'sphere' and n != 3:
-        raise ValueError(f'point has {n} entries, but a sphere is in 3 coordinates')
+        raise ValueError(f'point has {n} entries, expected 3 for a sphere')
     return (distance,) if normal is None else (distance, _plane(ends, normal))
 
 

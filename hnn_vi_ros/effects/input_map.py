@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.attitudes import turned
-from hnn_vi_ros.effects.base import coordinate_index, EffectState
+from hnn_vi_ros.effects.base import EffectState, motor_index
 from hnn_vi_ros.effects.body_forces import add_body_map, body_network, BodyNetwork
 from hnn_vi_ros.effects.commands import plus_motors
 from hnn_vi_ros.errors import listed, ModelError
-from hnn_vi_ros.kernels import identify, kept
+from hnn_vi_ros.kernels import kept, name_stably
 from hnn_vi_ros.models import (
     Checkpoint, evaluate_outputs, load_checkpoint, MechanicalCard, pack_outputs, PackedOutputs)
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
@@ -30,8 +30,8 @@ def load_map(model: str, member: int | None = None) -> Checkpoint:
     checkpoint = load_checkpoint(model, ensembles=True).member(member)
     if not has_map(checkpoint):
         raise ModelError(f'{model}: this model of the family {checkpoint.card.family} has no '
-                         'input map, as the family control_affine has, and mechanical and '
-                         'lie_group with input_map: learned; give coordinates')
+                         'input map; give coordinates, or a model of the family control_affine, '
+                         'or of mechanical or lie_group trained with input_map: learned')
     return checkpoint
 
 
@@ -43,9 +43,11 @@ def has_map(model: Checkpoint) -> bool:
 
 
 class Columns(NamedTuple):
-    """Columns of the coordinates, one for each number of the command."""
+    """Columns of the coordinates, gains and offsets, one for each number of the command."""
 
     columns: np.ndarray
+    gain: np.ndarray
+    offset: np.ndarray
 
 
 class Axes(NamedTuple):
@@ -60,12 +62,16 @@ class Axes(NamedTuple):
         Axis of the body: 0, 1 or 2, or -1 for none.
     quaternions : np.ndarray
         Column in q of the body's quaternion.
+    gain, offset : np.ndarray
+        Force per unit of each number, and force at zero.
 
     """
 
     columns: np.ndarray
     axes: np.ndarray
     quaternions: np.ndarray
+    gain: np.ndarray
+    offset: np.ndarray
 
 
 class InputMap(NamedTuple):
@@ -112,23 +118,34 @@ class InputParameters(NamedTuple):
         self.command[columns], self.command[-1] = values, self.clock[0] + timeout
 
 
-def by_name(state: EffectState, coordinates: Sequence[Coordinate], names: Sequence[str]
+def by_name(state: EffectState, coordinates: Sequence[Coordinate], names: Sequence[str],
+            gain: float | Sequence[float] = 1.0, offset: float | Sequence[float] = 0.0
             ) -> InputParameters:
     """Return parameters that add each number to the force on its name, or raise ValueError."""
+    scale = _per_number('gain', gain, names), _per_number('offset', offset, names)
     if not rotations(coordinates):
-        indices = np.array([coordinate_index(coordinates, name) for name in names])
+        indices = np.array([motor_index(coordinates, name) for name in names])
         return InputParameters(
-            state.command, state.clock, indices, add_by_column, Columns(indices))
+            state.command, state.clock, indices, add_by_column, Columns(indices, *scale))
     valid = _axes(coordinates)
     unknown = [name for name in names if name not in valid]
     if unknown:
         raise ValueError(f'no coordinate {unknown[0]!r}; valid coordinates: {listed(valid)}')
     if len(names) >= state.command.size:
         raise ValueError(f'coordinates has {len(names)} entries, expected at most '
-                         f'{state.command.size - 1}: forces along the axes of a body need no '
-                         'forces along the axes of space')
-    own = Axes(*np.array([valid[name] for name in names]).T.copy())
+                         f'{state.command.size - 1}; give forces along body axes or along space '
+                         'axes, not both')
+    indices, axes, quaternions = np.array([valid[name] for name in names]).T.copy()
+    own = Axes(indices, axes, quaternions, *scale)
     return InputParameters(state.command, state.clock, np.arange(len(names)), add_by_axis, own)
+
+
+def _per_number(what: str, values: float | Sequence[float], names: Sequence[str]) -> np.ndarray:
+    array = np.array(values, dtype=np.float64)
+    if array.ndim and array.size != len(names):
+        raise ValueError(f'{what} has {array.size} values, expected 1 or one for each of '
+                         f'{listed(names)}')
+    return np.broadcast_to(array, len(names)).copy()
 
 
 def _axes(coordinates: Sequence[Coordinate]) -> dict[str, tuple[int, int, int]]:
@@ -152,25 +169,25 @@ def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordina
         own_map = body_network(model, 'input_map', coordinates)
         count = own_map.entries.size // own_map.force.size
         if count >= state.command.size:
-            raise ValueError(f'the model maps {count} numbers; H takes at most '
+            raise ValueError(f'the model has {count} inputs; H supports at most '
                              f'{state.command.size - 1}')
         return InputParameters(
             state.command, state.clock, np.arange(count), add_body_map, own_map)
     if rotations(coordinates):
-        raise ValueError('the model maps numbers to scalar coordinates, which those of H are not '
-                         'all; give coordinates')
+        raise ValueError('the input map of the model needs scalar coordinates, but H has others; '
+                         'give coordinates')
     if mechanical is not None:
         motors = motors_of(mechanical)
         rows, count = motors.matrix.shape
         if rows != d:
-            raise ValueError(f'the model maps {count} numbers to {rows} coordinates; H has {d} '
+            raise ValueError(f'the model maps {count} inputs to {rows} coordinates; H has {d} '
                              'coordinates')
         return InputParameters(
             state.command, state.clock, np.arange(count), add_by_matrix, motors)
     inputs, *_, entries = model.card.layout['input_map']
     if inputs != d or entries > d * d:
-        raise ValueError(f'the model maps {entries // inputs} numbers to {inputs} coordinates; '
-                         f'H has {d} coordinates, and takes at most as many numbers')
+        raise ValueError(f'the model maps {entries // inputs} inputs to {inputs} coordinates; '
+                         f'H has {d} coordinates, and supports at most as many inputs')
     own = InputMap(pack_outputs(model, 'input_map'), np.zeros(entries))
     return InputParameters(state.command, state.clock, np.arange(entries // d), add_by_map, own)
 
@@ -185,19 +202,19 @@ def motors_of(card: MechanicalCard) -> InputMatrix:
 @kept(error_model='numpy')
 def add_by_column(own: Columns, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                   f_p: np.ndarray) -> None:
-    """Add one number of the command to each of some coordinates."""
+    """Add gain * number + offset to each of some coordinates."""
     columns = own.columns
     for k in range(columns.size):
-        f_p[columns[k]] += command[columns[k]]
+        f_p[columns[k]] += own.gain[k] * command[columns[k]] + own.offset[k]
 
 
 @kept(error_model='numpy')
 def add_by_axis(own: Axes, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                 f_p: np.ndarray) -> None:
-    """Add each number to a column of p, or along an axis of a body."""
-    columns, axes, quaternions = own
+    """Add gain * number + offset to a column of p, or along an axis of a body."""
+    columns, axes, quaternions, gain, offset = own
     for k in range(columns.size):
-        axis, at, value = axes[k], columns[k], command[k]
+        axis, at, value = axes[k], columns[k], gain[k] * command[k] + offset[k]
         if axis < 0:
             f_p[at] += value
         else:
@@ -230,4 +247,4 @@ def add_by_matrix(own: InputMatrix, command: np.ndarray, q: np.ndarray, p: np.nd
 
 for _function in (add_by_column, add_by_axis, add_by_map, add_by_matrix):
     # Functions in the parameters of compiled functions need a name; see identify.
-    identify(_function)
+    name_stably(_function)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import math
 from typing import Literal, NamedTuple
 
-from hnn_vi_ros.effects.base import EffectState, Force
+from hnn_vi_ros.effects.base import coordinate_index, EffectState, Force, motor_index
 from hnn_vi_ros.effects.joints import check_given, joint_numbers
 from hnn_vi_ros.hamiltonians import check_not_negative, check_positive
 from hnn_vi_ros.kernels import inlined
@@ -31,10 +31,10 @@ class JointFriction(Force):
 
     A URDF calls b damping and F friction. Well above the speed u, dry friction has the constant
     magnitude F; below, it is viscous with F / u, so that a loaded joint creeps instead of
-    sticking. In a gear it increases with the load: the force a that external_force commands for
-    this coordinate passes through its teeth. Hamon et al. use the output force of the gear, a
-    minus friction and rotor inertia, which is implicit; both agree to first order in k. For fitted
-    friction use `learned_friction`. Energy account: the power f . v <= 0.
+    sticking. In a gear it increases with the load: the command a of external_force for this
+    coordinate, without its gain, passes through its teeth. Hamon et al. use the output force of
+    the gear, a minus friction and rotor inertia, which is implicit; both agree to first order in
+    k. For fitted friction use `learned_friction`. Energy account: the power f . v <= 0.
 
     Parameters
     ----------
@@ -79,12 +79,13 @@ class JointFriction(Force):
                 ) -> JointFrictionParameters:
         """Return b, F and k of each coordinate, u, and the command."""
         damping, friction, load = (np.nan_to_num(joint_numbers(
-            coordinates, self.source, of, given)) for of, given in (
-                (lambda joint: joint.damping, self.damping),
-                (lambda joint: joint.friction, self.friction), (lambda joint: None, self.load)))
+            coordinates, self.source, of, given, place)) for of, given, place in (
+                (lambda joint: joint.damping, self.damping, coordinate_index),
+                (lambda joint: joint.friction, self.friction, coordinate_index),
+                (lambda joint: None, self.load, motor_index)))
         if not (damping.any() or friction.any() or load.any()):
             raise ValueError(
-                'no joint has damping or friction; give them, or leave the effect out')
+                'no joint has damping or friction; give them, or remove the effect')
         return JointFrictionParameters(
             damping, friction, load, self.speed, state.command, state.clock)
 

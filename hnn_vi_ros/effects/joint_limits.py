@@ -59,8 +59,9 @@ class JointLimits(RigidContact):
                 joint_numbers(coordinates, self.source, lambda joint: joint.bounds[1], self.upper)]
         for coordinate, low, high in zip(coordinates, *ends, strict=True):
             if low >= high:
-                raise ValueError(f'the limits of {coordinate.name}, {low:g} and {high:g}, leave '
-                                 'no room between; change them, or hold the joint by locked')
+                raise ValueError(f'the lower limit of {coordinate.name}, {low:g}, must be less '
+                                 f'than the upper one, {high:g}; change them, or fix the joint '
+                                 'with locked')
         # Copied so that the columns are contiguous for any number of stops: compiled code is
         # cached by the layout of its arrays.
         rows, places = np.argwhere(np.isfinite(ends)).T.copy()

@@ -14,13 +14,14 @@ def check_given(source: str | None, check: Callable[..., None],
                 **given: Mapping[str, float] | None) -> None:
     """Raise ValueError unless there is a source or a number, and all numbers pass a check."""
     if source is None and not any(given.values()):
-        raise ValueError(f'from is required, or {" or ".join(given)} in its place')
+        raise ValueError(f'give from: urdf, or {" or ".join(given)}')
     check(**{f'{name} of {joint}': value for name, values in given.items()
              for joint, value in (values or {}).items()})
 
 
 def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,
-                  of: Callable[[Joint], float | None], given: Mapping[str, float] | None
+                  of: Callable[[Joint], float | None], given: Mapping[str, float] | None,
+                  place: Callable[[Sequence[Coordinate], str], int] = coordinate_index
                   ) -> np.ndarray:
     """
     Return one number for each coordinate, shape (d,); NaN for none.
@@ -35,6 +36,8 @@ def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,
         Function that returns the number of a joint, or None.
     given : mapping of str to float or None
         Numbers that replace those of the source, by coordinate.
+    place : callable
+        Returns the column of a coordinate; ``motor_index`` for numbers of its motor.
 
     Raises
     ------
@@ -44,11 +47,13 @@ def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,
     """
     values = np.full(len(coordinates), np.nan)
     for i, coordinate in enumerate(coordinates) if source == 'urdf' else ():
+        if coordinate.rotor_of:
+            continue
         if not isinstance(coordinate, JointCoordinate):
-            raise ValueError(f'from = urdf, but {coordinate.name} is no joint of a URDF: take '
+            raise ValueError(f'from = urdf, but {coordinate.name} is not a joint of a URDF; use '
                              'hamiltonian: {kind: urdf}, or give the numbers here')
         number = of(coordinate.joint)
         values[i] = np.nan if number is None else number
     for name, value in (given or {}).items():
-        values[coordinate_index(coordinates, name)] = value
+        values[place(coordinates, name)] = value
     return values

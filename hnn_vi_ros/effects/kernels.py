@@ -8,10 +8,10 @@ They call the Hamiltonian by address, so that effects are compiled once for all 
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 from hnn_vi_ros.effects.attitudes import lift_torques
-from hnn_vi_ros.effects.base import EffectState, Force, Joined
+from hnn_vi_ros.effects.base import EffectState, Force, InternalForce, Joined
 from hnn_vi_ros.integrators import largest
 from hnn_vi_ros.kernels import (
     by_address, composed, Energy, Functions, functions_of, Gradient, HessianVector, inlined,
@@ -31,39 +31,47 @@ def join(kernel: Kernel, effect: Joined, parameters: Parameters) -> Kernel:
 
 
 def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Parameters],
-               state: EffectState) -> Kernel:
+               state: EffectState, indices: Sequence[int]) -> Kernel:
     """
     Return a kernel whose gradient is (H_q - f_p, H_p + f_q), extended by time and work.
 
     Each force adds a channel, a further coordinate and momentum: the coordinate is the time since
     the start of the step, t' = 1, the momentum is the work of the force, w' = power. So every
     method integrates both at its own nodes and to its own order, which a quadrature after the step
-    would not. For rotations, f_p contains torques in the frame of the body; they are converted to
-    covectors of quaternions before they are subtracted from H_q.
+    would not. The first channels are those of internal variables x, one for each InternalForce:
+    the coordinate, constant in a step, is added to x of EffectState.resting, whose indices are
+    given, and the momentum is the change of x. For rotations, f_p contains torques in the frame
+    of the body; they are converted to covectors of quaternions before they are subtracted from
+    H_q.
     """
     kernel = by_address(kernel)
-    d, channels = kernel.dimension, len(forces)
+    d, internal = kernel.dimension, sum(force.internal for force in forces)
+    channels = internal + len(forces)
     nested: Parameters = ()
-    for own in reversed(parameters):
-        nested = (own, nested)
+    for force, own, i in reversed([*zip(forces, parameters, indices, strict=True)]):
+        nested = ((own, state.resting[i:i + 1], state.step) if force.internal else own, nested)
     kinds = tuple(type(force) for force in forces)
     functions = _with_forces(*functions_of(kernel), kinds)
     rounding_q, rounding_p = (sum(parts) for parts in zip(
         kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True))
     space = np.zeros((12, max(d, channels)))
-    differ = int(bool(kernel.rotations) or any(force.depends_on_state for force in forces))
+    differ = int(bool(kernel.rotations) or any(
+        force.depends_on_state and not force.internal for force in forces))
     rotations = np.array(kernel.rotations, dtype=np.int64)
     return composed(
         kernel, functions, kinds,
         (kernel.parameters, nested, state.clock, space, rotations, d, channels, differ)
-    )._replace(dimension=d + channels, channels=channels,
+    )._replace(dimension=d + channels, channels=channels, internal=internal,
                gradient_scale=(rounding_q, rounding_p))
 
 
 @cache
 def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vector: HessianVector,
                  kinds: tuple[type[Force], ...]) -> Functions:
-    add_all = _chain(kinds, 0)
+    internal = sum(kind.internal for kind in kinds)
+    add_all = _chain(kinds, internal, 0, True)
+    # Of forces with internal variables there are derivatives.
+    add_others, add_tangents = _chain(kinds, internal, 0, False), _tangents(kinds, internal, 0)
 
     def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
         base, _, _, _, _, d, _, _ = parameters
@@ -107,22 +115,34 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
                         space[5, i] = p[a + i] + sign * spacing * v_p[a + i]
                     base_gradient(base, space[4, :d], space[5, :d], space[6, :d], space[7, :d])
                     space[2:4] = 0.0
-                    add_all(forces, clock, q[b:end], space[4, :d], space[5, :d], space[6, :d],
-                            space[7, :d], space[8], space[9], space)
+                    add_others(forces, clock, q[b:end], space[4, :d], space[5, :d], space[6, :d],
+                               space[7, :d], space[8], space[9], space)
                     if rotations.size > 0:
                         lift_torques(rotations, space[4, :d], space[3])
                     for i in range(d):
                         product_q[a + i] -= sign * space[3, i] / (2.0 * spacing)
                         product_p[a + i] += sign * space[2, i] / (2.0 * spacing)
+            if internal > 0:
+                base_gradient(base, q[a:b], p[a:b], space[6, :d], space[7, :d])
+                add_tangents(forces, q[b:end], space[7, :d], v_q[b:end], product_p[a:b],
+                             product_q[a:b], product_q[b:end])
     return energy, gradient, hessian_vector
 
 
 @cache
-def _chain(kinds: tuple[type[Force], ...], k: int) -> Callable[..., None]:
-    """Return a function that adds the forces from the k-th on, each with its power."""
+def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool) -> Callable[..., None]:
+    """
+    Return a function that adds the forces from channel k on, each with its power.
+
+    The variables of forces with internal ones begin at channel j; without ``internal`` such
+    forces are left out.
+    """
     if not kinds:
         return _add_none
-    add_force, rest = kinds[0].add_force, _chain(kinds[1:], k + 1)
+    if issubclass(kinds[0], InternalForce):
+        return _internal_chain(kinds, k, j) if internal else _skipped(
+            _chain(kinds[1:], k + 1, j + 1, False))
+    add_force, rest = kinds[0].add_force, _chain(kinds[1:], k + 1, j, internal)
 
     @inlined
     def add_all(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
@@ -140,6 +160,60 @@ def _chain(kinds: tuple[type[Force], ...], k: int) -> Callable[..., None]:
         minus_power[k], pace[k] = -power, 1.0
         rest(others, clock, times, q, p, H_q, H_p, minus_power, pace, space)
     return add_all
+
+
+def _internal_chain(kinds: tuple[type[Force], ...], k: int, j: int) -> Callable[..., None]:
+    respond, rest = cast(type[InternalForce], kinds[0]).respond, _chain(
+        kinds[1:], k + 1, j + 1, True)
+
+    @inlined
+    def add_all(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
+                p: np.ndarray, H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray,
+                pace: np.ndarray, space: np.ndarray) -> None:
+        (own, internal, step), others = forces
+        column = own[0]
+        force, rate = respond(own, internal[0] + times[j], H_p[column], times[k], step[0])
+        space[3, column] += force
+        minus_power[k], pace[k] = -force * H_p[column], 1.0
+        minus_power[j], pace[j] = -rate, 0.0
+        rest(others, clock, times, q, p, H_q, H_p, minus_power, pace, space)
+    return add_all
+
+
+def _skipped(rest: Callable[..., None]) -> Callable[..., None]:
+    @inlined
+    def add_all(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
+                p: np.ndarray, H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray,
+                pace: np.ndarray, space: np.ndarray) -> None:
+        rest(forces[1], clock, times, q, p, H_q, H_p, minus_power, pace, space)
+    return add_all
+
+
+@cache
+def _tangents(kinds: tuple[type[Force], ...], k: int, j: int) -> Callable[..., None]:
+    """Return a function that adds the tangents of forces with internal variables to products."""
+    if not any(kind.internal for kind in kinds):
+        return _add_none
+    rest = _tangents(kinds[1:], k + 1, j + kinds[0].internal)
+    tangent = getattr(kinds[0], 'respond_tangent', None)
+    if tangent is None:
+        @inlined
+        def passed(forces: Parameters, times: np.ndarray, velocity: np.ndarray, v: np.ndarray,
+                   change: np.ndarray, product: np.ndarray, rates: np.ndarray) -> None:
+            rest(forces[1], times, velocity, v, change, product, rates)
+        return passed
+
+    @inlined
+    def add_tangents(forces: Parameters, times: np.ndarray, velocity: np.ndarray, v: np.ndarray,
+                     change: np.ndarray, product: np.ndarray, rates: np.ndarray) -> None:
+        (own, internal, step), others = forces
+        column = own[0]
+        force, rate = tangent(own, internal[0] + times[j], velocity[column], times[k], step[0],
+                              v[j], change[column])
+        product[column] -= force
+        rates[j] -= rate
+        rest(others, times, velocity, v, change, product, rates)
+    return add_tangents
 
 
 @inlined

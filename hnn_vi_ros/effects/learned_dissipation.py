@@ -61,7 +61,7 @@ class LearnedDissipation(Force):
         family = checkpoint.card.family
         networks = {name: row.dissipation for name, row in FAMILIES.items() if row.dissipation}
         if family not in networks:
-            raise ModelError(f'{model}: a model of the family {family} holds no network D; take '
+            raise ModelError(f'{model}: a model of the family {family} has no network D; use '
                              f'one of the family {" or ".join(networks)}')
         # Imported lazily: reading a scene needs no compiler.
         from hnn_vi_ros.models import NeuralHamiltonian
@@ -76,10 +76,10 @@ class LearnedDissipation(Force):
         """Return the network's kernel, the gauge of magnetic fields, and working memory."""
         if len(coordinates) != (d := self.network.dimension):
             raise ValueError(f'the model has {d} coordinates, H has {len(coordinates)}')
-        from hnn_vi_ros.kernels import identify
+        from hnn_vi_ros.kernels import name_stably
         kernel = self.network.copy().kernel
         for function in (kernel.energy, kernel.gradient, kernel.hessian_vector):
-            identify(function)
+            name_stably(function)
         return Dissipation(kernel, state.gauge, *np.zeros((3, d)))
 
     @staticmethod

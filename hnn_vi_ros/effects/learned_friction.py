@@ -4,13 +4,13 @@
 
 from collections.abc import Sequence
 import math
-from typing import TYPE_CHECKING
+from typing import Self, TYPE_CHECKING
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.commands import plus_motors
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels import inlined
-from hnn_vi_ros.models import load_checkpoint
+from hnn_vi_ros.models import Checkpoint, load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -60,10 +60,20 @@ class LearnedFriction(Force):
         card = checkpoint.card
         if card.mechanical is None and (
                 card.lie_group is None or 'dissipation' not in checkpoint.networks):
-            raise ModelError(f'{model}: this model of the family {card.family} has no friction of '
-                             'its own; take one of the family mechanical, or lie_group with '
-                             'dissipation, or the effects damping and dry_friction')
-        self._model = checkpoint
+            raise ModelError(f'{model}: this model of the family {card.family} has no friction; '
+                             'use one of the family mechanical, or lie_group with dissipation, or '
+                             'the effects damping and dry_friction')
+        self._take(checkpoint)
+
+    @classmethod
+    def of(cls, checkpoint: Checkpoint) -> Self:
+        """Return the friction of a model that is in no file."""
+        own = cls.__new__(cls)
+        own._take(checkpoint)
+        return own
+
+    def _take(self, checkpoint: Checkpoint) -> None:
+        card, self._model = checkpoint.card, checkpoint
         self.feels_command = card.mechanical is not None and \
             card.mechanical.friction.load is not None
         if self.feels_command and card.mechanical is not None:

@@ -13,11 +13,11 @@ import numpy as np
 
 # Relative error that an initial state may have. The first step removes it; a larger one is treated
 # as a mistake instead of being projected silently.
-_TOLERANCE = 1e-9
+_STATE_TOLERANCE = 1e-9
 # Spacing of a central difference, and its allowed relative error, 1000 times its rounding.
-# Constraints with a share above _SHARE are named if another depends on them.
+# Constraints with a share above _MIN_SHARE are named if another depends on them.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
-_SLOPE, _SHARE = 1e-6, 1e-6
+_MAX_ERROR, _MIN_SHARE = 1e-6, 1e-6
 
 
 class Manifold:
@@ -57,13 +57,13 @@ class Manifold:
         self._kernel, self._d = kernel, kernel.dimension - kernel.channels
         if len(self._listed) > self._d:
             raise EffectError(
-                self._indices[-1], f'{len(self._listed)} constraints leave {self._d} coordinates '
-                                   'no freedom; leave some out')
+                self._indices[-1], f'{len(self._listed)} constraints on {self._d} coordinates '
+                                   'leave no degree of freedom; remove some')
         functions = tuple(part.function for part in self._listed if part.function is not None)
         for function, index in zip(functions, self._indices[-len(functions):], strict=False):
             if kernel.compiled:
                 _check_compiles(function, index)
-        self.constraints = Constraints.of(self._listed, kernel.dimension, effects)
+        self.constraints = Constraints.of(self._listed, None, kernel.dimension, effects)
         self.kind, self._evaluate = rattle_kind(functions), evaluator(functions)
 
     @property
@@ -108,28 +108,28 @@ class Manifold:
                 beside[i] += sign * spacing
                 sides.append(function(beside, np.zeros(self._d)))
             slope = (sides[0] - sides[1]) / (2.0 * spacing)
-            if not abs(slope - gradient[i]) <= _SLOPE * max(scale, abs(slope)) or scale == 0.0:
+            if not abs(slope - gradient[i]) <= _MAX_ERROR * max(scale, abs(slope)) or scale == 0.0:
                 raise EffectError(self._indices[k], (
-                    f'factory: the gradient is not that of g: at the initial q its component {i} '
-                    f'is {gradient[i]:.9g}, but differences of g give {slope:.9g}'))
+                    f'factory: wrong gradient of g: at the initial q its component {i} is '
+                    f'{gradient[i]:.9g}, but finite differences of g give {slope:.9g}'))
 
     def _check_position(self, k: int, q: np.ndarray, g: float, slope: float) -> None:
         part = self._listed[k]
         if part.length > 0.0:
-            if not abs(g) <= _TOLERANCE * part.length:
+            if not abs(g) <= _STATE_TOLERANCE * part.length:
                 raise ValueError(
-                    f'{self._names[k]} asks for a distance of {part.length!r} m, but the initial '
-                    f'q has {part.length + g!r} m, {abs(g):.3g} m off')
-        elif not abs(g) <= _TOLERANCE * slope * (1.0 + np.abs(q).max()):
-            raise ValueError(f'{self._names[k]} asks for g(q) = 0, but the initial q has '
+                    f'{self._names[k]} requires a distance of {part.length!r} m, but the initial '
+                    f'q has {part.length + g!r} m, an error of {abs(g):.3g} m')
+        elif not abs(g) <= _STATE_TOLERANCE * slope * (1.0 + np.abs(q).max()):
+            raise ValueError(f'{self._names[k]} requires g(q) = 0, but the initial q has '
                              f'g = {g:.9g}')
 
     def _check_velocity(self, k: int, rate: float, scale: float) -> None:
-        if not abs(rate) <= _TOLERANCE * scale:
+        if not abs(rate) <= _STATE_TOLERANCE * scale:
             distance = self._listed[k].length > 0.0
             what, unit = ('a distance', 'm/s') if distance else ('g(q) = 0', '1/s')
             raise ValueError(f'{self._names[k]} keeps {what}, but the initial p changes it by '
-                             f'{rate:.3g} {unit}; choose p whose velocity is along the constraint')
+                             f'{rate:.3g} {unit}; choose p with a velocity along the constraint')
 
     def _check_independence(self, state: np.ndarray, gradient: np.ndarray) -> None:
         """Find the first constraint whose gradient depends on earlier ones, in the metric H_pp."""
@@ -142,17 +142,16 @@ class Manifold:
         for k in range(len(gram)):
             if not gram[k, k] > 0.0:
                 raise EffectError(self._indices[k], (
-                    'H_pp is not positive across the constraint, so that no impulse can keep it; '
-                    'leave it out, or start elsewhere'))
+                    'H_pp is not positive normal to the constraint, so no impulse can satisfy it; '
+                    'remove it, or start elsewhere'))
             shares = np.linalg.solve(gram[:k, :k], gram[:k, k])
             if gram[k, k] - shares @ gram[:k, k] <= DEPENDENT * gram[k, k]:
                 sizes = np.abs(shares) * np.sqrt(np.diag(gram)[:k])
                 others = dict.fromkeys(name for name, size in zip(self._names, sizes, strict=False)
-                                       if size > _SHARE * np.sqrt(gram[k, k]))
+                                       if size > _MIN_SHARE * np.sqrt(gram[k, k]))
                 raise EffectError(self._indices[k], (
-                    f'{self._names[k]} is redundant at the initial q: what it keeps, '
-                    f'{", ".join(others)} {"keeps" if len(others) == 1 else "keep"} already; '
-                    'leave one of them out, or start elsewhere'))
+                    f'{self._names[k]} is redundant at the initial q, because of '
+                    f'{", ".join(others)}; remove one of them, or start elsewhere'))
 
 
 @cache
@@ -169,4 +168,4 @@ def _check_compiles(function: object, index: int) -> None:
     problem = _compiles(function)
     if problem:
         raise EffectError(index, f'factory: numba cannot compile the function: {problem}; use '
-                                 'plain Python and numpy in it')
+                                 'only plain Python and numpy in it')

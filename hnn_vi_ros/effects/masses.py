@@ -14,12 +14,12 @@ import numpy as np
 
 # Number of states near the initial one at which different friction rates are tested. A random
 # sample is no proof, but the mass matrices of mechanisms vary slowly.
-_STATES = 64
+_TESTED_STATES = 64
 # Allowed relative coupling: a learned mass matrix couples, by its error, coordinates that the true
 # one does not.
-_COUPLING = 1e-3
+_MAX_COUPLING = 1e-3
 # Allowed relative difference of a given mass from the mass of H.
-_TOLERANCE = 1e-6
+_MASS_TOLERANCE = 1e-6
 
 
 def momentum_index(coordinates: Sequence[Coordinate], name: str) -> int:
@@ -38,7 +38,7 @@ def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> No
         return
     states = q.reshape(-1, d)
     others = np.random.default_rng(0).normal(
-        states[0], 1.0 + np.abs(states[0]), (_STATES, d))
+        states[0], 1.0 + np.abs(states[0]), (_TESTED_STATES, d))
     for column in hamiltonian.rotations:
         attitudes = others[:, column:column + 4]
         attitudes /= np.linalg.norm(attitudes, axis=1, keepdims=True)
@@ -47,10 +47,10 @@ def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> No
         if np.isfinite(inverse).all() and np.linalg.matrix_rank(inverse) == rate.size:
             product = rate[:, None] * np.linalg.inv(inverse)
             powers = np.linalg.eigvalsh(product + product.T)
-            if powers[0] < -_COUPLING * np.abs(powers).max():
+            if powers[0] < -_MAX_COUPLING * np.abs(powers).max():
                 raise ValueError(
-                    f'damping: with the rates {rate.tolist()} of coordinates that share a mass '
-                    f'matrix some motions would gain energy, at q = {state.round(3).tolist()}; '
+                    f'damping: the rates {rate.tolist()} of coordinates coupled by the mass '
+                    f'matrix would add energy to some motions, at q = {state.round(3).tolist()}; '
                     'give one rate, or rates that differ less')
 
 
@@ -60,10 +60,10 @@ def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
     zero = np.zeros(q.size - len(base.rotations))
     drift = np.abs(base.gradient(q, zero)[1]).max()
     # Learned models, which have a box, are exempt: some drift is part of their error.
-    if base.box is None and drift > _COUPLING * np.abs(base.inverse_mass(q, zero)).max():
+    if base.box is None and drift > _MAX_COUPLING * np.abs(base.inverse_mass(q, zero)).max():
         warnings.warn(
-            'damping: H_p is not 0 at p = 0, as in a frame that turns: p is not the momentum of '
-            'the velocity, and it is p that damping brings to rest, by which H may grow',
+            'damping: H_p is not 0 at p = 0, as in a rotating frame: damping reduces p, which is '
+            'not proportional to the velocity, so H may grow',
             stacklevel=7)
 
 
@@ -79,13 +79,13 @@ def check_masses(hamiltonian: Hamiltonian, q: np.ndarray, given: np.ndarray | No
     inverse = hamiltonian.inverse_mass(q, np.zeros(q.size))
     if not (np.isfinite(inverse).all() and np.linalg.eigvalsh(inverse)[0] > 0.0):
         raise ValueError(
-            'thermostat: H_pp is not positive definite at the initial state, so that there are '
-            'no masses and no temperature; start elsewhere, or take another model')
+            'thermostat: H_pp is not positive definite at the initial state, so there are no '
+            'masses and no temperature; start elsewhere, or use another model')
     if given is not None and np.abs(
-            np.diag(given) @ inverse - np.eye(q.size)).max() > _TOLERANCE:
+            np.diag(given) @ inverse - np.eye(q.size)).max() > _MASS_TOLERANCE:
         raise ValueError(
-            f'thermostat: mass = {given.tolist()} is not that of H, whose H_pp at the initial '
-            f'state is {inverse.round(9).tolist()}; leave mass out')
+            f'thermostat: mass = {given.tolist()} does not match H, whose H_pp at the initial '
+            f'state is {inverse.round(9).tolist()}; remove mass')
 
 
 @inlined

@@ -18,9 +18,9 @@ from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
-_MOST_PREDICTIONS = 40
+_MAX_PREDICTIONS = 40
 # Two observations closer in time than this are the same one [s].
-_LEAST = 1e-9
+_MIN_INTERVAL = 1e-9
 
 
 class ObserverParameters(NamedTuple):
@@ -123,12 +123,12 @@ class Observer(StepEffect, Commanded):
         seen = now + command.delay
         if not abs(command.delay) <= self.timeout:
             raise ValueError(
-                f'observed {command.delay:.3g} s from the simulated time, at most '
-                f'{self.timeout:g} s are taken; stamp by simulated time, or by zero for now')
+                f'the time stamp differs from the simulated time by {command.delay:.3g} s, limit '
+                f'{self.timeout:g} s; use simulated time, or zero for the current time')
         # A present observation replaces one with a time stamp in the future.
-        if row[0] > 0.0 and row[1] <= now and seen < row[1] - _LEAST:
+        if row[0] > 0.0 and row[1] <= now and seen < row[1] - _MIN_INTERVAL:
             raise ValueError(
-                f'observed {row[1] - seen:.3g} s before the last observation: it is late')
+                f'the observation is {row[1] - seen:.3g} s older than the last one')
         _check_reached(position, velocity, seen, parameters, self.names, self.timeout, q)
 
         def put() -> None:
@@ -145,7 +145,7 @@ class Observer(StepEffect, Commanded):
 
 def _check(names: Sequence[str], deviations: Sequence[float] | None, predictions: int,
            **gains: float) -> None:
-    check_between(1, _MOST_PREDICTIONS, predictions=predictions)
+    check_between(1, _MAX_PREDICTIONS, predictions=predictions)
     check_not_negative(**gains)
     check_names_once(coordinates=names)
     if deviations is not None and (len(deviations) != len(names) or not all(
@@ -171,10 +171,10 @@ def _check_reached(position: np.ndarray, velocity: np.ndarray, seen: float,
     for name, rate, excess in zip(names, np.abs(velocity), beyond, strict=True):
         # An unknown velocity is NaN and passes.
         if rate > limit or excess > 0.0:
-            what = f'moves by {rate:.4g} per second' if rate > limit else \
-                f'is {excess:.4g} beyond where the machine can be'
-            raise ValueError(f'joint {name!r} {what}, by velocity_limit = {limit:g}; raise it if '
-                             'the machine is faster')
+            what = f'moves at {rate:.4g} per second' if rate > limit else \
+                f'is {excess:.4g} beyond the reachable range'
+            raise ValueError(f'joint {name!r} {what}, given velocity_limit = {limit:g}; increase '
+                             'it if the machine is faster')
 
 
 @inlined

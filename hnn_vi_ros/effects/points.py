@@ -13,7 +13,7 @@ import numpy as np
 def check_pair(other: Sequence[str] | None, anchor: Sequence[float] | None) -> None:
     """Raise ValueError unless exactly one of the two is given."""
     if (other is None) == (anchor is None):
-        raise ValueError('give either other (the names of a second point) or anchor (a place)')
+        raise ValueError('give either other (the names of a second point) or anchor (a position)')
 
 
 def resolve_pair(coordinates: Sequence[Coordinate], point: Sequence[str],
@@ -49,8 +49,8 @@ def resolve_pair(coordinates: Sequence[Coordinate], point: Sequence[str],
     check_pair(other, anchor)
     second: Sequence[object] = (anchor if other is None else other) or ()
     if not point or len(second) != len(point):
-        raise ValueError(f'{"anchor" if other is None else "other"} has {len(second)} entries, '
-                         f'point has {len(point)}: expected the same number, at least 1')
+        raise ValueError(f'{"anchor" if other is None else "other"} has {len(second)} entries '
+                         f'but point has {len(point)}, expected the same number, at least 1')
     if len(set(point)) < len(point):
         raise ValueError(f'point = {list(point)} must name different coordinates')
     first = np.array([coordinate_index(coordinates, name) for name in point])

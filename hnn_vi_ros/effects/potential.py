@@ -44,11 +44,11 @@ class FormulaPotential(Potential):
         own = {name: value for name, value in self.parameters.items() if name not in columns}
         if len(own) < len(self.parameters):
             shared = sorted(self.parameters.keys() & columns)[0]
-            raise ValueError(f'parameters {shared} is a coordinate; call it otherwise')
+            raise ValueError(f'parameter {shared!r} has the name of a coordinate; rename it')
         root = read_formula('formula', graph, self.formula, [*columns], own).root
         moving = [name for name in columns if graph.depending([root], [name])]
         if not moving:
-            raise ValueError('formula depends on no coordinate, so nothing acts')
+            raise ValueError('formula must depend on a coordinate')
         slopes = graph.gradient(root, moving)
         changes = {name: f'change of {name}' for name in moving}
         products = graph.tangents(slopes, changes)

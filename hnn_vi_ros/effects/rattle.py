@@ -3,30 +3,32 @@
 """
 RATTLE: impulses around a step that keep a system on its holonomic constraints g(q) = 0.
 
-Constraints are distances, planes and user-defined functions, all solved together.
+Constraints are distances, planes and user-defined functions, or the loops of a robot.
 """
 
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.base import Layer
+from hnn_vi_ros.effects.base import StepLayer
 from hnn_vi_ros.effects.points import add_along, distance, separation
+from hnn_vi_ros.hamiltonians import fill_loops, Loops
 from hnn_vi_ros.integrators import (
-    copy_array, copy_point, forget, largest, NOT_HELD, OK, plus, Point, REDUNDANT, Step)
+    copy_array, copy_point, forget, Integrator, largest, NOT_HELD, OK, PhasePoint, plus, REDUNDANT,
+    Step)
 from hnn_vi_ros.kernels import (
     called, DEPENDENT, inlined, is_own, Kernel, Parameters, solve_in_order)
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
-_ITERATIONS = 50
+_MAX_ITERATIONS = 50
 # Rounding error of a step's coordinates and of a distance, in units of eps times their size. The
 # iteration stops there if an error no longer decreases; smaller errors cannot be resolved.
-_ROUNDING = 64
+_ROUNDINGS = 64
 # The variational equation only serves as the Jacobian of Newton's method, so that an error of
-# _CLOSE costs less than more of its own iterations; it is solved again if an error decreases by
-# less than the factor _SLOW.
-_VARIATIONS, _CLOSE, _SLOW = 12, 3e-3, 0.5
+# _VARIATION_TOLERANCE costs less than more of its own iterations; it is solved again if an error
+# decreases by less than the factor _SLOW_RATIO.
+_MAX_VARIATIONS, _VARIATION_TOLERANCE, _SLOW_RATIO = 12, 3e-3, 0.5
 
 
 class ConstraintEquation(NamedTuple):
@@ -56,7 +58,9 @@ class ConstraintEquation(NamedTuple):
 
 class Constraints(NamedTuple):
     """
-    K constraints, and workspace to solve for their impulses; user-defined functions come last.
+    K constraints, and workspace to solve for their impulses.
+
+    Distances and planes come first, user-defined functions last.
 
     Parameters
     ----------
@@ -66,14 +70,25 @@ class Constraints(NamedTuple):
         Number of coordinates of each, and True if it is a plane.
     lengths : np.ndarray, shape (L,)
         The required distances [m].
+    loops : LoopRows or ()
+        The equations of loops.
+    dropped : np.ndarray of bool, shape (K,)
+        True for equations of loops that depend on others; they have no impulse.
+    sine : np.ndarray, shape (3,)
+        Smallest distance of a gradient from the span of the earlier ones, over the largest one,
+        at the start of the last step; its largest relative change in a step; and the time at the
+        end of that step [s].
+    extent : np.ndarray, shape (1,)
+        Scale of the rounding errors of lengths.
     old, new, response : np.ndarray, shape (K, D)
         The gradient G of g at the start and at the end, and the change of q by impulses G^T.
     variation : np.ndarray, shape (4, D)
         A variation of q and p, and its image under the Hessian of H.
     matrix : np.ndarray, shape (K, K)
         The linear system.
-    right, defect, scale : np.ndarray, shape (K,)
-        The right-hand side of the system, g(q), and the diagonal of the matrix.
+    right, defect, scale, impulse : np.ndarray, shape (K,)
+        The right-hand side of the system, g(q), the diagonal of the matrix, and the impulse at
+        the end of the step.
     pending : np.ndarray
         EffectState.pending before the step.
     dependent : np.ndarray, shape (1,)
@@ -90,6 +105,10 @@ class Constraints(NamedTuple):
     sizes: np.ndarray
     planes: np.ndarray
     lengths: np.ndarray
+    loops: Any
+    dropped: np.ndarray
+    sine: np.ndarray
+    extent: np.ndarray
     old: np.ndarray
     new: np.ndarray
     response: np.ndarray
@@ -98,15 +117,17 @@ class Constraints(NamedTuple):
     right: np.ndarray
     defect: np.ndarray
     scale: np.ndarray
+    impulse: np.ndarray
     pending: np.ndarray
     dependent: np.ndarray
     middle: np.ndarray
 
     @classmethod
-    def of(cls, listed: Sequence[ConstraintEquation], dimension: int, effects: int
-           ) -> 'Constraints':
-        """Return constraints, functions last, with workspace for a kernel of this dimension."""
+    def of(cls, listed: Sequence[ConstraintEquation], loops: Loops | None, dimension: int,
+           effects: int) -> 'Constraints':
+        """Return constraints, functions last, or loops, with workspace for D coordinates."""
         known = [part for part in listed if part.function is None]
+        count = len(listed) if loops is None else len(loops.names)
         n = max((part.first.size for part in known), default=0)
         first, second = np.full((2, len(known), n), -1)
         anchor, normal = np.zeros((2, len(known), n))
@@ -114,26 +135,30 @@ class Constraints(NamedTuple):
             for target, values in zip((first, second, anchor, normal), (
                     part.first, part.second, part.anchor, part.normal), strict=True):
                 target[k, :values.size] = values
-        old, new, response = np.zeros((3, len(listed), dimension))
-        right, defect, scale = np.zeros((3, len(listed)))
+        old, new, response = np.zeros((3, count, dimension))
+        right, defect, scale, impulse = np.zeros((4, count))
         sizes = np.array([part.first.size for part in known], int)
         lengths = np.array([part.length for part in known], float)
+        extent = lengths.max(initial=0.0 if loops is None else loops.reach)
         return cls(first, second, anchor, normal, sizes, np.asarray(normal.any(axis=1)), lengths,
+                   () if loops is None else loops.rows, np.zeros(count, bool), np.zeros(3),
+                   np.array([extent]),
                    old, new, response, np.zeros((4, dimension)),
-                   np.zeros((len(listed), len(listed))), right, defect, scale,
+                   np.zeros((count, count)), right, defect, scale, impulse,
                    np.zeros(effects), np.zeros(1, dtype=np.int64), np.zeros((2, dimension)))
 
 
 @cache
-def evaluator(functions: tuple[Callable[..., float], ...]) -> Callable[..., float]:
+def evaluator(functions: tuple[Callable[..., float], ...], looped: bool = False
+              ) -> Callable[..., float]:
     """
-    Return a function that evaluates distances, planes and these functions.
+    Return a function that evaluates distances, planes and these functions, or loops.
 
     ``evaluate(constraints, q, gradient)`` fills ``constraints.defect`` with g and the last
     argument, of shape (K, D), with its gradient, and returns the largest distance of q from
     g = 0 [m], or NaN.
     """
-    fill_others = _chain(functions)
+    fill_others = fill_loops if looped else _chain(functions)
 
     @called
     def evaluate(constraints: Constraints, q: np.ndarray, gradient: np.ndarray) -> float:
@@ -155,9 +180,13 @@ def evaluator(functions: tuple[Callable[..., float], ...]) -> Callable[..., floa
                 for j in range(n):
                     along = separation(first, second, anchor, q, j)
                     add_along(first, second, j, along / r if r != 0.0 else 0.0, gradient[k])
-        fill_others(q, count, constraints.defect, gradient)
+        fill_others(constraints.loops, q, count, constraints.defect, gradient)
         worst = 0.0
         for k in range(constraints.defect.size):
+            if constraints.dropped[k]:
+                constraints.defect[k] = 0.0
+                gradient[k, :] = 0.0
+                continue
             slope = 0.0
             for i in range(q.size):
                 slope = max(slope, abs(gradient[k, i]))
@@ -179,9 +208,9 @@ def _chain(functions: tuple[Callable[..., float], ...]) -> Callable[..., None]:
     function, rest = _jitable(functions[0]), _chain(functions[1:])
 
     @inlined
-    def fill(q: np.ndarray, k: int, defect: np.ndarray, gradient: np.ndarray) -> None:
+    def fill(loops: Any, q: np.ndarray, k: int, defect: np.ndarray, gradient: np.ndarray) -> None:
         defect[k] = function(q, gradient[k])
-        rest(q, k + 1, defect, gradient)
+        rest(loops, q, k + 1, defect, gradient)
     return fill
 
 
@@ -204,38 +233,74 @@ class Multipliers(NamedTuple):
     multipliers: np.ndarray
 
 
+class LoopMultipliers(NamedTuple):
+    """
+    Initial guess of the next step, and the result of the last one.
+
+    Parameters
+    ----------
+    multipliers : np.ndarray, shape (m,)
+        See Multipliers.
+    means : np.ndarray, shape (m,)
+        Both impulses of the last step over its size.
+
+    """
+
+    multipliers: np.ndarray
+    means: np.ndarray
+
+
 class RattleWork(NamedTuple):
     """
     Workspace of a step between two impulses.
 
     Parameters
     ----------
-    kept : Multipliers
-        The part that the next step reads.
+    kept : Multipliers or LoopMultipliers
+        The part that the next step reads, or that is published.
     start : Point
         The state after the first impulse.
 
     """
 
-    kept: Multipliers
-    start: Point
+    kept: Multipliers | LoopMultipliers
+    start: PhasePoint
 
 
-class Rattle(Layer):
+class Rattle(StepLayer):
     """Layer of Wrapped that satisfies the constraints by RATTLE; see ``rattle``."""
 
     functions: tuple[Callable[..., float], ...] = ()
+    looped = False
     repeats = True
 
     @staticmethod
     def workspace(n: int, settings: tuple[Any, ...]) -> RattleWork:
         """Return the workspace for n coordinates."""
-        return RattleWork(Multipliers(np.zeros(settings[0].defect.size)), Point.empty(n))
+        return RattleWork(Multipliers(np.zeros(settings[0].defect.size)), PhasePoint.empty(n))
 
     @classmethod
     def wrap(cls, step: Step, keeps_gradient: bool) -> Step:
         """Return the step between two impulses of the constraints."""
-        return rattle(step, cls.functions)
+        return rattle(step, cls.functions, cls.looped)
+
+
+class RattleOfLoops(Rattle):
+    """Layer of Wrapped that keeps loops closed."""
+
+    looped = True
+
+    @staticmethod
+    def workspace(n: int, settings: tuple[Any, ...]) -> RattleWork:
+        """Return the workspace for n coordinates."""
+        return RattleWork(LoopMultipliers(*np.zeros((2, settings[0].defect.size))),
+                          PhasePoint.empty(n))
+
+
+def suits_rattle(integrator: Integrator) -> bool:
+    """Return True if the method is symmetric, symplectic and of order 2, like RATTLE."""
+    keeps = integrator.requirements
+    return keeps.symmetric and keeps.symplectic and integrator.order == 2 and keeps.hamiltonian
 
 
 @cache
@@ -249,7 +314,8 @@ def rattle_kind(functions: tuple[Callable[..., float], ...]) -> type[Rattle]:
 
 
 @cache
-def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step:
+def rattle(step: Step, functions: tuple[Callable[..., float], ...] = (), looped: bool = False
+           ) -> Step:
     """
     Return a step that keeps g(q) = 0 and G(q) q' = 0, where G = g'.
 
@@ -268,10 +334,10 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
     E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VII.1.
 
     """
-    evaluate = evaluator(functions)
+    evaluate, keep_means = evaluator(functions, looped), _keep_means if looped else _keep_nothing
 
     @inlined
-    def constrained(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
+    def constrained(kernel: Kernel, h: float, options: Parameters, z: PhasePoint, z1: PhasePoint,
                     memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, constraints, state, _ = options
@@ -280,9 +346,9 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
         start, multipliers = work.start, work.kept.multipliers
         evaluate(constraints, z.q, constraints.old)
         copy_array(state.pending, constraints.pending)
-        size = largest(z.q) + largest(constraints.lengths)
+        size = largest(z.q) + constraints.extent[0]
         previous, residual, spent = np.inf, np.inf, 0
-        for iteration in range(_ITERATIONS):
+        for iteration in range(_MAX_ITERATIONS):
             copy_point(z, start)
             copy_array(constraints.pending, state.pending)
             _kick(constraints.old, multipliers, 0.5 * h, start)
@@ -293,18 +359,19 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
             if outcome != OK:
                 break
             error = evaluate(constraints, z1.q, constraints.new) / size
-            if iteration == 0 or error > _SLOW * previous:
+            if iteration == 0 or error > _SLOW_RATIO * previous:
                 spent += _respond(kernel, h, constraints, start, z1)
-            outcome = _solve_for_impulses(constraints, h, iteration == 0)
+            outcome = _solve_for_impulses(constraints, h, iteration == 0, state.clock[0])
             if outcome != OK:
                 break
             outcome = NOT_HELD
             if not error < np.inf:
                 break
-            if error <= _EPS or (error >= previous and error <= _ROUNDING * _EPS):
+            if error <= _EPS or (error >= previous and error <= _ROUNDINGS * _EPS):
                 more = _end(kernel, h, constraints, z1)
                 if more < 0:
                     break
+                keep_means(work.kept, constraints.impulse, h)
                 return OK, residual, spent + more
             previous = error
             for k in range(multipliers.size):
@@ -315,7 +382,18 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
 
 
 @inlined
-def _solve_for_impulses(constraints: Constraints, h: float, first: bool) -> int:
+def _keep_means(kept: LoopMultipliers, impulse: np.ndarray, h: float) -> None:
+    for k in range(impulse.size):
+        kept.means[k] = 0.5 * kept.multipliers[k] + impulse[k] / h
+
+
+@inlined
+def _keep_nothing(*_: Any) -> None:
+    """Keep no more than the initial guess."""
+
+
+@inlined
+def _solve_for_impulses(constraints: Constraints, h: float, first: bool, time: float) -> int:
     """Fill the right-hand side with the change of the multipliers; return an outcome."""
     if first:
         # Check if the constraints are independent at the start of the step.
@@ -323,40 +401,57 @@ def _solve_for_impulses(constraints: Constraints, h: float, first: bool) -> int:
         outcome = _solve(constraints, constraints.old, h)
         if outcome != OK:
             return outcome
+        least, most, watched = np.inf, 0.0, constraints.sine
+        for k in range(constraints.defect.size):
+            if not constraints.dropped[k]:
+                least = min(least, constraints.matrix[k, k])
+                most = max(most, constraints.scale[k])
+        sine = np.sqrt(least / most)
+        # Trials go back in time: only successive steps are compared.
+        if watched[0] > 0.0 and abs(time - watched[2]) < 0.5 * h:
+            watched[1] = max(watched[1], abs(sine - watched[0]) / min(sine, watched[0]))
+        watched[0], watched[2] = sine, time + h
     copy_array(constraints.defect, constraints.right)
     return _solve(constraints, constraints.new, 0.5 * h)
 
 
 @called
-def _end(kernel: Kernel, h: float, constraints: Constraints, z: Point) -> int:
+def _end(kernel: Kernel, h: float, constraints: Constraints, z: PhasePoint) -> int:
     """Remove the velocity normal to the constraints; return the gradients, -1 on failure."""
     count, previous, spent = constraints.defect.size, np.inf, 0
-    for _ in range(_ITERATIONS):
+    constraints.impulse[:] = 0.0
+    for _ in range(_MAX_ITERATIONS):
         kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
         spent += 1
         speed, error = largest(z.dH_dp[:kernel.dimension - kernel.channels]), 0.0
         for k in range(count):
             constraints.right[k] = 0.0
+            if constraints.dropped[k]:
+                continue
             for i in range(z.q.size):
                 constraints.right[k] += constraints.new[k, i] * z.dH_dp[i]
             error = max(error, abs(constraints.right[k]) / largest(constraints.new[k]))
-        if error <= _EPS * speed or (error >= previous and error <= _ROUNDING * _EPS * speed):
+        if error <= _EPS * speed or (error >= previous and error <= _ROUNDINGS * _EPS * speed):
             return spent
         previous = error
         variation = constraints.variation
         variation[0] = 0.0
         for k in range(count):
-            kernel.hessian_vector(kernel.parameters, z.q, z.p, variation[0], constraints.new[k],
-                                  variation[2], constraints.response[k])
-        spent += count
+            if not constraints.dropped[k]:
+                kernel.hessian_vector(kernel.parameters, z.q, z.p, variation[0],
+                                      constraints.new[k], variation[2], constraints.response[k])
+                spent += 1
         if not error < np.inf or _solve(constraints, constraints.new, 1.0) != OK:
             break
         _kick(constraints.new, constraints.right, 1.0, z)
+        for k in range(count):
+            constraints.impulse[k] += constraints.right[k]
     return -1
 
 
 @called
-def _respond(kernel: Kernel, h: float, constraints: Constraints, z: Point, z1: Point) -> int:
+def _respond(kernel: Kernel, h: float, constraints: Constraints, z: PhasePoint, z1: PhasePoint
+             ) -> int:
     """Fill the derivative of the final q by an impulse along each initial G; return its cost."""
     q, p = constraints.middle
     for i in range(q.size):
@@ -368,7 +463,7 @@ def _respond(kernel: Kernel, h: float, constraints: Constraints, z: Point, z1: P
         copy_array(constraints.old[k], v_p)
         response = constraints.response[k]
         response[:] = 0.0
-        for _ in range(_VARIATIONS):
+        for _ in range(0 if constraints.dropped[k] else _MAX_VARIATIONS):
             kernel.hessian_vector(kernel.parameters, q, p, v_q, v_p, product_q, product_p)
             spent += 1
             change = 0.0
@@ -377,7 +472,7 @@ def _respond(kernel: Kernel, h: float, constraints: Constraints, z: Point, z1: P
                 response[i] = h * product_p[i]
                 v_q[i] = 0.5 * response[i]
                 v_p[i] = constraints.old[k, i] - 0.5 * h * product_q[i]
-            if change <= _CLOSE * largest(response):
+            if change <= _VARIATION_TOLERANCE * largest(response):
                 break
     return spent
 
@@ -400,7 +495,7 @@ def _solve(constraints: Constraints, gradient: np.ndarray, factor: float) -> int
             total = 0.0
             for i in range(gradient.shape[1]):
                 total += gradient[k, i] * constraints.response[m, i]
-            matrix[k, m] = factor * total
+            matrix[k, m] = 1.0 if k == m and constraints.dropped[k] else factor * total
     row = solve_in_order(matrix, constraints.right, constraints.scale)
     if row < 0:
         return OK
@@ -411,7 +506,7 @@ def _solve(constraints: Constraints, gradient: np.ndarray, factor: float) -> int
 
 
 @called
-def _kick(gradient: np.ndarray, multipliers: np.ndarray, factor: float, z: Point) -> None:
+def _kick(gradient: np.ndarray, multipliers: np.ndarray, factor: float, z: PhasePoint) -> None:
     """Change p by -factor G^T multipliers."""
     for i in range(z.p.size):
         total = 0.0

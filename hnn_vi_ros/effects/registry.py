@@ -13,7 +13,9 @@ from hnn_vi_ros.effects.joint_friction import JointFriction
 from hnn_vi_ros.effects.joint_limits import JointLimits
 from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
+from hnn_vi_ros.effects.lugre_friction import LugreFriction
 from hnn_vi_ros.effects.magnetic_field import MagneticField
+from hnn_vi_ros.effects.motor import Motor
 from hnn_vi_ros.effects.observer import Observer
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
 from hnn_vi_ros.effects.potential import FormulaPotential
@@ -43,10 +45,12 @@ EFFECTS: dict[str, type[Effect]] = {
     'impact': Impact,
     'joint_friction': JointFriction,
     'joint_limits': JointLimits,
+    'lugre_friction': LugreFriction,
+    'motor': Motor,
 }
 
 
 def effect_name(effect: Effect) -> str:
     """Return the name of an effect in a scene; for user-defined effects the name of the class."""
     return next((name for name, kind in EFFECTS.items() if type(effect) is kind),
-                type(effect).__name__)
+                getattr(effect, 'label', type(effect).__name__))

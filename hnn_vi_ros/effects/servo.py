@@ -7,10 +7,10 @@ from functools import partial
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import coordinate_index, EffectState, Force, per_coordinate
+from hnn_vi_ros.effects.base import EffectState, Force, motor_index, per_coordinate
 from hnn_vi_ros.effects.commands import (
-    Aim, Command, Commanded, indices_of, JointCommand, JointPath, LARGEST, PATH, POSITION,
-    printable, Reference, VELOCITY)
+    Command, Commanded, indices_of, JointCommand, JointPath, LARGEST, PATH, POSITION, printable,
+    Reference, ServoTarget, VELOCITY)
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians import check_finite, check_names_once, check_not_negative
 from hnn_vi_ros.integrators import bend_at, cubic, quintic, slope_at, value_at
@@ -24,7 +24,7 @@ _IDLE, _AT_POSITION, _AT_VELOCITY, _ON_PATH = range(4)
 # because compiled steps contain its address.
 MOST_KNOTS = 1024
 # A path that starts further ahead was stamped by another clock, not in simulated time [s].
-_LONGEST_DELAY = 3600.0
+_MAX_DELAY = 3600.0
 
 
 class ServoParameters(NamedTuple):
@@ -106,7 +106,7 @@ class Servo(Force, Commanded):
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> ServoParameters:
         """Return the columns of the joints, the reference, the clock, k, c, F and the start."""
-        columns = np.array([coordinate_index(coordinates, name) for name in self.names])
+        columns = np.array([motor_index(coordinates, name) for name in self.names])
         joints = [coordinates[i] for i in columns]
         own = (per_coordinate(joints, name, value) for name, value in self.values.items())
         return ServoParameters(columns, state.reference, state.clock, *own)
@@ -119,9 +119,9 @@ class Servo(Force, Commanded):
         assert isinstance(command, JointCommand)
         return _prepare_targets(command, parameters, self.names)
 
-    def aim(self, parameters: ServoParameters) -> Aim:
+    def servo_target(self, parameters: ServoParameters) -> ServoTarget:
         """Return the present targets of the joints."""
-        return _aim(parameters, self.names)
+        return _target(parameters, self.names)
 
     @staticmethod
     @inlined
@@ -185,13 +185,13 @@ def _along(reference: Reference, segment: int, i: int, t: float) -> tuple[float,
     return value_at(c, x), slope_at(c, x) / h, bend_at(c, x) / (h * h)
 
 
-def _aim(own: ServoParameters, names: Sequence[str]) -> Aim:
+def _target(own: ServoParameters, names: Sequence[str]) -> ServoTarget:
     """Return the present targets of joints with these names."""
     t = own.clock[0]
     segment = _segment_at(own.reference, t)
     targets = np.array([_target_at(own, k, segment, t) for k in range(own.columns.size)])
     modes = own.reference.modes[own.columns]
-    return Aim(names, own.columns, targets.T, bool((modes == _ON_PATH).any()))
+    return ServoTarget(names, own.columns, targets.T, bool((modes == _ON_PATH).any()))
 
 
 def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequence[str]
@@ -201,8 +201,8 @@ def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequenc
     position, velocity = command.position[moved], command.velocity[moved]
     for kind, values in (('position', position), ('velocity', velocity)):
         for k in np.flatnonzero(np.abs(values) > LARGEST):
-            raise ValueError(f'{kind} of {names[joints[k]]} is {values[k]:g}, at most {LARGEST:g} '
-                             'is taken')
+            raise ValueError(f'{kind} of {names[joints[k]]} is {values[k]:g}, expected at most '
+                             f'{LARGEST:g}')
 
     def put() -> None:
         reference, places = own.reference, own.columns[joints]
@@ -223,7 +223,7 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
     ends at rest. A path without points holds the joints at the start.
     """
     _check_path(path, names)
-    start = _aim(own, names).targets
+    start = _target(own, names).targets
     start[0] = np.where(np.isnan(start[0]), q[own.columns], start[0])
     start[1] = np.where(np.isnan(start[1]), 0.0, start[1])
     if not len(path.times):
@@ -231,15 +231,15 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
     now, times = own.clock[0], own.clock[0] + path.delay + path.times
     ahead = times > now
     if times[-1] == now:
-        raise ValueError('the last point is to be reached at once: give it a time_from_start, or '
-                         'command it as the position of joints')
+        raise ValueError('the last point has time_from_start = 0 s; give it a later time, or '
+                         'command it as a position')
     if not ahead.any():
-        raise ValueError(f'the last point was to be reached {now - times[-1]:.6g} s ago: stamp '
-                         'the path with zero, which is now, or with simulated time')
+        raise ValueError(f'the last point is {now - times[-1]:.6g} s in the past; stamp the path '
+                         'with simulated time, or with zero for the current time')
     t = np.concatenate([[now], times[ahead]])
     if (np.diff(t) <= 0.0).any():
-        raise ValueError(f'times of points are less than {np.spacing(t[-1]):.3g} s apart, which '
-                         'is one time to the clock now: leave points out, or reset the time')
+        raise ValueError(f'times of points are less than {np.spacing(t[-1]):.3g} s apart, the '
+                         'resolution of the clock now; remove points, or reset the time')
     order = [list(path.names).index(name) for name in names]
     points = np.vstack([start[0], path.positions[ahead][:, order]])
     slopes = bends = np.zeros_like(points)
@@ -277,20 +277,20 @@ def _check_path(path: JointPath, names: Sequence[str]) -> None:
     if not n:
         return
     if n >= MOST_KNOTS:
-        raise ValueError(f'{n} points, expected at most {MOST_KNOTS - 1}: a spline joins them')
+        raise ValueError(f'{n} points, expected at most {MOST_KNOTS - 1}, joined by a spline')
     if path.velocities is None and path.accelerations is not None:
-        raise ValueError('the points have accelerations but no velocities: give both, or neither')
+        raise ValueError('the points have accelerations but no velocities; give both, or neither')
     for name in ('positions', 'velocities', 'accelerations'):
         values = getattr(path, name)
         if values is not None and not (
                 values.shape == (n, len(names)) and (np.abs(values) <= LARGEST).all()):
-            raise ValueError(f'{name} must be {len(names)} numbers of at most {LARGEST:g} in '
+            raise ValueError(f'{name} must be {len(names)} numbers, at most {LARGEST:g}, in '
                              'each point')
     if not np.isfinite(path.times).all() or (np.diff(path.times) <= 0.0).any() \
             or path.times[0] < 0.0:
-        raise ValueError('time_from_start must rise from point to point, from 0 on')
+        raise ValueError('time_from_start must be at least 0 s and increase from point to point')
     if path.velocities is not None and path.velocities[-1].any():
-        raise ValueError('velocities of the last point must be 0: the joints stay there')
-    if not path.delay <= _LONGEST_DELAY:
-        raise ValueError(f'the path begins in {path.delay:.6g} s, at most {_LONGEST_DELAY:g} s '
-                         'ahead: stamp it with zero, which is now, or with simulated time')
+        raise ValueError('velocities of the last point must be 0, because the joints stay there')
+    if not path.delay <= _MAX_DELAY:
+        raise ValueError(f'the path starts in {path.delay:.6g} s, limit {_MAX_DELAY:g} s; '
+                         'stamp it with simulated time, or with zero for the current time')

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from hnn_vi_ros.effects.wrapped import energy_of
-from hnn_vi_ros.integrators import copy_point, OK, Point, Step
+from hnn_vi_ros.integrators import copy_point, OK, PhasePoint, Step
 from hnn_vi_ros.kernels import inlined, Kernel, Parameters
 
 
@@ -31,7 +31,7 @@ def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
 
     """
     @inlined
-    def half_flow(kernel: Kernel, h: float, parameters: Parameters, z: Point) -> float:
+    def half_flow(kernel: Kernel, h: float, parameters: Parameters, z: PhasePoint) -> float:
         """Change the state, and return the work."""
         before = energy_of(kernel, z)
         d = kernel.dimension - kernel.channels
@@ -41,7 +41,7 @@ def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:
         return energy_of(kernel, z) - before
 
     @inlined
-    def split(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
+    def split(kernel: Kernel, h: float, options: Parameters, z: PhasePoint, z1: PhasePoint,
               memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, parameters, state, effect = options

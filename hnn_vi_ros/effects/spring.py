@@ -109,10 +109,10 @@ class Spring(Potential):
         if other is not None:
             ends.append(_resolve_end(coordinates, 'other', other, other_in_body))
             if list(point) == list(other):
-                raise ValueError('point and other must be of different bodies')
+                raise ValueError('point and other must be on different bodies')
         else:
             if other_in_body is not None:
-                raise ValueError('other_in_body is given without other; leave it out')
+                raise ValueError('other_in_body is given without other; remove it')
             ends.append(([-1] * 4, _three('anchor', anchor)))
         rows, arms = zip(*ends, strict=True)
         return np.array(rows), np.array(arms)
@@ -219,7 +219,7 @@ def _resolve_end(coordinates: Sequence[Coordinate], end: str, names: Sequence[st
         bodies = listed(c.name for c in coordinates if c.kind != 'scalar') or 'none'
         if in_body is not None or len(names) != 3:
             raise ValueError(f'{end} = {list(names)} must be the name of a body ({bodies})'
-                             + ('' if in_body is not None else ', or of three coordinates'))
+                             + ('' if in_body is not None else ' or names of three coordinates'))
         return [*(coordinate_index(coordinates, name) for name in names), -1], _three(end, None)
     q, (name,) = columns(coordinates)[0], names
     # A body that rotates about a fixed point has no coordinates for its position.

@@ -16,7 +16,7 @@ from hnn_vi_ros.effects.base import EffectState, Place, StepEffect
 from hnn_vi_ros.effects.crossings import add, begin, FREE, LAND, LOST, Search, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.hamiltonians import check_between, Hamiltonian
-from hnn_vi_ros.integrators import copy_point, forget, Integrator, NO_IMPACT, OK, Point, Step
+from hnn_vi_ros.integrators import copy_point, forget, Integrator, NO_IMPACT, OK, PhasePoint, Step
 from hnn_vi_ros.kernels import called, inlined, Kernel, Parameters, solve_linear
 import numpy as np
 
@@ -30,16 +30,16 @@ MOST_IMPACTS = 10_000
 _SHORTEST_FLIGHT = 1e-5
 # After this many impacts per stop in a step, short flights count as the end of a series: joints
 # that drive each other into their stops would otherwise bounce without end.
-_MANY = 2
+_MAX_FOLLOWED = 2
 # Other joints count as driven by an impact above this fraction of its speed; less is rounding.
-_DRIVEN = 1e-12
-# A coordinate is held if it ends within _HELD roundings of its stop. If rounding prevents that, a
-# fraction _STALLED of the first depth is accepted, because the velocity is exact either way. Each
-# stop has at most _PUSHES trials.
-_HELD, _STALLED, _PUSHES = 8.0, 1e-9, 30
-# Velocities are iterated to rounding; a larger error, up to _NEAR roundings, is accepted only if
-# the iteration no longer reduces it.
-_NEWTON_ITERATIONS, _NEAR = 50, 1e3
+_MIN_DRIVEN_SHARE = 1e-12
+# A coordinate is held if it ends within _HELD_ROUNDINGS of its stop. If rounding prevents that, a
+# fraction _STALLED_SHARE of the first depth is accepted, because the velocity is exact either way.
+# Each stop has at most _MAX_PUSHES trials.
+_HELD_ROUNDINGS, _STALLED_SHARE, _MAX_PUSHES = 8.0, 1e-9, 30
+# Velocities are iterated to rounding; a larger error, up to _ROUNDINGS, is accepted only if the
+# iteration no longer reduces it.
+_MAX_NEWTON_ITERATIONS, _ROUNDINGS = 50, 1e3
 # State of a stop in a trial: not touched, pushing, or released because it would have to pull.
 _OFF, _ON, _RELEASED = 0, 1, 2
 
@@ -121,7 +121,7 @@ class StopsWork(NamedTuple):
 
     """
 
-    start: Point
+    start: PhasePoint
     p: np.ndarray
     rates: Rates
     touch: np.ndarray
@@ -138,7 +138,7 @@ class StopsWork(NamedTuple):
     def empty(cls, n: int, stops: int) -> 'StopsWork':
         """Return the workspace for n coordinates and a number of stops."""
         return cls._make([
-            Point.empty(n), np.zeros(n), Rates(*np.zeros((4, n))),
+            PhasePoint.empty(n), np.zeros(n), Rates(*np.zeros((4, n))),
             np.zeros(stops, dtype=np.int64), *np.zeros((3, stops)), np.zeros((3, stops)),
             *np.zeros((3, stops, stops)), np.zeros((2, stops))])
 
@@ -160,7 +160,7 @@ class RigidContact(StepEffect):
     """
 
     acts, repeats, lockstep, stops = Place.OUTSIDE, True, False, True
-    excludes = {Place.MANIFOLD: 'because its impulses would lead off the constraints'}
+    excludes = {Place.MANIFOLD: 'because its impulses would violate the constraints'}
     beyond: ClassVar[str]
 
     def __init__(self, restitution: float):
@@ -218,7 +218,7 @@ def stop(step: Step, high: bool) -> Step:
     fly = _flight(step, high)
 
     @inlined
-    def stopping(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
+    def stopping(kernel: Kernel, h: float, options: Parameters, z: PhasePoint, z1: PhasePoint,
                  memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         _, stops, state, effect = options
@@ -236,7 +236,8 @@ def stop(step: Step, high: bool) -> Step:
             if outcome == OK:
                 done, resting = _hold(kernel, z1, stops, work)
                 if met >= 0:
-                    ends = impacts > _MANY * stops.columns.size and part <= _SHORTEST_FLIGHT * h
+                    ends = (impacts > _MAX_FOLLOWED * stops.columns.size
+                            and part <= _SHORTEST_FLIGHT * h)
                     done, resting = _meet(
                         kernel, z1, stops, work, met, done, resting, ends, rest, h, rounding)
             if np.isnan(done) or impacts > MOST_IMPACTS:
@@ -261,7 +262,7 @@ def stop(step: Step, high: bool) -> Step:
 def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, float, float, int]]:
     """Return the function that takes the parts of a step; see stop."""
     @inlined
-    def fly(kernel: Kernel, rest: float, h: float, options: Parameters, z1: Point,
+    def fly(kernel: Kernel, rest: float, h: float, options: Parameters, z1: PhasePoint,
             memory: tuple[Any, ...], rounding: float, draws: int
             ) -> tuple[int, int, float, float, float, int]:
         """
@@ -285,7 +286,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
             if state.resting[effect] > 0.0:
                 again = _push(kernel, wanted, z1, stops, state.resting[effect], work, tries)
                 tries += 1
-                if tries > _PUSHES * (stops.columns.size + 1):
+                if tries > _MAX_PUSHES * (stops.columns.size + 1):
                     outcome = NO_IMPACT
                     break
             if not again:
@@ -350,7 +351,7 @@ def _undo(state: EffectState, kept: np.ndarray, row: int, draws: int) -> None:
 
 
 @called
-def _fill_rates(kernel: Kernel, z: Point, rates: Rates, high: bool) -> None:
+def _fill_rates(kernel: Kernel, z: PhasePoint, rates: Rates, high: bool) -> None:
     """Fill the velocities H_p, and their rates of change if ``high``."""
     dH_dq, dH_dp, product_q, product_p = rates
     kernel.gradient(kernel.parameters, z.q, z.p, dH_dq, dH_dp)
@@ -362,7 +363,8 @@ def _fill_rates(kernel: Kernel, z: Point, rates: Rates, high: bool) -> None:
 
 
 @called
-def _fill_held_rates(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, high: bool) -> None:
+def _fill_held_rates(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, high: bool
+                     ) -> None:
     """
     Fill the rates at the end of a step, as ``_hold`` will leave them.
 
@@ -403,7 +405,7 @@ def _begin(kernel: Kernel, stops: Stops, resting: float, work: StopsWork, met: i
 
 
 @called
-def _look(stops: Stops, resting: float, z: Point, rates: Rates, have: float, until: float,
+def _look(stops: Stops, resting: float, z: PhasePoint, rates: Rates, have: float, until: float,
           met: int, at: int, h: float, rounding: float, high: bool
           ) -> tuple[int, float, float, int, int, float]:
     """
@@ -437,7 +439,7 @@ def _look(stops: Stops, resting: float, z: Point, rates: Rates, have: float, unt
 
 
 @called
-def _meet(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, met: int, done: float,
+def _meet(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: int, done: float,
           resting: float, ends: bool, rest: float, h: float, rounding: float
           ) -> tuple[float, float]:
     """
@@ -461,7 +463,7 @@ def _meet(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, met: int, don
         driven = False
         for k in range(n):
             if _is_in(resting, k) and work.touch[k] == _OFF \
-                    and stops.signs[k] * z.dH_dp[stops.columns[k]] < -_DRIVEN * speed:
+                    and stops.signs[k] * z.dH_dp[stops.columns[k]] < -_MIN_DRIVEN_SHARE * speed:
                 work.touch[k], driven = _ON, True
         if not driven:
             break
@@ -470,7 +472,7 @@ def _meet(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, met: int, don
     for k in range(n):
         i = stops.columns[k]
         pull, leaving = -stops.signs[k] * work.rates.product_p[i], stops.signs[k] * z.dH_dp[i]
-        if _is_in(resting, k) and leaving > _DRIVEN * speed:
+        if _is_in(resting, k) and leaving > _MIN_DRIVEN_SHARE * speed:
             if _is_short(leaving, pull, rest, h, rounding):
                 work.touch[k], kept = _ON, True
             else:
@@ -513,7 +515,7 @@ def _take_back(kernel: Kernel, work: StopsWork) -> None:
 
 
 @called
-def _push(kernel: Kernel, h: float, z: Point, stops: Stops, resting: float, work: StopsWork,
+def _push(kernel: Kernel, h: float, z: PhasePoint, stops: Stops, resting: float, work: StopsWork,
           tries: int) -> bool:
     """
     Change momenta at the beginning of a step so that resting coordinates end on their stops.
@@ -536,8 +538,8 @@ def _push(kernel: Kernel, h: float, z: Point, stops: Stops, resting: float, work
             any_on = True
             size = abs(gap[0, k])
             stalled = not grown and tries > 1 and size >= 0.5 * abs(gap[1, k]) \
-                and size <= _STALLED * gap[2, k]
-            enough = enough and (stalled or size <= _HELD * _EPS * max(
+                and size <= _STALLED_SHARE * gap[2, k]
+            enough = enough and (stalled or size <= _HELD_ROUNDINGS * _EPS * max(
                 abs(stops.positions[k]), gap[2, k]))
     if not any_on:
         return False
@@ -576,7 +578,7 @@ def _apply(kernel: Kernel, stops: Stops, work: StopsWork) -> None:
 
 
 @called
-def _fill_masses(kernel: Kernel, z: Point, stops: Stops, work: StopsWork) -> None:
+def _fill_masses(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork) -> None:
     """Fill H_pp of the touched stops, towards their free sides; other rows are of the identity."""
     n = work.touch.size
     zero, unit, product_q, product_p = work.rates
@@ -635,7 +637,7 @@ def _update(work: StopsWork) -> None:
 
 
 @called
-def _hold(kernel: Kernel, z: Point, stops: Stops, work: StopsWork) -> tuple[float, float]:
+def _hold(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork) -> tuple[float, float]:
     """Remove the velocities of held coordinates; return the work [J] and the resting stops."""
     resting, pushed = 0.0, False
     for k in range(work.touch.size):
@@ -658,7 +660,7 @@ def _hold(kernel: Kernel, z: Point, stops: Stops, work: StopsWork) -> tuple[floa
 
 
 @called
-def _match(kernel: Kernel, z: Point, stops: Stops, work: StopsWork) -> bool:
+def _match(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork) -> bool:
     """
     Put touched coordinates on their stops, with momenta that give them the target velocities.
 
@@ -672,14 +674,14 @@ def _match(kernel: Kernel, z: Point, stops: Stops, work: StopsWork) -> bool:
     scale, previous = 0.0, np.inf
     for i in range(kernel.dimension - kernel.channels):
         scale = max(scale, abs(z.dH_dp[i]))
-    for _ in range(_NEWTON_ITERATIONS):
+    for _ in range(_MAX_NEWTON_ITERATIONS):
         error = 0.0
         for k in range(work.touch.size):
             work.right[0, k] = 0.0
             if work.touch[k] == _ON:
                 work.right[0, k] = stops.signs[k] * (work.target[k] - z.dH_dp[stops.columns[k]])
                 error = max(error, abs(work.right[0, k]))
-        if error <= _EPS * scale or (error >= previous and error <= _NEAR * _EPS * scale):
+        if error <= _EPS * scale or (error >= previous and error <= _ROUNDINGS * _EPS * scale):
             return True
         previous = error
         _fill_masses(kernel, z, stops, work)

@@ -11,13 +11,13 @@ from hnn_vi_ros.effects.base import EffectState, per_coordinate, Place, StepEffe
 from hnn_vi_ros.effects.masses import check_masses
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.hamiltonians import check_positive, Hamiltonian
-from hnn_vi_ros.integrators import NO_MASS, OK, plus, Point, Step
+from hnn_vi_ros.integrators import NO_MASS, OK, PhasePoint, plus, Step
 from hnn_vi_ros.kernels import factorise, inlined, Kernel, Parameters, solve_lower, solve_upper
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 # Rounding error of an energy, which is a sum of several terms, in units of its last place.
-_PLACES = 16.0
+_ROUNDING_ERRORS = 16.0
 _EPS = float(np.finfo(np.float64).eps)
 
 
@@ -96,7 +96,7 @@ class Thermostat(StepEffect):
     """
 
     acts, single, lockstep, random = Place.MIDDLE, True, False, True
-    excludes = {Place.MANIFOLD: 'because its impulses would lead off the constraints'}
+    excludes = {Place.MANIFOLD: 'because its impulses would violate the constraints'}
 
     def __init__(self, temperature: float, rate: float | list[float],
                  mass: float | list[float] | None = None, seed: int = 0):
@@ -107,9 +107,9 @@ class Thermostat(StepEffect):
         self.temperature, self.rate, self.mass, self.seed = float(temperature), rate, mass, seed
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Parameters:
-        """Return the bath."""
+        """Return the bath; a force has at most two channels."""
         return (Bath.of(per_coordinate(coordinates, 'rate', self.rate), self.temperature,
-                        self.seed, state.pending.size),)
+                        self.seed, 2 * state.pending.size),)
 
     def check_state(self, hamiltonian: Hamiltonian, parameters: Parameters, q: np.ndarray) -> None:
         """Raise ValueError if H has no masses at q, shape (d,), or others than the given ones."""
@@ -125,7 +125,7 @@ class Thermostat(StepEffect):
         first_half, second_half = halves
 
         @inlined
-        def bathed(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
+        def bathed(kernel: Kernel, h: float, options: Parameters, z: PhasePoint, z1: PhasePoint,
                    memory: tuple[Any, ...]) -> tuple[int, float, int]:
             """Take one step; see Integrator."""
             inner, (bath,), state, effect = options
@@ -147,7 +147,7 @@ class Thermostat(StepEffect):
 
 
 @inlined
-def _exchange(kernel: Kernel, h: float, bath: Bath, uniform: float, z: Point
+def _exchange(kernel: Kernel, h: float, bath: Bath, uniform: float, z: PhasePoint
               ) -> tuple[bool, float]:
     """
     Apply friction and noise to the momenta of one state for the time h.
@@ -231,5 +231,5 @@ def _accept(kernel: Kernel, bath: Bath, uniform: float, energy: float, heat: flo
     for i in range(bath.rate.size):
         excess += 0.5 * (bath.before[i] * bath.before[i] - bath.after[i] * bath.after[i])
     # Without the margin, a quadratic H would sometimes be rejected because of rounding.
-    rounding = _PLACES * _EPS * (abs(energy) + abs(energy + heat) + kernel.energy_scale)
+    rounding = _ROUNDING_ERRORS * _EPS * (abs(energy) + abs(energy + heat) + kernel.energy_scale)
     return excess <= rounding or math.log(uniform) * bath.temperature < -excess

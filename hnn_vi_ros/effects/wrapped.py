@@ -7,9 +7,9 @@ from copy import copy
 from functools import cache
 from typing import Any, final
 
-from hnn_vi_ros.effects.base import Layer
+from hnn_vi_ros.effects.base import StepLayer
 from hnn_vi_ros.integrators import (
-    Integrator, is_finite, NOT_FINITE, OK, plus, Point, Requirements, Step)
+    Integrator, is_finite, NOT_FINITE, OK, PhasePoint, plus, Requirements, Step)
 from hnn_vi_ros.kernels import inlined, is_own, Kernel, Parameters
 import numpy as np
 
@@ -37,7 +37,7 @@ class Wrapped(Integrator):
 
     explicit, requirements = False, Requirements(symmetric=False, symplectic=False)
 
-    def __init__(self, inner: Integrator, kind: type[Layer], settings: Parameters):
+    def __init__(self, inner: Integrator, kind: type[StepLayer], settings: Parameters):
         # An effect may solve the step several times and discard results, so a solution that is not
         # connected to h = 0 does not make the step fail.
         self.inner, self._kind, self._settings = copy(inner), kind, settings
@@ -100,7 +100,7 @@ class Wrapped(Integrator):
         return Wrapped(inner, self._kind, self._settings)
 
 
-class Account(Layer):
+class Account(StepLayer):
     """Layer that commits the account of effects after each successful step; see EffectState."""
 
     @staticmethod
@@ -113,11 +113,12 @@ class Account(Layer):
     def wrap(step: Step, keeps_gradient: bool) -> Step:
         """Return the step with its account."""
         @inlined
-        def accounted(kernel: Kernel, h: float, options: Parameters, z: Point, z1: Point,
+        def accounted(kernel: Kernel, h: float, options: Parameters, z: PhasePoint, z1: PhasePoint,
                       memory: tuple[Any, ...]) -> tuple[int, float, int]:
             """Take one step; see Integrator."""
-            inner, state, channel_effects = options
+            inner, state, channel_effects, internal = options
             state.pending[:] = 0.0
+            state.step[0] = h
             state.draws[1] = 0
             outcome, residual, gradients = step(kernel, h, inner, z, z1, memory[:-1])
             if outcome != OK or not is_finite(z1):
@@ -126,7 +127,10 @@ class Account(Layer):
             for a in range(0, z1.q.size, kernel.dimension):
                 for k in range(kernel.channels):
                     i = a + d + k
-                    state.pending[channel_effects[k]] += z1.p[i] + z1.p_carry[i]
+                    if k < internal:
+                        state.resting[channel_effects[k]] += z1.p[i] + z1.p_carry[i]
+                    else:
+                        state.pending[channel_effects[k]] += z1.p[i] + z1.p_carry[i]
                     z1.q[i], z1.p[i], z1.q_carry[i], z1.p_carry[i] = 0.0, 0.0, 0.0, 0.0
             for k in range(state.pending.size):
                 state.work[k, 0], state.work[k, 1] = plus(
@@ -134,8 +138,9 @@ class Account(Layer):
             start, until = state.clock[0], state.command[state.command.size - 1]
             state.clock[0], state.clock[1] = plus(state.clock[0], state.clock[1], h)
             state.draws[0] += state.draws[1]
-            if start < until <= state.clock[0]:
-                # The gradient for the next step contains a command that has expired.
+            if internal > 0 or start < until <= state.clock[0]:
+                # The gradient for the next step contains internal variables from before the step,
+                # or a command that has expired.
                 kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
                 gradients += 1
             return OK, residual, gradients
@@ -143,7 +148,7 @@ class Account(Layer):
 
 
 @inlined
-def energy_of(kernel: Kernel, z: Point) -> float:
+def energy_of(kernel: Kernel, z: PhasePoint) -> float:
     """Return the sum of H over the states of a point [J]."""
     total = 0.0
     for a in range(0, z.q.size, kernel.dimension):

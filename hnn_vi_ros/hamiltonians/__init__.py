@@ -14,10 +14,10 @@ from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
-    from hnn_vi_ros.hamiltonians.expressions import GRAMMAR, Graph, Reader, Symbol
+    from hnn_vi_ros.hamiltonians.expressions import GRAMMAR, Graph, Reader, Symbol, traced
     from hnn_vi_ros.hamiltonians.formula import Formula
     from hnn_vi_ros.hamiltonians.mechanisms.parts import (
-        Ball, bounds_of, Box, Line, Mechanism, Part, SILVER, Trail)
+        Ball, bounds_of, Cuboid, Line, Mechanism, Part, SILVER, Trail)
     from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS, ROTATING
     from hnn_vi_ros.hamiltonians.mechanisms.skeleton import (
         bones, moved, shapes_of, skeleton, tip_of)
@@ -25,9 +25,12 @@ if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.parameters import (
         check_between, check_finite, check_names_once, check_not_negative, check_positive)
     from hnn_vi_ros.hamiltonians.registry import DESCRIBED, HAMILTONIANS
+    from hnn_vi_ros.hamiltonians.rigid_body.gears import ElasticDrive
+    from hnn_vi_ros.hamiltonians.rigid_body.loops import (
+        ClosingJoint, fill_loops, LoopRows, Loops)
     from hnn_vi_ros.hamiltonians.rigid_body.robot import (
-        Joint, JointCoordinate, RIGID, Robot, SLIDING, TURNING, Units)
-    from hnn_vi_ros.hamiltonians.rigid_body.small_tree import mass_kernel
+        Joint, JointCoordinate, JointUnits, RIGID, Robot, SLIDING, TURNING)
+    from hnn_vi_ros.hamiltonians.rigid_body.small_tree import mass_kernels
     from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
     from hnn_vi_ros.hamiltonians.rigid_body.tree import frame_of, MOST_JOINTS
     from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel

@@ -9,6 +9,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple, Self
 
+from hnn_vi_ros.hamiltonians.rigid_body.loops import Loops
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.kernels import Functions, Kernel, Parameters
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
@@ -58,6 +59,8 @@ class Hamiltonian(ABC):
         True if H(q, p) = T(p) + V(q); True if p are canonical momenta.
     robot : Robot or None
         The robot whose joints are the coordinates, if a URDF describes one.
+    loops : Loops or None
+        The closed chains of this robot.
     invariants, known_invariants : mapping of str to callable
         Functions of q and p, of shape (d,), by name: those that a scene monitors, and those that
         are conserved besides H in the absence of effects.
@@ -78,6 +81,7 @@ class Hamiltonian(ABC):
     separable: bool = False
     canonical: ClassVar[bool] = True
     robot: Robot | None = None
+    loops: Loops | None = None
     invariants: Mapping[str, Invariant] = MappingProxyType({})
     known_invariants: Mapping[str, Invariant] = MappingProxyType({})
     box: tuple[np.ndarray, np.ndarray] | None = None
@@ -93,7 +97,7 @@ class Hamiltonian(ABC):
 
     def outside(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return True for states (..., d) outside the box or not finite, shape (...)."""
-        assert self.box is not None, 'it is asked for only where there is one'
+        assert self.box is not None, 'called only if there is a box'
         low, high = np.concatenate(self.box).T
         z = np.concatenate([q, p if self.gauge is None else p - q @ self.gauge.T], axis=-1)
         return np.asarray(~((low <= z) & (z <= high)).all(axis=-1))
@@ -219,7 +223,7 @@ class Hamiltonian(ABC):
     def _flat(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if np.shape(q) != np.shape(p) or np.shape(q)[-1:] != (self.dimension,):
             raise ValueError(f'q and p have shapes {np.shape(q)} and {np.shape(p)}, '
-                             f'expected (..., {self.dimension}) twice')
+                             f'expected (..., {self.dimension}) for both')
         return (np.ascontiguousarray(q, dtype=np.float64).ravel(),
                 np.ascontiguousarray(p, dtype=np.float64).ravel())
 

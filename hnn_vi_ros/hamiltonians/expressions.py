@@ -14,6 +14,7 @@ import re
 from types import MappingProxyType
 from typing import Any
 
+from hnn_vi_ros.errors import did_you_mean
 import numpy as np
 
 # Maximum number of characters, of nested brackets, and of graph nodes with all derivatives.
@@ -71,7 +72,7 @@ class Graph:
         if node not in self._known:
             if len(self.nodes) == MOST_NODES:
                 raise ValueError(f'the formula and its derivatives have more than {MOST_NODES} '
-                                 'parts: write it shorter, or give H as code (kind: python)')
+                                 'parts; shorten it, or give H as code (kind: python)')
             self._known[node] = len(self.nodes)
             self.nodes.append(node)
         return self._known[node]
@@ -79,7 +80,7 @@ class Graph:
     def number(self, value: float) -> int:
         """Return the node of a number; -0 becomes 0."""
         if not math.isfinite(value):
-            raise ValueError(f'this is {value}, no finite number')
+            raise ValueError(f'this is {value}, not a finite number')
         return self._node('number', float(value) + 0.0)
 
     def name(self, name: str) -> int:
@@ -149,7 +150,7 @@ class Graph:
         if value:
             return self.scaled(1.0 / value, a)
         if value == 0.0:
-            raise ValueError('a division by zero')
+            raise ValueError('division by zero')
         if self.value(a) == 0.0:
             return a
         (c, a), (d, b) = self._factor(a), self._factor(b)
@@ -317,6 +318,42 @@ class Graph:
             lines.append(f't{a} = {made}')
         return lines, [text[root] for root in roots]
 
+    def formula(self, root: int) -> str:
+        """Return the formula of a node, or raise ValueError if it is too long."""
+        # Texts with their precedence: 0 for sums and signs, 1 for products, 2 for powers.
+        texts: dict[int, tuple[str, int]] = {}
+
+        def put(a: int, least: int) -> str:
+            text, level = texts[a]
+            return text if level >= least else f'({text})'
+
+        for a in self.needed([root]):
+            kind, *rest = self.nodes[a]
+            if kind == 'name':
+                texts[a] = rest[0], 3
+            elif kind == 'number':
+                texts[a] = _shortest(rest[0]), 3 if rest[0] >= 0.0 else 0
+            elif kind == 'scaled':
+                sign = '-' if rest[0] < 0.0 else ''
+                factor = '' if abs(rest[0]) == 1.0 else f'{_shortest(abs(rest[0]))}*'
+                texts[a] = f'{sign}{factor}{put(rest[1], 1)}', 0 if sign else 1
+            elif kind == 'sum':
+                texts[a] = f'{put(rest[0], 0)} + {put(rest[1], 0)}'.replace('+ -', '- '), 0
+            elif kind in ('product', 'over'):
+                texts[a] = f'{put(rest[0], 1)}{_SIGNS[kind]}{put(rest[1], 2)}', 1
+            elif kind == 'power':
+                texts[a] = f'{put(rest[0], 3)}^{rest[1]}', 2
+            elif kind == 'raised':
+                texts[a] = f'{put(rest[0], 3)}^{put(rest[1], 3)}', 2
+            elif kind == 'versine':
+                texts[a] = f'1 - cos({put(rest[0], 0)})', 0
+            else:
+                texts[a] = f'{kind}({put(rest[0], 0)})', 3
+            if len(texts[a][0]) > LONGEST:
+                raise ValueError(f'the formula of H has more than {LONGEST} characters; give H '
+                                 'as code (kind: python)')
+        return texts[root][0]
+
     def _text(self, kind: str, rest: Sequence[Any], own: Sequence[str]) -> str:
         if kind == 'scaled':
             return f'-{own[0]}' if rest[0] == -1.0 else f'{rest[0]!r} * {own[0]}'
@@ -329,6 +366,11 @@ class Graph:
         if kind == 'versine':
             return f'2.0 * np.sin(0.5 * {own[0]}) ** 2'
         return f'np.{_CALLS[kind].__name__}({own[0]})'
+
+
+def _shortest(value: float) -> str:
+    """Return the shortest text that is read back as this number."""
+    return repr(value).removesuffix('.0')
 
 
 def _root_of_rest(graph: Graph, x: int) -> int:
@@ -379,7 +421,7 @@ class Reader:
                  called: Mapping[str, str] = MappingProxyType({})):
         self._graph, self._text, self._start, self._called = graph, text, start, called
         if len(text) > LONGEST:
-            raise ValueError(f'{len(text)} characters, of which at most {LONGEST} are read')
+            raise ValueError(f'{len(text)} characters, expected at most {LONGEST}')
         self.names: dict[str, int] = {}
         self.parts: dict[int, tuple[int, int]] = {}
         self._depth = self._end = self._at = 0
@@ -411,7 +453,7 @@ class Reader:
         where = f'column {self.column(self._at)}'
         found = f'found {self._token!r}' if self._token else 'the formula ends'
         hint = f', expected {expected}' if expected else ''
-        return ValueError(f'{where}: {found}{hint}; a formula has {GRAMMAR}')
+        return ValueError(f'{where}: {found}{hint}; valid: {GRAMMAR}')
 
     def _takes(self, *signs: str) -> str:
         """Return the present sign and advance if it is one of these, else return ''."""
@@ -434,8 +476,8 @@ class Reader:
     def _deeper(self, read: Callable[[], int]) -> int:
         self._depth += 1
         if self._depth > DEEPEST:
-            raise ValueError(f'column {self.column(self._at)}: more than {DEEPEST} brackets, '
-                             'signs or powers inside each other; a formula has at most these')
+            raise ValueError(f'column {self.column(self._at)}: brackets, signs or powers are '
+                             f'nested more than {DEEPEST} deep')
         node = read()
         self._depth -= 1
         return node
@@ -484,8 +526,9 @@ class Reader:
         self._next()
         if self._takes('('):
             if token not in FUNCTIONS:
-                raise ValueError(f'column {self.column(begin)}: no function {token!r}; write a '
-                                 f'product as {token}*(...); a formula has {GRAMMAR}')
+                raise ValueError(f'column {self.column(begin)}: unknown function {token!r}'
+                                 f'{did_you_mean(token, FUNCTIONS)}; write a product as '
+                                 f'{token}*(...); valid: {GRAMMAR}')
             return self._made(begin, self._graph.apply, token, self._closed(begin))
         if token == 'pi':
             return self._graph.number(math.pi)
@@ -496,9 +539,13 @@ class Reader:
         """Return the node up to the closing bracket."""
         node = self._deeper(self._sum)
         if not self._takes(')'):
-            raise self._wrong(f'an operator, or a bracket that closes that in column '
+            raise self._wrong(f'an operator, or the bracket that closes the one in column '
                               f'{self.column(begin)}')
         return node
+
+
+class Untraceable(TypeError, AttributeError):
+    """An operation on a symbol that no formula contains."""
 
 
 class Symbol:
@@ -507,54 +554,135 @@ class Symbol:
     def __init__(self, graph: Graph, node: int):
         self.graph, self.node = graph, node
 
-    def _made(self, make: Callable[[int, int], int], other: Any) -> 'Symbol':
+    def _made(self, make: Callable[[int, int], int], other: Any) -> Any:
+        if isinstance(other, np.ndarray):
+            # numpy applies the operator to each element.
+            return NotImplemented
         node = other.node if isinstance(other, Symbol) else self.graph.number(other)
         return Symbol(self.graph, make(self.node, node))
 
-    def __add__(self, other: Any) -> 'Symbol':
+    def __add__(self, other: Any) -> Any:
         """Return the sum."""
         return self._made(self.graph.plus, other)
 
-    def __mul__(self, other: Any) -> 'Symbol':
+    def __mul__(self, other: Any) -> Any:
         """Return the product."""
         return self._made(self.graph.product, other)
 
-    def __truediv__(self, other: Any) -> 'Symbol':
+    def __truediv__(self, other: Any) -> Any:
         """Return the quotient."""
         return self._made(self.graph.over, other)
 
-    def __neg__(self) -> 'Symbol':
+    def __neg__(self) -> Any:
         """Return the negative."""
         return self * -1.0
 
-    def __sub__(self, other: Any) -> 'Symbol':
+    def __sub__(self, other: Any) -> Any:
         """Return the difference."""
         return self + -other
 
-    def __rsub__(self, other: Any) -> 'Symbol':
+    def __rsub__(self, other: Any) -> Any:
         """Return the difference."""
         return -self + other
 
-    def __rtruediv__(self, other: Any) -> 'Symbol':
+    def __rtruediv__(self, other: Any) -> Any:
         """Return the quotient."""
         return Symbol(self.graph, self.graph.number(other)) / self
 
-    def __pow__(self, other: Any) -> 'Symbol':
+    def __pow__(self, other: Any) -> Any:
         """Return the power."""
         return self._made(self.graph.raised, other)
 
-    def __eq__(self, other: object) -> bool:
-        """Refuse comparisons, as a branch would be taken for all values."""
-        raise TypeError('symbols cannot be compared')
+    def __rpow__(self, other: Any) -> Any:
+        """Return the power."""
+        return Symbol(self.graph, self.graph.number(other)) ** self
+
+    def __pos__(self) -> 'Symbol':
+        """Return the symbol."""
+        return self
+
+    def __abs__(self) -> 'Symbol':
+        """Return the absolute value."""
+        return Symbol(self.graph, self.graph.apply('abs', self.node))
+
+    def hypot(self, other: Any) -> Any:
+        """Return the root of the sum of squares, as numpy does."""
+        return (self * self + other * other).sqrt()
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, None  # type: ignore[assignment]
 
     def __getattr__(self, name: str) -> Callable[[], 'Symbol']:
         """Return the method that numpy calls for its function of this name."""
         if name not in _SMOOTH:
-            raise AttributeError(name)
+            raise Untraceable(f'no formula contains {name}')
         return lambda: Symbol(self.graph, self.graph.apply(_SMOOTH[name], self.node))
 
 
 # Names that numpy expects.
 _SMOOTH = {_CALLS[name].__name__: name for name in FUNCTIONS if name != 'abs'}
+
+
+def _refusing(what: str) -> Callable[..., Any]:
+    def refuse(*_operands: Any) -> None:
+        raise Untraceable(f'{what} needs values of q and p')
+    return refuse
+
+
+# A branch would be taken for all values.
+for _name, _what in {
+        'lt': '<', 'le': '<=', 'eq': '==', 'ne': '!=', 'gt': '>', 'ge': '>=', 'mod': '%',
+        'rmod': '%', 'floordiv': '//', 'rfloordiv': '//', 'bool': 'a branch (if, and, or)',
+        'float': 'a conversion (float, or a function of math)', 'int': 'a conversion (int)',
+        'complex': 'a conversion (complex)', 'index': 'an index'}.items():
+    setattr(Symbol, f'__{_name}__', _refusing(_what))
+
+
+class _Symbols(np.ndarray):
+    """An array of symbols, for which numpy's norm is a formula."""
+
+    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
+        """Call a function of numpy."""
+        if function is np.linalg.norm:
+            return np.sqrt(np.sum(np.square(arguments[0]), *arguments[2:], **options))
+        return super().__array_function__(function, types, arguments, options)
+
+
+def traced(function: Callable[[Any, Any], Any], count: int | None) -> tuple[list[str], str]:
+    """
+    Return the names of the coordinates and the formula of a function of q and p.
+
+    Parameters
+    ----------
+    function : callable
+        Function with operators and functions of numpy; it is called once, with symbols.
+    count : int or None
+        Number of coordinates, q1, q2 and so on, with momenta p1, p2 and so on; None to call it
+        with a single q and p instead of arrays.
+
+    Raises
+    ------
+    ValueError
+        It uses values, as in branches, or is not a formula for other reasons; one line.
+
+    """
+    graph, ends = Graph(), [''] if count is None else range(1, count + 1)
+    halves = [[Symbol(graph, graph.name(f'{half}{end}')) for end in ends] for half in 'qp']
+    given = [own[0] if count is None else np.array(own, dtype=object).view(_Symbols)
+             for own in halves]
+    try:
+        made = np.asarray(function(*given), dtype=object)
+    except Exception as problem:  # noqa: B902  the user's code may raise any
+        told: BaseException | None = problem
+        while told is not None and not isinstance(told, Untraceable):
+            # numpy reports its own errors instead.
+            told = told.__cause__ or told.__context__
+        raise ValueError(
+            f'H cannot be traced: {" ".join(str(told or problem).split())}; valid: + - * / **, '
+            f"sums, products and norms of arrays, and numpy's abs, {', '.join(_SMOOTH)}; or give "
+            'H as code (kind: python)') from problem
+    if made.shape:
+        raise ValueError(f'H returns an array of shape {made.shape}, expected a number; sum over '
+                         'the coordinates')
+    if not isinstance(root := made.item(), Symbol):
+        raise ValueError(f'H returns {root!r:.60}, which depends on neither q nor p')
+    return [f'q{end}' for end in ends], graph.formula(root.node)

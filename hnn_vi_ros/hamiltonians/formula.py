@@ -14,21 +14,21 @@ from hnn_vi_ros.phase_space import Coordinate, IN_DEGREES
 import numpy as np
 from pydantic import Field, field_validator
 
-_MOST_COORDINATES = 100
+_MAX_COORDINATES = 100
 
 
 class FormulaCoordinate(StrictModel):
     """A coordinate with units."""
 
-    name: str = Field(pattern=NAME, max_length=100, description='as the formula has it')
-    q_unit: str = Field('1', max_length=30, description='unit of the coordinate; rad: an angle')
+    name: str = Field(pattern=NAME, max_length=100, description='name in the formula')
+    q_unit: str = Field('1', max_length=30, description='unit of the coordinate; rad for an angle')
     p_unit: str = Field('1', max_length=30, description='unit of its momentum')
 
     @field_validator('q_unit')
     @classmethod
     def _check_unit(cls, unit: str) -> str:
         if IN_DEGREES.search(unit):
-            raise ValueError(f'{unit}: angles are in rad; write states and the formula in them')
+            raise ValueError(f'{unit}: angles must be in rad, in states and in the formula')
         return unit
 
 
@@ -69,16 +69,16 @@ class Formula(Hamiltonian):
         self.parameters, self._text = dict(parameters or {}), H
         names = [coordinate.name for coordinate in self.coordinates]
         if not names:
-            raise ValueError('coordinates must name at least one')
-        check_names('coordinates', names, {f'p_{name}' for name in names}, _MOST_COORDINATES)
+            raise ValueError('coordinates must contain at least one name')
+        check_names('coordinates', names, {f'p_{name}' for name in names}, _MAX_COORDINATES)
         graph = self._graph = Graph()
         self._read = read_hamiltonian(graph, names, H, self.parameters)
         root = self._root = self._read.root
         self._momenta = [f'p_{name}' for name in names]
         for name, momentum in zip(names, self._momenta, strict=True):
             if not graph.depending([root], [momentum]):
-                raise ValueError(f'H does not depend on {momentum}, the momentum of {name}, which '
-                                 'would never move; add its kinetic energy')
+                raise ValueError(f'H does not depend on {momentum}, so {name} would never move; '
+                                 'add its kinetic energy')
         both = names + self._momenta
         self._slopes = graph.gradient(root, both)
         d = len(names)
@@ -104,7 +104,7 @@ class Formula(Hamiltonian):
                 raise ValueError(
                     f'H column {begin + 1}: {self._text[begin:end]!r:.80} '
                     f'{f"is {values[node]:g}" if own else "has no finite derivative"} at the '
-                    'initial state; begin elsewhere')
+                    'initial state; start elsewhere')
 
 
 def _coordinate(choice: Any) -> Coordinate:

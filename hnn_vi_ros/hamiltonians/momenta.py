@@ -6,10 +6,10 @@ from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
-_ITERATIONS, _HALVINGS = 50, 20
+_MAX_ITERATIONS, _MAX_HALVINGS = 50, 20
 # Residuals relative to the velocities, to H_pp p and to the rounding of H_p: the iteration stops
 # at the first; the result is accepted at the second, which is larger.
-_AIM, _TOLERANCE = 1e-12, 1e-10
+_GOAL, _MAX_RESIDUAL = 1e-12, 1e-10
 
 
 def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.ndarray
@@ -40,22 +40,22 @@ def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.n
     p = np.array(start, dtype=np.float64)
     rounding = hamiltonian.kernel.gradient_scale[1]
     missing = v - hamiltonian.gradient(q, p)[1]
-    for _ in range(_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         size = np.abs(missing).max(axis=-1, keepdims=True)
         inverse = hamiltonian.inverse_mass(q, p)
         terms = np.maximum(np.abs(v), (np.abs(inverse) * np.abs(p)[..., None, :]).sum(axis=-1))
         scale = np.maximum(rounding, terms.max(axis=-1, keepdims=True))
-        if (size <= _AIM * scale).all():
+        if (size <= _GOAL * scale).all():
             return p
         try:
             change = np.linalg.solve(inverse, missing[..., None])[..., 0]
         except np.linalg.LinAlgError:
             break
         share = np.ones_like(size)
-        for _ in range(_HALVINGS):
+        for _ in range(_MAX_HALVINGS):
             trial = p + share * change
             found = v - hamiltonian.gradient(q, trial)[1]
-            worse = ~(np.abs(found).max(axis=-1, keepdims=True) < size) & ~(size <= _AIM * scale)
+            worse = ~(np.abs(found).max(axis=-1, keepdims=True) < size) & ~(size <= _GOAL * scale)
             if not worse.any():
                 break
             share[worse] *= 0.5
@@ -65,10 +65,10 @@ def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.n
             break
     size = np.abs(missing).max(axis=-1, keepdims=True)
     # The negated form also rejects NaN.
-    if not (size <= _TOLERANCE * scale).all():
-        first = np.unravel_index(np.argmax(~(size <= _TOLERANCE * scale)), size.shape)[:-1]
+    if not (size <= _MAX_RESIDUAL * scale).all():
+        first = np.unravel_index(np.argmax(~(size <= _MAX_RESIDUAL * scale)), size.shape)[:-1]
         raise StateError(
-            f'no momentum belongs to the velocity {v[first].tolist()} at q = '
-            f'{q[first].tolist()}: H_p misses it by {float(size[first][0]):.3g}; the state is '
-            'outside what the model learned')
+            f'no momentum gives the velocity {v[first].tolist()} at q = {q[first].tolist()}: '
+            f'H_p differs by {float(size[first][0]):.3g}; the state is outside the training '
+            'domain of the model')
     return p

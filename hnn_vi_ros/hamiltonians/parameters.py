@@ -40,4 +40,4 @@ def check_names_once(**names: Sequence[str]) -> None:
     """Raise ValueError for a list of names that is empty or contains duplicates."""
     for key, given in names.items():
         if not given or len(set(given)) < len(given):
-            raise ValueError(f'{key} = {list(given)} must name at least one, each once')
+            raise ValueError(f'{key} = {list(given)} must contain at least one name, each once')

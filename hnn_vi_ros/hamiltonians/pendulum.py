@@ -11,7 +11,7 @@ from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 # Near the separatrix the elliptic functions are inaccurate.
-_SEPARATRIX = 1e-9
+_SEPARATRIX_MARGIN = 1e-9
 
 
 class Pendulum(AnalyticHamiltonian):
@@ -68,7 +68,7 @@ class Pendulum(AnalyticHamiltonian):
         half = 0.5 * (float(q[0]) - 2.0 * math.pi * turns)
         sine, speed = math.sin(half), float(p[0]) / top
         m = sine * sine + speed * speed
-        if abs(m - 1.0) < _SEPARATRIX:
+        if abs(m - 1.0) < _SEPARATRIX_MARGIN:
             return None
         k = math.sqrt(m)
         if m < 1.0:

@@ -4,16 +4,18 @@
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, JointCoordinate, Robot
-from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix, tree_of
+from hnn_vi_ros.hamiltonians.rigid_body.gears import ElasticDrive, drives_of, with_rotors
+from hnn_vi_ros.hamiltonians.rigid_body.loops import ClosingJoint, loops_of
+from hnn_vi_ros.hamiltonians.rigid_body.robot import JointCoordinate, Robot
+from hnn_vi_ros.hamiltonians.rigid_body.tree import links_of, mass_matrix, tree_of
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
 from hnn_vi_ros.kernels import Kernel
+from hnn_vi_ros.phase_space import Coordinate, Follower, rotor_name
 import numpy as np
 
 
@@ -24,7 +26,8 @@ class RigidBodyTree(Hamiltonian):
     Up to 12 joints move, revolute, continuous or prismatic; their names are the names of the
     coordinates. M includes the links and the rotors; V = -sum of m g . c over the moving links,
     with centres of mass c relative to the origin of the base. Limits, damping and friction of the
-    URDF act only if a scene lists the effects `joint_limits` and `joint_friction`.
+    URDF act only if a scene lists the effects `joint_limits` and `joint_friction`. Joints that
+    `mimic` others have no coordinate: their inertia, limits and friction act on their leader.
 
     Parameters
     ----------
@@ -32,10 +35,11 @@ class RigidBodyTree(Hamiltonian):
         The URDF: a path, relative to the folder of the scene or else the working directory, or
         package://PACKAGE/PATH in an installed ROS package; meshes are not read.
     joints : list of str, optional
-        The moving joints, in the order of the coordinates; by default all that are not locked,
-        from the base to the tips.
+        The moving joints, in the order of the coordinates; by default all that are not locked
+        and mimic no other, from the base to the tips.
     locked : dict of str to float, optional
-        Joints that do not move, and their values [rad], [m].
+        Joints that do not move, and their values [rad], [m]; joints that mimic them do not move
+        either.
     gravity : sequence of float
         Acceleration of gravity, three numbers in the frame of the base [m/s^2].
     base : str, optional
@@ -43,6 +47,15 @@ class RigidBodyTree(Hamiltonian):
     rotor_inertia : dict of str to float, optional
         Inertias of the rotors behind joints, reduced to the joint, that is multiplied by the
         square of the gear ratio [kg m2], [kg].
+    loops : list of ClosingJoint, optional
+        Joints that close chains of the tree, kept with RATTLE.
+    assemble : bool
+        Move any initial state onto the loops; by default one that is more than 1e-3 away (of a
+        coordinate, or of the largest velocity) is refused.
+    drives : dict of str to ElasticDrive, optional
+        Motors that move joints through elastic gears. The rotor of a joint `elbow` is the
+        coordinate `elbow_motor`, after those of the joints: its angle on the side of the joint.
+        Commands to the joint act on it.
 
     Raises
     ------
@@ -59,31 +72,48 @@ class RigidBodyTree(Hamiltonian):
     def __init__(self, file: str, joints: list[str] | None = None,
                  locked: dict[str, float] | None = None,
                  gravity: Sequence[float] = (0.0, 0.0, -9.81), base: str | None = None,
-                 rotor_inertia: dict[str, float] | None = None):
-        self.robot = replace(read_urdf(Path(file)), locked=locked or {})
-        self.provenance = {'robot': self.robot.name}
-        self._arguments = (joints, self.robot.locked, gravity, base or self.robot.root,
-                           rotor_inertia or {})
-        self.bodies, self.joints = tree_of(self.robot, *self._arguments)
-        self.coordinates = tuple(_coordinate(joint) for joint in self.joints)
+                 rotor_inertia: dict[str, float] | None = None,
+                 loops: list[ClosingJoint] | None = None, assemble: bool = False,
+                 drives: dict[str, ElasticDrive] | None = None):
+        robot = read_urdf(Path(file))
+        self.provenance = {'robot': robot.name}
+        self._arguments = (joints, locked or {}, gravity, base or robot.root, rotor_inertia or {})
+        self._drives: dict[str, ElasticDrive] = {}
+        self._build(robot)
+        links = tuple(JointCoordinate(
+            joint.name, joint.units.q, joint.units.p, joint=joint, followers=tuple(
+                Follower(name, *mimic[1:]) for name, mimic in self.robot.followers.items()
+                if mimic.joint == joint.name)) for joint in self.joints)
+        if drives:
+            self._drives = drives_of(drives, [joint.name for joint in self.joints])
+            self._build(robot)
+        units = {link.name: (link.q_unit, link.p_unit) for link in links}
+        self.coordinates = (*links, *(Coordinate(rotor_name(name), *units[name], rotor_of=name)
+                                      for name in self._drives))
+        if loops and drives:
+            raise ValueError('loops and drives are not supported together yet; remove one')
+        if loops:
+            self.loops = loops_of(loops, self.bodies, self.following, links_of(
+                self.robot, self.robot.locked, base or robot.root), assemble)
+
+    def _build(self, robot: Robot) -> None:
+        self.robot, self.bodies, self.joints, self.following = tree_of(robot, *self._arguments)
+        if self._drives:
+            self.bodies, self.following = with_rotors(
+                self.bodies, self.following, [*self._drives.values()], len(self.joints))
 
     def with_numbers(self, numbers: Mapping[str, float]) -> 'RigidBodyTree':
         """Return H with other numbers of links; see ``Robot.with_numbers``."""
         other = copy(self)
         other.__dict__.pop('kernel', None)
-        other.robot = self.robot.with_numbers(numbers)
-        other.bodies, other.joints = tree_of(other.robot, *self._arguments)
+        other._build(self.robot.with_numbers(numbers))
         return other
 
     def masses(self, q: np.ndarray) -> np.ndarray:
         """Return M(q), shape (m, d, d), for q of shape (m, d)."""
-        return np.array([mass_matrix(self.bodies, one) for one in q])
+        return np.array([mass_matrix(self.bodies, one, self.following) for one in q])
 
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions for simulations."""
-        return tree_kernel(self.bodies)
-
-
-def _coordinate(joint: Joint) -> JointCoordinate:
-    return JointCoordinate(joint.name, joint.units.q, joint.units.p, joint=joint)
+        return tree_kernel(self.bodies, self.following)

@@ -80,6 +80,12 @@ def graph_kernel(graph: Graph, root: int, names: Sequence[str], momenta: Sequenc
         Values of the other names.
 
     """
+    return graph_kernels(graph, root, names, momenta)(parameters)
+
+
+def graph_kernels(graph: Graph, root: int, names: Sequence[str], momenta: Sequence[str]
+                  ) -> Callable[[Mapping[str, float]], Kernel]:
+    """Return ``graph_kernel`` as a function of the values alone, for many of them."""
     d, both = len(names), [*names, *momenta]
     slopes, changes = graph.gradient(root, both), {name: f'change of {name}' for name in both}
     products = graph.tangents(slopes, changes)
@@ -91,17 +97,20 @@ def graph_kernel(graph: Graph, root: int, names: Sequence[str], momenta: Sequenc
     places, more = ([f'{half}[k + {i}]' for half in halves for i in range(d)] for halves in (
         ('dH_dq', 'dH_dp'), ('product_q', 'product_p')))
     loop = f'for k in range(0, q.size, {d}):'
-    values = graph.values(constants, parameters)
-    return compiled_kernel(
-        (code.function('energy', 'q, p', [], [root], 'k = 0'),
-         code.function('gradient', 'q, p, dH_dq, dH_dp', places, slopes, loop),
-         code.function('hessian_vector', 'q, p, v_q, v_p, product_q, product_p', more, products,
-                       loop)),
-        tuple(float(values[a]) for a in constants), d,
-        (_largest_term(graph, slopes[:d], parameters),
-         _largest_term(graph, slopes[d:], parameters)))._replace(
-             quadratic=not graph.depending(products[d:], [*both, *(
-                 changes[name] for name in names)]))
+    functions = (
+        code.function('energy', 'q, p', [], [root], 'k = 0'),
+        code.function('gradient', 'q, p, dH_dq, dH_dp', places, slopes, loop),
+        code.function('hessian_vector', 'q, p, v_q, v_p, product_q, product_p', more, products,
+                      loop))
+    quadratic = not graph.depending(products[d:], [*both, *(changes[name] for name in names)])
+
+    def kernel(parameters: Mapping[str, float]) -> Kernel:
+        values = graph.values(constants, parameters)
+        return compiled_kernel(
+            functions, tuple(float(values[a]) for a in constants), d,
+            (_largest_term(graph, slopes[:d], parameters),
+             _largest_term(graph, slopes[d:], parameters)))._replace(quadratic=quadratic)
+    return kernel
 
 
 class Code:
@@ -219,11 +228,11 @@ def read_formula(key: str, graph: Graph, text: str, names: Sequence[str],
     for name, column in read.names.items():
         if name not in valid:
             hint = did_you_mean(name, valid)
-            raise ValueError(f'{key} column {column}: no name {name!r}{hint}; there are: '
+            raise ValueError(f'{key} column {column}: unknown name {name!r}{hint}; valid: '
                              f'{listed(valid)}; give others a value in parameters')
     for name in parameters:
         if name not in read.names:
-            raise ValueError(f'parameters {name}: not in {key}; leave it out')
+            raise ValueError(f'parameters {name}: not used in {key}; remove it')
     return read
 
 
@@ -232,14 +241,14 @@ def check_names(key: str, names: Sequence[str], taken: Iterable[str] = (),
     """Raise ValueError unless these are distinct valid names for a formula."""
     taken = {'pi', *FUNCTIONS, *taken}
     if len(names) > most:
-        raise ValueError(f'{key}: {len(names)} of them; give at most {most}')
+        raise ValueError(f'{key} has {len(names)} entries, expected at most {most}')
     for i, name in enumerate(names):
         # fullmatch: `$` alone would accept a trailing line break.
         if not re.fullmatch(NAME, name):
             raise ValueError(f'{key} {name!r:.60} must be a letter or underscore, then letters, '
                              'digits, underscores')
         if name in taken or name in names[:i]:
-            raise ValueError(f'{key} {name} has another meaning already; call it otherwise')
+            raise ValueError(f'{key}: the name {name!r} already has another meaning; rename it')
 
 
 def _largest_term(graph: Graph, roots: Sequence[int], parameters: Mapping[str, float]) -> float:

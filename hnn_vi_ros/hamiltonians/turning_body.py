@@ -13,11 +13,11 @@ import numpy as np
 def moments(inertia: Sequence[float]) -> dict[str, float]:
     """Return the moments of inertia of a body about principal axes, or raise ValueError."""
     if len(inertia) != 3:
-        raise ValueError(f'inertia has {len(inertia)} values, expected 3, about principal axes')
+        raise ValueError(f'inertia has {len(inertia)} values, expected 3 about principal axes')
     check_positive(**{f'inertia[{i}]': value for i, value in enumerate(inertia)})
     if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
-        raise ValueError(f'inertia = {list(inertia)}: no body has a moment of inertia larger than '
-                         'the sum of the other two')
+        raise ValueError(f'inertia = {list(inertia)}: the largest moment must not exceed the sum '
+                         'of the other two')
     return {f'I{i}': float(value) for i, value in enumerate(inertia, 1)}
 
 

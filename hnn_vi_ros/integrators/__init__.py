@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, is_finite, largest, plus
     from hnn_vi_ros.integrators.base import (
         BEYOND, IN_DOUBT, Integrator, NO_CONVERGENCE, NO_IMPACT, NO_MASS, NO_SOLUTION, Node,
-        NOT_FINITE, NOT_HELD, OK, ON_FAILURE, PartitionedTableau, Point, PointWork, REASONS,
+        NOT_FINITE, NOT_HELD, OK, ON_FAILURE, PartitionedTableau, PhasePoint, PointWork, REASONS,
         REDUNDANT, Requirements, Step, step_failure)
     from hnn_vi_ros.integrators.composition import Composition
     from hnn_vi_ros.integrators.dense_output import (

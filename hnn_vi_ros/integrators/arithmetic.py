@@ -4,7 +4,7 @@
 
 import math
 
-from hnn_vi_ros.integrators.base import Point
+from hnn_vi_ros.integrators.base import PhasePoint
 from hnn_vi_ros.kernels import inlined
 import numpy as np
 
@@ -54,7 +54,7 @@ def all_finite(x: np.ndarray) -> bool:
 
 
 @inlined
-def is_finite(z: Point) -> bool:
+def is_finite(z: PhasePoint) -> bool:
     """Return True if a state and its gradient are finite."""
     return (all_finite(z.q) and all_finite(z.p)
             and all_finite(z.dH_dq) and all_finite(z.dH_dp))
@@ -73,7 +73,7 @@ def copy_array(source: np.ndarray, target: np.ndarray) -> None:
 
 
 @inlined
-def copy_point(source: Point, target: Point) -> None:
+def copy_point(source: PhasePoint, target: PhasePoint) -> None:
     """Copy every array of one point into another point."""
     for i in range(source.q.size):
         target.q[i], target.p[i] = source.q[i], source.p[i]

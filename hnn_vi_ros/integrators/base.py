@@ -74,7 +74,7 @@ class PartitionedTableau(NamedTuple):
         for matrix, weights in ((self.q_matrix, self.q_weights), (self.p_matrix, self.p_weights)):
             ended = np.tril(np.tile(weights, (self.stages, 1)), -1)
             if (matrix - np.diag(np.diag(matrix)) != ended).any():
-                raise ValueError('the stages cannot be solved one after another')
+                raise ValueError('the tableau is not diagonally implicit')
         return [Node(*map(float, numbers)) for numbers in zip(
             np.diag(self.q_matrix), np.diag(self.p_matrix), self.q_weights, self.p_weights,
             strict=True)]
@@ -150,21 +150,19 @@ class Requirements:
         turning = listed(coordinate.name for coordinate in hamiltonian.coordinates
                          if coordinate.kind != 'scalar')
         if turning and self.coordinates != 'group':
-            return (f'adds to coordinates, which would take a rotation ({turning}) off its '
-                    'group')
+            return f'adds to coordinates, which a rotation ({turning}) does not allow'
         if not turning and self.coordinates == 'group':
-            return 'is made for rotations and poses, of which this H has none'
+            return 'needs rotations or poses, but this H has none'
         if not hamiltonian.canonical and self.coordinates == 'canonical':
             names = listed(coordinate.name for coordinate in hamiltonian.coordinates)
-            return (f'needs canonical coordinates, which those of this model ({names}) are not: '
-                    'its steps, those of eq. (6) too, would keep another 2-form than the one it '
-                    'learned')
+            return (f'needs canonical coordinates, but those of this model ({names}) are not: '
+                    'the steps would conserve a 2-form other than the learned one')
         if hamiltonian.canonical and self.coordinates == 'other':
-            return ('is made for coordinates that are not canonical, those of a model of the '
-                    'family symplectic_form')
+            return ('needs coordinates that are not canonical, those of a model of the family '
+                    'symplectic_form')
         if self.separable and not hamiltonian.separable:
-            return (f'needs H = T(p) + V(q), but {type(hamiltonian).__name__} does not '
-                    'separate')
+            return (f'needs H = T(p) + V(q), but {type(hamiltonian).__name__} is not '
+                    'separable')
         return ''
 
 
@@ -172,17 +170,17 @@ class Requirements:
 (OK, NO_CONVERGENCE, NOT_FINITE, BEYOND, NO_MASS, REDUNDANT, IN_DOUBT, NO_SOLUTION,
  TURNED, NOT_HELD, NO_IMPACT, ENDLESS) = range(12)
 REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
-           BEYOND: 'beyond the limit of stability',
-           NO_MASS: 'H_pp is not positive definite, so that there are no masses',
-           REDUNDANT: 'it depends on the constraints before it',
+           BEYOND: 'beyond the stability limit',
+           NO_MASS: 'H_pp is not positive definite, so there are no masses',
+           REDUNDANT: 'it depends on earlier constraints',
            NO_SOLUTION: 'no solution is connected to h = 0',
-           TURNED: 'a body would turn by nearly pi or more in one step',
-           NOT_HELD: 'no impulses hold the constraints over the step',
-           NO_IMPACT: 'its impacts cannot be followed',
-           ENDLESS: 'the steps of its own that it takes become too many, or too short'}
+           TURNED: 'a body would rotate by almost pi rad or more in one step',
+           NOT_HELD: 'no impulses satisfy the constraints over the step',
+           NO_IMPACT: 'its impacts cannot be resolved',
+           ENDLESS: 'the internal steps became too many or too short'}
 # Advice for the user in cases that another step size or method does not solve.
-REMEDIES = {NO_MASS: 'start elsewhere, or take another model', REDUNDANT: 'leave it out',
-            ENDLESS: 'start elsewhere, or use another integrator; time_transformed takes fewer '
+REMEDIES = {NO_MASS: 'start elsewhere, or use another model', REDUNDANT: 'remove it',
+            ENDLESS: 'start elsewhere, or use another integrator; time_transformed needs fewer '
                      'with a larger force'}
 # Policies for a step that fails; see Rescue.
 ON_FAILURE = ('substep', 'implicit', 'stop')
@@ -192,7 +190,7 @@ ON_FAILURE = ('substep', 'implicit', 'stop')
 Step = Callable[..., tuple[int, float, int]]
 
 
-class Point(NamedTuple):
+class PhasePoint(NamedTuple):
     """
     A state of one trajectory, or of several in sequence; each array has shape (n,).
 
@@ -215,7 +213,7 @@ class Point(NamedTuple):
     dH_dp: np.ndarray
 
     @classmethod
-    def empty(cls, n: int, dtype: type = np.float64) -> 'Point':
+    def empty(cls, n: int, dtype: type = np.float64) -> 'PhasePoint':
         """Return a point of n zeros in each array."""
         return cls(*np.zeros((6, n), dtype))
 
@@ -231,7 +229,7 @@ class PointWork(NamedTuple):
 
     """
 
-    point: Point
+    point: PhasePoint
 
 
 def step_failure(outcome: int, t: float, h: float, residual: float, evaluations: int,

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators.base import (
-    in_sequence, Integrator, OK, PartitionedTableau, Point, PointWork, Requirements)
+    in_sequence, Integrator, OK, PartitionedTableau, PhasePoint, PointWork, Requirements)
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
@@ -93,7 +93,7 @@ class Composition(Integrator):
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspaces of the base, and an intermediate point."""
-        return (*self.base.memory(n, dtype), PointWork(Point.empty(n, dtype)))
+        return (*self.base.memory(n, dtype), PointWork(PhasePoint.empty(n, dtype)))
 
 
 class Yoshida4(Composition):
@@ -147,7 +147,7 @@ class KahanLi8(Composition):
 @cache
 def _compose(base_step: Callable, fractions: tuple[float, ...]) -> Callable:
     @inlined
-    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         between, inner = memory[-1].point, memory[:-1]

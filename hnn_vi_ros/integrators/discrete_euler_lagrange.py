@@ -8,12 +8,12 @@ from typing import Annotated
 from hnn_vi_ros.files import import_named, NAMES_CODE
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators.base import (
-    Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Point, Requirements)
+    Integrator, NO_CONVERGENCE, NOT_FINITE, OK, PhasePoint, Requirements)
 from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models import load_checkpoint
 import numpy as np
 
-_ITERATIONS = 30
+_MAX_ITERATIONS = 30
 _EPS = float(np.finfo(np.float64).eps)
 
 
@@ -61,7 +61,7 @@ class DiscreteEulerLagrange(Integrator):
     def __init__(self, discrete_lagrangian: Annotated[str | None, NAMES_CODE] = None,
                  order: int = 1, model: str | None = None):
         if (discrete_lagrangian is None) == (model is None):
-            raise ValueError('discrete_lagrangian is required, or a model in its place')
+            raise ValueError('give either discrete_lagrangian or model')
         self._model = None if model is None else load_checkpoint(model)
         if self._model is not None:
             # Imported lazily: reading a scene needs no compiled networks.
@@ -80,8 +80,8 @@ class DiscreteEulerLagrange(Integrator):
     def refusal(self, hamiltonian: Hamiltonian) -> str:
         """Refuse a Hamiltonian other than that of the learned Lagrangian."""
         if self._model and hamiltonian.provenance.get('model_sha256') != self._model.sha256:
-            return ('needs the Hamiltonian of its own model, since the momenta of others are '
-                    'not the same: name the same model in both')
+            return ('needs the Hamiltonian of its own model, because other momenta differ: '
+                    'name the same model in both')
         return super().refusal(hamiltonian)
 
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
@@ -104,14 +104,14 @@ class DiscreteEulerLagrange(Integrator):
             self.discrete_lagrangian, np.array(q0), np.array(q1), h)[1]
 
     @staticmethod
-    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         (discrete_lagrangian,) = options
         q1 = z.q + h * z.dH_dp
         previous = np.inf
         scale = np.maximum(np.abs(z.p), h * np.abs(z.dH_dq))
-        for iteration in range(1, _ITERATIONS + 1):
+        for iteration in range(1, _MAX_ITERATIONS + 1):
             d1, d2, mixed = _derivatives(discrete_lagrangian, z.q, q1, h)
             defect = z.p + d1
             if not np.isfinite(defect).all():
@@ -129,7 +129,7 @@ class DiscreteEulerLagrange(Integrator):
                 q1 = q1 - np.linalg.solve(mixed, defect)
             except np.linalg.LinAlgError:
                 break
-        return NO_CONVERGENCE, previous, _ITERATIONS
+        return NO_CONVERGENCE, previous, _MAX_ITERATIONS
 
 
 def _derivatives(discrete_lagrangian: Callable, q0: np.ndarray, q1: np.ndarray, h: float

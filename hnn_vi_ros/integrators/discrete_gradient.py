@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
-from hnn_vi_ros.integrators.base import OK, Point, Requirements, Step
+from hnn_vi_ros.integrators.base import OK, PhasePoint, Requirements, Step
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton_solver import by_differences
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
@@ -50,7 +50,7 @@ class EndProblem(NamedTuple):
 
     kernel: Kernel
     h: float
-    z: Point
+    z: PhasePoint
     middle: np.ndarray
     rates: np.ndarray
     dH_dq: np.ndarray
@@ -87,7 +87,7 @@ def step_to_end(set_scale: Callable[..., None], equation: Callable[..., None]) -
     end_tangent = by_differences(equation)
 
     @inlined
-    def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: SolverOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         n, work, iterates = z.q.size, memory[0], memory[0].solver.iterates
@@ -147,7 +147,7 @@ def fill_end(problem: EndProblem, value: np.ndarray) -> None:
 
 
 @inlined
-def _set_scale(scale: np.ndarray, kernel: Kernel, h: float, z: Point) -> None:
+def _set_scale(scale: np.ndarray, kernel: Kernel, h: float, z: PhasePoint) -> None:
     """Set the scale of q and p of each trajectory, including the rounding error of H."""
     n, d = z.q.size, kernel.dimension
     for start in range(0, n, d):

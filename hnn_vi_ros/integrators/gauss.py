@@ -8,18 +8,19 @@ import math
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from hnn_vi_ros.integrators.arithmetic import copy_array, plus
-from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, PartitionedTableau, Point, Requirements
+from hnn_vi_ros.integrators.base import (
+    NO_CONVERGENCE, OK, PartitionedTableau, PhasePoint, Requirements)
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import (
-    anderson, BACK, COMMON, GO_ON, is_hopeless, judge, SolverOptions)
+    anderson, assess, BACK, COMMON, GO_ON, is_hopeless, SolverOptions)
 from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
 from hnn_vi_ros.kernels import inlined, invert, Kernel
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
 # If an iteration leaves more of the residual than this, the full matrix saves iterations.
-_SLOW = 0.1
+_SLOW_RATIO = 0.1
 
 
 class Modes(NamedTuple):
@@ -147,8 +148,8 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
     inverted, direct = False, problem.work.direct
     for k in range(1, max_iterations + 1):
         settled = stage == COMMON and before < math.inf and previous * previous <= _EPS * before
-        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect,
-                                         0.0 if settled else previous, stage, k == max_iterations)
+        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect,
+                                          0.0 if settled else previous, stage, k == max_iterations)
         # J counts as one evaluation.
         if outcome != GO_ON:
             return outcome, residual, k + 1
@@ -160,7 +161,7 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
         if stage == BACK:
             copy_array(value, x)
             continue
-        if direct[0] > 0 and k > 1 and residual > _SLOW * before:
+        if direct[0] > 0 and k > 1 and residual > _SLOW_RATIO * before:
             direct[0] = 0
         elif direct[0] > 0:
             copy_array(value, x)
@@ -317,7 +318,7 @@ class _Problem(NamedTuple):
     matrix: np.ndarray
     modes: Modes
     work: ModesWork
-    z: Point
+    z: PhasePoint
     q: np.ndarray
     p: np.ndarray
     dH_dq: np.ndarray
@@ -414,7 +415,7 @@ class Gauss(Collocation):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: Tableau, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: Tableau, z: PhasePoint, z1: PhasePoint,
              memory: tuple[GaussWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         work, n, s = memory[0], z.q.size, options.weights.size

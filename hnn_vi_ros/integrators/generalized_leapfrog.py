@@ -3,7 +3,7 @@
 """Generalised leapfrog: the Störmer-Verlet method for a general Hamiltonian."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import LEAPFROG, leapfrog_energy, OK, Point, Requirements
+from hnn_vi_ros.integrators.base import LEAPFROG, leapfrog_energy, OK, PhasePoint, Requirements
 from hnn_vi_ros.integrators.equations import (
     EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
@@ -17,7 +17,7 @@ _adjoint_step = SymplecticEulerAdjoint.step
 
 
 @inlined
-def _second_half(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
+def _second_half(kernel: Kernel, h: float, options: SolverOptions, z: PhasePoint, z1: PhasePoint,
                  memory: tuple[EquationWork, HalfwayWork]) -> tuple[int, float, int]:
     """Take a step of the adjoint, with the workspace of the second equation."""
     return _adjoint_step(kernel, h, options, z, z1, memory[1:])
@@ -53,7 +53,7 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: SolverOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple[EquationWork, HalfwayWork]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         half = 0.5 * h

@@ -11,13 +11,13 @@ from hnn_vi_ros.integrators.workspaces import FAST_MATRIX, LARGEST_MATRIX
 import numpy as np
 
 SOLVERS = ('chain', 'fixed_point')
-_NEWTON_ITERATIONS = 20
-_MOST_ITERATIONS = 10_000
+_MAX_NEWTON_ITERATIONS = 20
+_MAX_ITERATIONS = 10_000
 # Evaluations needed to solve an equation to round-off from an extrapolated initial guess: 4 to 6
 # by the secant method, up to about ten by Anderson's method.
 _USUAL_ITERATIONS = 10
-NO_SOLUTION_OF_EQ_6 = ('eq. (6) has no solution here that is connected to h = 0: on the way '
-                       'det(I + h H_qp) changes sign')
+NO_SOLUTION_OF_EQ_6 = ('eq. (6) has no solution connected to h = 0 here: '
+                       'det(I + h H_qp) changes sign on the way')
 
 
 class ImplicitIntegrator(Integrator):
@@ -27,10 +27,10 @@ class ImplicitIntegrator(Integrator):
     The chain of solvers starts from an extrapolated guess, with the secant method if the unknowns
     are independent, the simplified Newton method for Gauss methods with few coordinates, or
     Anderson's method otherwise. If these fail, Newton's method follows: with a Jacobian up to 128
-    unknowns, without one beyond, and with one again, up to 512 unknowns, if that fails. Last come
-    sub-steps of a symmetric method. If ``no_solution`` is set, a step of up to 128 unknowns that
-    does not converge fast is solved by continuation from h = 0, so that the choice among several
-    solutions does not depend on earlier steps.
+    unknowns, without one beyond, and with one again, up to 512 unknowns, if that fails. Then
+    follows ``on_failure``, see Rescue. If ``no_solution`` is set, a step of up to 128 unknowns
+    that does not converge fast is solved by continuation from h = 0, so that the choice among
+    several solutions does not depend on earlier steps.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ class ImplicitIntegrator(Integrator):
     def __init__(self, solver: str = 'chain', max_iterations: int = 100):
         if solver not in SOLVERS:
             raise ValueError(f'solver = {solver!r}; valid: {", ".join(SOLVERS)}')
-        check_between(1, _MOST_ITERATIONS, max_iterations=max_iterations)
+        check_between(1, _MAX_ITERATIONS, max_iterations=max_iterations)
         self.solver, self.max_iterations = solver, max_iterations
         if solver == 'fixed_point':
             # Started from the state, it converges to the same solution each time, or to none.
             self.no_solution = self.fallback = ''
 
     def attempts(self, n: int) -> tuple[int, ...]:
-        """Return the attempts of the chain: 0 fast, 1 and 2 by Newton, 3 by continuation."""
+        """Return the attempts in order: 0 fast, 1 Newton, 2 without a matrix, 3 continuation."""
         if self.solver == 'fixed_point':
             return (0,)
         most = max(self.unknowns(n))
@@ -80,7 +80,7 @@ class ImplicitIntegrator(Integrator):
             return SolverOptions(fixed_point, False, self.max_iterations)
         if attempt > 0:
             solve = (newton, krylov, continuation)[attempt - 1]
-            return SolverOptions(solve, attempt < 3, _NEWTON_ITERATIONS)
+            return SolverOptions(solve, attempt < 3, _MAX_NEWTON_ITERATIONS)
         solve = secant if self.scalar and dimension == 1 else anderson
         return SolverOptions(solve, True, self.max_iterations, bool(self.no_solution))
 

@@ -5,7 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import midpoint_energy, OK, Point, Requirements, tableau
+from hnn_vi_ros.integrators.base import midpoint_energy, OK, PhasePoint, Requirements, tableau
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
@@ -40,7 +40,7 @@ class _Problem(NamedTuple):
 
     kernel: Kernel
     half: float
-    z: Point
+    z: PhasePoint
     dH_dq: np.ndarray
     dH_dp: np.ndarray
 
@@ -72,7 +72,7 @@ class ImplicitMidpoint(ImplicitIntegrator):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: SolverOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple[MidpointWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         n, kept, solver = z.q.size, memory[0].kept, memory[0].solver

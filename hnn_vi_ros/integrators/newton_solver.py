@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NO_SOLUTION
-from hnn_vi_ros.integrators.solvers import BACK, COMMON, GO_ON, judge, OWN
+from hnn_vi_ros.integrators.solvers import assess, BACK, COMMON, GO_ON, OWN
 from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
 from hnn_vi_ros.kernels import called, factorise_rows, inlined, solve_factorised, solve_linear
 import numpy as np
@@ -23,7 +23,7 @@ _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 _EPS = float(np.finfo(np.float64).eps)
 # A Jacobian is reused while each iteration reduces the residual by at least this factor: a new one
 # for N unknowns costs N evaluations, and is worth it for a sixteenth of the digits.
-_KEPT = 0.1
+_REUSE_RATIO = 0.1
 
 
 @inlined
@@ -46,8 +46,8 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     previous, residual, stage, evaluations = math.inf, math.inf, COMMON, 0
     bound, is_kept = max(8, n) * _EPS, False
     for k in range(1, max_iterations + 1):
-        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
-                                         stage, k == max_iterations)
+        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
+                                          stage, k == max_iterations)
         evaluations += 1
         if outcome != GO_ON:
             return outcome, residual, evaluations
@@ -57,7 +57,7 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
             copy_array(value, x)
             continue
         # Residuals of the size of rounding contain no information about the matrix.
-        if not is_kept or residual > max(bound, _KEPT * previous):
+        if not is_kept or residual > max(bound, _REUSE_RATIO * previous):
             fill_matrix(tangent, problem, x, 1.0, own)
             raise_scales(iterates.scale, iterates.own_scale, own.known)
             evaluations += n
@@ -129,7 +129,7 @@ def by_differences(equation: Callable[..., None]) -> Callable[..., None]:
 
 
 # Tolerance of the linear system of an iteration, relative to its right-hand side.
-_FORCING = 1e-3
+_LINEAR_TOLERANCE = 1e-3
 
 
 @inlined
@@ -157,8 +157,8 @@ def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     sizes = iterates.scale, iterates.own_scale, iterates.accepted
     previous, residual, stage, evaluations = math.inf, math.inf, COMMON, 0
     for k in range(1, max_iterations + 1):
-        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
-                                         stage, k == max_iterations)
+        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
+                                          stage, k == max_iterations)
         evaluations += 1
         if outcome != GO_ON:
             return outcome, residual, evaluations
@@ -183,7 +183,7 @@ def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
                     raise_scales(iterates.scale, iterates.own_scale, own.known)
                 left = _begin(own, iterates.own_scale if stage == OWN else iterates.scale,
                               x, value)
-                goal = _FORCING * left
+                goal = _LINEAR_TOLERANCE * left
             # The negated form also ends the loop for NaN.
             if used == columns or not left > goal:
                 break
@@ -272,10 +272,10 @@ def _add_combination(work: NewtonWork, used: int, value: np.ndarray, x: np.ndarr
 
 
 # First and shortest step, as fractions of the way from h = 0; maximum of points and Newton steps.
-_FIRST_LENGTH, _SHORTEST_LENGTH, _POINTS, _CORRECTIONS = 0.25, 2.0**-16, 100, 8
+_FIRST_LENGTH, _SHORTEST_LENGTH, _MAX_POINTS, _MAX_CORRECTIONS = 0.25, 2.0**-16, 100, 8
 # Each Newton step must be shorter than the previous one by this factor. The iteration has
 # converged at this length relative to the scale, since the next step doubles the digits.
-_CONTRACTION, _ARRIVED = 0.25, float(np.sqrt(np.finfo(np.float64).eps))
+_MAX_CONTRACTION, _CONVERGED_LENGTH = 0.25, float(np.sqrt(np.finfo(np.float64).eps))
 
 
 @inlined
@@ -300,14 +300,14 @@ def continuation(equation: Callable, tangent: Callable, problem: Any, x: np.ndar
     if work.newton.matrix.shape[0] != n:
         return NO_CONVERGENCE, math.nan, 0
     copy_array(base, last)
-    for _ in range(_POINTS):
+    for _ in range(_MAX_POINTS):
         if at == 1.0:
             break
         share = min(1.0, at + length)
         copy_array(last, x)
         left, more = _correct(equation, tangent, problem, x, share, work)
         spent += more
-        if left <= _ARRIVED:
+        if left <= _CONVERGED_LENGTH:
             copy_array(x, last)
             at, length = share, 2.0 * length
         elif length <= _SHORTEST_LENGTH:
@@ -327,7 +327,7 @@ def _correct(equation: Callable, tangent: Callable, problem: Any, x: np.ndarray,
     n, iterates, own = x.size, work.iterates, work.newton
     value, step, scale = iterates.values[0], own.direction, iterates.scale
     size, spent = math.inf, 0
-    for k in range(_CORRECTIONS):
+    for k in range(_MAX_CORRECTIONS):
         equation(problem, x, value)
         fill_matrix(tangent, problem, x, share, own)
         spent += n + 1
@@ -340,8 +340,8 @@ def _correct(equation: Callable, tangent: Callable, problem: Any, x: np.ndarray,
             x[i] += step[i]
             if not abs(step[i]) <= size * scale[i]:
                 size = abs(step[i]) / scale[i] if scale[i] > 0.0 else abs(step[i])
-        if size <= _ARRIVED:
+        if size <= _CONVERGED_LENGTH:
             return size, spent
-        if k > 0 and not size <= _CONTRACTION * before:
+        if k > 0 and not size <= _MAX_CONTRACTION * before:
             break
     return 1.0 if math.isfinite(size) else size, spent

@@ -82,4 +82,4 @@ def check_method(integrator: Integrator, hamiltonian: Hamiltonian) -> None:
     problem = integrator.refusal(hamiltonian)
     if problem:
         able = methods_that(lambda method: True, hamiltonian)
-        raise UnsupportedSystem(f'{method_name(integrator)} {problem}; methods that can: {able}')
+        raise UnsupportedSystem(f'{method_name(integrator)} {problem}; valid methods: {able}')

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians import check_positive
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import ENDLESS, Integrator, OK, Point, Requirements, tableau
+from hnn_vi_ros.integrators.base import ENDLESS, Integrator, OK, PhasePoint, Requirements, tableau
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
@@ -36,7 +36,7 @@ class ExplicitEuler(Baseline):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         for i in range(z.q.size):
@@ -87,7 +87,7 @@ class RK4(Baseline):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
              memory: tuple[StageWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         n = z.q.size
@@ -151,7 +151,7 @@ class DOP853(Baseline):
         return self._tolerances
 
     @staticmethod
-    def step(kernel: Kernel, h: float, options: Tolerances, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: Tolerances, z: PhasePoint, z1: PhasePoint,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         # Imported lazily: no other method needs scipy.

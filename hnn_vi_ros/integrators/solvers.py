@@ -74,8 +74,8 @@ def fixed_point(equation: Callable, tangent: Callable, problem: NamedTuple, x: n
     previous, residual, stage = math.inf, math.inf, COMMON
     value, defect = iterates.values[0], iterates.residuals[0]
     for k in range(1, max_iterations + 1):
-        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
-                                         stage, k == max_iterations)
+        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
+                                          stage, k == max_iterations)
         if outcome != GO_ON:
             return outcome, residual, k
         previous = residual
@@ -95,8 +95,8 @@ def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     value, defect = iterates.values[0], iterates.residuals[0]
     old_value, old_defect = iterates.values[1], iterates.residuals[1]
     for k in range(1, max_iterations + 1):
-        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
-                                         stage, k == max_iterations)
+        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
+                                          stage, k == max_iterations)
         if outcome != GO_ON:
             return outcome, residual, k
         if stage == COMMON and is_hopeless(k, residual, previous):
@@ -135,8 +135,8 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
     rows, origin, old_stage = DEPTH + 1, 1, COMMON
     for k in range(1, max_iterations + 1):
         value, defect = iterates.values[k % rows], iterates.residuals[k % rows]
-        outcome, residual, stage = judge(equation, problem, x, sizes, value, defect, previous,
-                                         stage, k == max_iterations)
+        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
+                                          stage, k == max_iterations)
         if outcome != GO_ON:
             return outcome, residual, k
         if stage == COMMON and is_hopeless(k, residual, previous):
@@ -215,10 +215,10 @@ def _residual(value: np.ndarray, x: np.ndarray, scale: np.ndarray, defect: np.nd
 
 
 @inlined
-def judge(equation: Callable, problem: NamedTuple, x: np.ndarray,
-          sizes: tuple[np.ndarray, np.ndarray, np.ndarray], value: np.ndarray,
-          defect: np.ndarray, previous: float, stage: int, is_last: bool
-          ) -> tuple[int, float, int]:
+def assess(equation: Callable, problem: NamedTuple, x: np.ndarray,
+           sizes: tuple[np.ndarray, np.ndarray, np.ndarray], value: np.ndarray,
+           defect: np.ndarray, previous: float, stage: int, is_last: bool
+           ) -> tuple[int, float, int]:
     """Evaluate G at x; return the next action: accept x, fail as not finite, or iterate."""
     scale, own_scale, accepted = sizes
     equation(problem, x, value)

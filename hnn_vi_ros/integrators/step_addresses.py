@@ -16,7 +16,7 @@ from threading import Lock
 from types import FunctionType
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.integrators.base import Point, Step
+from hnn_vi_ros.integrators.base import PhasePoint, Step
 from hnn_vi_ros.integrators.workspaces import MemoryByAddress
 from hnn_vi_ros.kernels import (
     address_of, array_at, Block, block, check_words, digest_of, entry_caller, kept, Kernel, load,
@@ -133,16 +133,16 @@ def _step_entry(inside: int, memory: int, h: float, n: int, q: int, p: int, q_ca
                 p_carry: int, dH_dq: int, dH_dp: int, q1: int, p1: int, q1_carry: int,
                 p1_carry: int, dH_dq1: int, dH_dp1: int) -> tuple[int, float, int]:
     kernel, options = load(inside, inside_kind)
-    z = Point(array_at(q, n), array_at(p, n), array_at(q_carry, n), array_at(p_carry, n),
-              array_at(dH_dq, n), array_at(dH_dp, n))
-    z1 = Point(array_at(q1, n), array_at(p1, n), array_at(q1_carry, n), array_at(p1_carry, n),
-               array_at(dH_dq1, n), array_at(dH_dp1, n))
+    z = PhasePoint(array_at(q, n), array_at(p, n), array_at(q_carry, n), array_at(p_carry, n),
+                   array_at(dH_dq, n), array_at(dH_dp, n))
+    z1 = PhasePoint(array_at(q1, n), array_at(p1, n), array_at(q1_carry, n), array_at(p1_carry, n),
+                    array_at(dH_dq1, n), array_at(dH_dp1, n))
     outcome, residual, spent = function(kernel, h, options, z, z1, load(memory, memory_kind))
     return outcome, residual, spent
 
 
 @part(forceinline=True)
-def _addresses_of(z: Point) -> tuple[int, ...]:
+def _addresses_of(z: PhasePoint) -> tuple[int, ...]:
     return (address_of(z.q), address_of(z.p), address_of(z.q_carry), address_of(z.p_carry),
             address_of(z.dH_dq), address_of(z.dH_dp))
 
@@ -150,8 +150,9 @@ def _addresses_of(z: Point) -> tuple[int, ...]:
 def _caller(k: int) -> Part:
     """Return the step that calls the k-th of its inner steps by address."""
     @part(forceinline=True)
-    def step_by_address(kernel: Kernel, h: float, options: StepsByAddress, z: Point, z1: Point,
-                        memory: tuple[MemoryByAddress]) -> tuple[int, float, int]:
+    def step_by_address(kernel: Kernel, h: float, options: StepsByAddress, z: PhasePoint,
+                        z1: PhasePoint, memory: tuple[MemoryByAddress]
+                        ) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inside = address_of(options.words) + 8 * _ADDRESSES
         return _call_step(options.words[k], (

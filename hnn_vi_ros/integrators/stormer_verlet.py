@@ -4,12 +4,12 @@
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import (
-    Integrator, LEAPFROG, leapfrog_energy, OK, Point, Requirements)
+    Integrator, LEAPFROG, leapfrog_energy, OK, PhasePoint, Requirements)
 from hnn_vi_ros.kernels import inlined, Kernel
 
 
 @inlined
-def _first_half(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+def _first_half(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
                 memory: tuple) -> tuple[int, float, int]:
     """Take the kick and the drift of a step of 2 h."""
     for i in range(z.q.size):
@@ -22,7 +22,7 @@ def _first_half(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
 
 
 @inlined
-def _second_half(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+def _second_half(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
                  memory: tuple) -> tuple[int, float, int]:
     """Take the drift and the kick of a step of 2 h."""
     kernel.gradient(kernel.parameters, z.q, z.p, z1.dH_dq, z1.dH_dp)
@@ -58,7 +58,7 @@ class StormerVerlet(Integrator):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         # V' does not depend on p: z.dH_dq is V'(q_n) of the previous step.

@@ -4,7 +4,7 @@
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import euler_energy, Point, tableau
+from hnn_vi_ros.integrators.base import euler_energy, PhasePoint, tableau
 from hnn_vi_ros.integrators.equations import (
     EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
 from hnn_vi_ros.integrators.implicit import EulerIntegrator, NO_SOLUTION_OF_EQ_6
@@ -35,7 +35,7 @@ class SymplecticEuler(EulerIntegrator):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: SolverOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple[EquationWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         outcome, residual, gradients = solve_momenta(
@@ -70,12 +70,12 @@ class SymplecticEulerAdjoint(EulerIntegrator):
 
     modified_energy = staticmethod(euler_energy)
     partitioned = tableau([[1]], [[0]], [1], [1])  # the stage is (q_(n+1), p_n)
-    no_solution = ('the adjoint of eq. (6) has no solution here that is connected to h = 0: on '
-                   'the way det(I - h H_qp) changes sign')
+    no_solution = ('the adjoint of eq. (6) has no solution connected to h = 0 here: '
+                   'det(I - h H_qp) changes sign on the way')
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: SolverOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple[EquationWork | HalfwayWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         outcome, residual, gradients = solve_coordinates(

@@ -12,30 +12,31 @@ from typing import Any
 
 from hnn_vi_ros.errors import pip_command
 from hnn_vi_ros.hamiltonians import check_between, Graph, Hamiltonian, straight_code, Symbol
-from hnn_vi_ros.integrators.base import ENDLESS, Integrator, NOT_FINITE, OK, Point, Requirements
+from hnn_vi_ros.integrators.base import (
+    ENDLESS, Integrator, NOT_FINITE, OK, PhasePoint, Requirements)
 from hnn_vi_ros.integrators.dense_output import DenseOutput
 from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
 # Maximum number of series in one step, and of series that are checked one by one: about a second
 # of processor time.
-_MOST_STEPS, _MOST_PARTS = 1_000_000, 10_000
+_MAX_STEPS, _MAX_PARTS = 1_000_000, 10_000
 # States of a batch; heyoka compiles longer for more, and is no faster.
-_LANES = 8
+_BATCH_STATES = 8
 # Number of graph nodes from which on heyoka writes loops, which compile faster and run slower.
-_COMPACT = 1000
+_COMPACT_NODES = 1000
 _OPERATIONS = {'sum': operator.add, 'raised': operator.pow}
 # Prefix of the names of components of a force that is constant in a step.
 _FORCE = 'f'
 _MONOMIALS = frozenset({'scaled', 'product', 'over', 'power', 'sqrt'})
 # Allowed change of energy of a series, in units of its tolerance; and per series of a step.
-_ERRORS, _ROOM = 10.0, 10.0
+_MAX_ENERGY_CHANGE, _MAX_SERIES_CHANGE = 10.0, 10.0
 # The shortest allowed series, relative to the step; and the factor in length after which a series
 # is accepted if its energy error did not improve by the last factor.
-_SHORTEST, _FAR, _LITTLE = 2.0**-40, 256.0, 16.0
+_SHORTEST_SERIES, _LENGTH_RATIO, _MIN_GAIN = 2.0**-40, 256.0, 16.0
 _EPS = float(np.finfo(np.float64).eps)
 # Series of the latest formulas of each thread, and their number: a restart reuses them.
-_SERIES, _KEPT = threading.local(), 16
+_CACHE, _CACHE_SIZE = threading.local(), 16
 
 
 class TaylorWork:
@@ -56,10 +57,10 @@ class TaylorWork:
             self._kernel, self._made = own, {}
         if (made := (lanes, scales.tobytes())) not in self._made:
             graph, roots = _rates(own)
-            known = vars(_SERIES)
+            known = vars(_CACHE)
             key = repr((graph.nodes, roots, self._tolerance, *made))
             if key not in known:
-                while len(known) >= _KEPT:
+                while len(known) >= _CACHE_SIZE:
                     del known[next(iter(known))]
                 known[key] = self._compiled(graph, roots, lanes, scales)
             self._made[made] = known[key]
@@ -73,7 +74,7 @@ class TaylorWork:
             kind, state = self._heyoka.taylor_adaptive_batch, np.zeros((len(roots), lanes))
         rates = self._expressions(graph, roots, dict(zip(names, scales, strict=True)))
         return kind([*zip(self._heyoka.make_vars(*names), rates, strict=True)], state,
-                    tol=self._tolerance, compact_mode=len(graph.nodes) > _COMPACT)
+                    tol=self._tolerance, compact_mode=len(graph.nodes) > _COMPACT_NODES)
 
     def advance(self, kernel: Kernel, h: float, states: np.ndarray,
                 parts: list[tuple[float, np.ndarray]] | None = None) -> tuple[int, int]:
@@ -92,7 +93,7 @@ class TaylorWork:
         forces = _held_force(kernel, states[0]) if kernel.channels else np.empty(0)
         counts = self._whole(kernel, h, states, scales, forces, parts)
         for i, (first, row) in enumerate(zip(begin, states, strict=True)):
-            room = _ROOM * (1 + counts[i])
+            room = _MAX_SERIES_CHANGE * (1 + counts[i])
             if not (counts[i] and self._keeps(kernel, first, row, scales, room)):
                 outcome, counts[i] = self._by_parts(kernel, h, first, row, scales, forces, parts)
                 if outcome != OK:
@@ -108,12 +109,12 @@ class TaylorWork:
             series.pars[:] = forces if len(states) == 1 else forces[:, None]
         if len(states) > 1:
             series.set_time(0.0)
-            series.propagate_until(h, max_steps=_MOST_STEPS)
+            series.propagate_until(h, max_steps=_MAX_STEPS)
             found = [(row[0], row[3]) for row in series.propagate_res]
         else:
             series.time = 0.0
             outcome, _, _, count, path, *_ = series.propagate_until(
-                h, max_steps=_MOST_STEPS, c_output=parts is not None)
+                h, max_steps=_MAX_STEPS, c_output=parts is not None)
             found = [(outcome, count)]
             if parts is not None and path is not None:
                 parts.extend(zip(np.diff(path.times), path.tcs * scales[:, None], strict=True))
@@ -128,7 +129,7 @@ class TaylorWork:
         worst = 0.0, 0.0
         if parts is not None:
             parts.clear()
-        for count in range(1, _MOST_PARTS):
+        for count in range(1, _MAX_PARTS):
             rest = h - time
             series.state[:], series.time = state / scales, 0.0
             if kernel.channels:
@@ -138,7 +139,7 @@ class TaylorWork:
             drift, _ = _drift(kernel, state, last)
             kept = self._keeps(kernel, state, last, scales, 1.0)
             # If far shorter series do not improve the energy, its error is rounding.
-            if kept or (abs(length) * _FAR < worst[0] and drift * _LITTLE > worst[1]):
+            if kept or (abs(length) * _LENGTH_RATIO < worst[0] and drift * _MIN_GAIN > worst[1]):
                 if parts is not None:
                     parts.append((length, series.tc * scales[:, None]))
                 if length == rest:
@@ -148,14 +149,14 @@ class TaylorWork:
             else:
                 worst = worst if worst[0] else (abs(length), drift)
                 limit = 0.5 * (length if np.isfinite(length) and length else limit)
-                if abs(limit) < _SHORTEST * abs(h):
+                if abs(limit) < _SHORTEST_SERIES * abs(h):
                     return (ENDLESS if np.isfinite(drift) else NOT_FINITE), count
         return ENDLESS, count
 
     def _keeps(self, kernel: Kernel, first: np.ndarray, last: np.ndarray, scales: np.ndarray,
                room: float) -> bool:
         """Return True if the energy changes by no more than the errors of ``room`` series."""
-        error = room * _ERRORS * max(self._tolerance, _EPS)
+        error = room * _MAX_ENERGY_CHANGE * max(self._tolerance, _EPS)
         drift, size = _drift(kernel, first, last)
         return drift <= error * size or drift <= error * max(
             _terms(kernel, state, scales) for state in (first, last))
@@ -362,7 +363,7 @@ def _fill(kernel: Kernel, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp
     elif gradient.__module__ == straight_code.__name__:
         gradient(kernel.parameters, q, p, dH_dq, dH_dp)
     else:
-        raise TypeError(f'{kernel.gradient} is no formula')
+        raise TypeError(f'{kernel.gradient} is not a formula')
 
 
 class Taylor(Integrator):
@@ -411,10 +412,10 @@ class Taylor(Integrator):
             _rates(hamiltonian.kernel)
         except (TypeError, ValueError):
             joined = getattr(hamiltonian, 'base', hamiltonian)
-            return (f'needs a formula, with potentials at most, which {type(joined).__name__}'
-                    f'{"" if joined is hamiltonian else " with these effects"} is not: no '
-                    'network, no robot of more than three joints, no field, no kink as in abs(x) '
-                    'or (x^2)^1.5')
+            return ('supports smooth formulas, robots of up to three joints, and potentials, not '
+                    f'{type(joined).__name__}'
+                    f'{"" if joined is hamiltonian else " with these effects"}: networks, other '
+                    'forces, and kinks, as in abs(x) or (x^2)^1.5, have no series')
         if find_spec('heyoka') is None:
             return ('needs the Python package heyoka; install it with: '
                     f'{pip_command("heyoka>=7.13,<8")}')
@@ -430,14 +431,14 @@ class Taylor(Integrator):
         return (TaylorWork(self._tolerance),)
 
     @staticmethod
-    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
              memory: tuple[TaylorWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         d, work, total = kernel.dimension, memory[0], 0
         states = np.hstack([z.q.reshape(-1, d), z.p.reshape(-1, d)])
-        for first in range(0, len(states), _LANES):
+        for first in range(0, len(states), _BATCH_STATES):
             # The last batch is filled up with copies of its last state.
-            rows = np.arange(first, first + (_LANES if len(states) > 1 else 1))
+            rows = np.arange(first, first + (_BATCH_STATES if len(states) > 1 else 1))
             rows = np.minimum(rows, len(states) - 1)
             batch = states[rows]
             outcome, spent = work.advance(kernel, h, batch)

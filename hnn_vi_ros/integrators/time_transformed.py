@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians import check_between, check_positive
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
-from hnn_vi_ros.integrators.base import ENDLESS, Integrator, NOT_FINITE, OK, Point, Requirements
+from hnn_vi_ros.integrators.base import (
+    ENDLESS, Integrator, NOT_FINITE, OK, PhasePoint, Requirements)
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
@@ -18,7 +19,7 @@ from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 # Maximum number of internal steps in one step of the clock.
-_MOST_STEPS = 100_000
+_MAX_STEPS = 100_000
 
 
 class Ahead(NamedTuple):
@@ -39,7 +40,7 @@ class Ahead(NamedTuple):
 
     count: np.ndarray  # type: ignore[assignment]  # not tuple.count
     clock: np.ndarray
-    state: Point
+    state: PhasePoint
 
 
 class ControlledWork(NamedTuple):
@@ -61,7 +62,7 @@ class ControlledWork(NamedTuple):
 
     kept: Ahead
     own_step: np.ndarray
-    at: Point
+    at: PhasePoint
     v_q: np.ndarray
     v_p: np.ndarray
     change_q: np.ndarray
@@ -70,8 +71,8 @@ class ControlledWork(NamedTuple):
     @classmethod
     def empty(cls, n: int, dtype: type = np.float64) -> 'ControlledWork':
         """Return the workspace for n coordinates, before the first step."""
-        kept = Ahead(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), Point.empty(n, dtype))
-        return cls(kept, np.zeros(1), Point.empty(n, dtype), *np.zeros((4, n), dtype))
+        kept = Ahead(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), PhasePoint.empty(n, dtype))
+        return cls(kept, np.zeros(1), PhasePoint.empty(n, dtype), *np.zeros((4, n), dtype))
 
 
 @cache
@@ -95,7 +96,7 @@ def controlled(base_step: Callable) -> Callable:
 
     """
     @inlined
-    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, force, exponent = options
@@ -110,7 +111,7 @@ def controlled(base_step: Callable) -> Callable:
         # As long as the step of the clock, unless its length is given.
         own_step = work.own_step[0] if work.own_step[0] > 0.0 else h
         worst, gradients, density, time, carry = 0.0, 0, clock[0], clock[1], clock[2]
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             if time >= h:
                 break
             rate, square = _rate(kernel, at, force, exponent, work)
@@ -140,7 +141,7 @@ def controlled(base_step: Callable) -> Callable:
 
 
 @inlined
-def _rate(kernel: Kernel, at: Point, force: float, exponent: float, work: ControlledWork
+def _rate(kernel: Kernel, at: PhasePoint, force: float, exponent: float, work: ControlledWork
           ) -> tuple[float, float]:
     """Return G, and abs(H_q)^2 / F^2, at a state, and fill its gradient."""
     kernel.gradient(kernel.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
@@ -236,14 +237,15 @@ class TransformedWork(NamedTuple):
 
     kept: Ahead
     own_step: np.ndarray
-    at: Point
-    after: Point
+    at: PhasePoint
+    after: PhasePoint
 
     @classmethod
     def empty(cls, n: int, dtype: type = np.float64) -> 'TransformedWork':
         """Return the workspace for n coordinates, before the first step."""
-        kept = Ahead(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), Point.empty(n + 1, dtype))
-        return cls(kept, np.zeros(1), Point.empty(n + 1, dtype), Point.empty(n + 1, dtype))
+        ahead, first, second = (PhasePoint.empty(n + 1, dtype) for _ in range(3))
+        kept = Ahead(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), ahead)
+        return cls(kept, np.zeros(1), first, second)
 
 
 class TimeTransformed(Integrator):
@@ -344,7 +346,7 @@ class TimeTransformed(Integrator):
 @cache
 def _transform(base_step: Callable) -> Callable:
     @inlined
-    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inner, force, exponent = options
@@ -365,7 +367,7 @@ def _transform(base_step: Callable) -> Callable:
         worst, gradients, time, carry = 0.0, 0, clock[1], clock[2]
         if fresh:
             transformed.gradient(transformed.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             if time >= h:
                 break
             outcome, residual, more = base_step(transformed, own_step, inner, at, after, own)
@@ -380,8 +382,8 @@ def _transform(base_step: Callable) -> Callable:
             at.q[n], at.p[n], at.q_carry[n], at.p_carry[n] = 0.0, 0.0, 0.0, 0.0
         if time < h:
             return ENDLESS, worst, gradients
-        seen = Point(at.q[:n], at.p[:n], at.q_carry[:n], at.p_carry[:n],
-                     after.dH_dq[:n], after.dH_dp[:n])
+        seen = PhasePoint(at.q[:n], at.p[:n], at.q_carry[:n], at.p_carry[:n],
+                          after.dH_dq[:n], after.dH_dp[:n])
         kernel.gradient(kernel.parameters, seen.q, seen.p, seen.dH_dq, seen.dH_dp)
         forget(at_clock)
         outcome, residual, more = base_step(kernel, h - time, inner, seen, z1, at_clock)

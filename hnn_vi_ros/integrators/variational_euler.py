@@ -3,7 +3,7 @@
 """The variational integrator of the paper, its equation (6)."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import euler_energy, Point, tableau
+from hnn_vi_ros.integrators.base import euler_energy, PhasePoint, tableau
 from hnn_vi_ros.integrators.equations import EquationWork, Known, solve_momenta, Sought
 from hnn_vi_ros.integrators.implicit import EulerIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.solvers import SolverOptions
@@ -42,7 +42,7 @@ class VariationalEuler(EulerIntegrator):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: SolverOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple[EquationWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         for i in range(z.q.size):

@@ -6,7 +6,7 @@ from typing import Any
 
 from hnn_vi_ros import models
 from hnn_vi_ros.integrators.arithmetic import largest
-from hnn_vi_ros.integrators.base import Point, Requirements
+from hnn_vi_ros.integrators.base import PhasePoint, Requirements
 from hnn_vi_ros.integrators.discrete_gradient import (
     discrete_factor, EndProblem, EnergyConserving, fill_end, fill_middle, step_to_end)
 from hnn_vi_ros.kernels import inlined, Kernel
@@ -14,7 +14,7 @@ import numpy as np
 
 
 @inlined
-def _set_scale(scale: np.ndarray, kernel: Kernel, h: float, z: Point) -> None:
+def _set_scale(scale: np.ndarray, kernel: Kernel, h: float, z: PhasePoint) -> None:
     """
     Set the scale of q and p of each trajectory.
 

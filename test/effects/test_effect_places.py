@@ -18,8 +18,8 @@ from messages import refused
 import numpy as np
 import pytest
 
-# What every effect is made of, and what solves all constraints together.
-BASES = {'registry', 'base', 'commands', 'kernels', 'manifold', 'wrapped'}
+# What every effect is made of, and what solves all constraints together, or keeps loops closed.
+BASES = {'registry', 'base', 'commands', 'kernels', 'loops', 'manifold', 'wrapped'}
 
 
 class Kick(StepEffect):
@@ -126,7 +126,7 @@ def test_what_an_effect_declares_against_others_is_refused(effects, place):
 def test_effect_in_the_middle_is_taken_by_methods_with_halves():
     with refused(UnsupportedSystem) as raised:
         system(Within(), integrator='rk4')
-    able = str(raised.value).partition('methods that can: ')[2].split(', ')
+    able = str(raised.value).partition('valid methods: ')[2].split(', ')
     assert able == [name for name, method in INTEGRATORS.items() if method.halves is not None]
 
 

@@ -5,7 +5,7 @@
 from pathlib import Path
 
 from effect_table import (
-    assert_derivatives, create_effect, EFFECT_ROWS, EffectRow, TOO_LONG, UNKNOWN)
+    assert_derivatives, BESIDE, create_effect, EFFECT_ROWS, EffectRow, TOO_LONG, UNKNOWN)
 from helpers import (
     effect, EPS, exact, free, jacobian, plain_run, python_step, random_checkpoint,
     symplectic_defect, Uncompiled)
@@ -74,14 +74,26 @@ def system_of(hamiltonian: Hamiltonian, *effects: tuple[str, dict], folder: Path
     ('joint_friction', {'friction': {'x': 1.0}, 'speed': 0.0}),
     *(('observer', {'coordinates': ['x']} | arguments) for arguments in (
         {'gain': -1.0}, {'damping': INF}, {'timeout': 0.0}, {'deviations': [1.0, 2.0]},
-        {'deviations': [0.0]}, {'coordinates': ['x', 'x']}))])
+        {'deviations': [0.0]}, {'coordinates': ['x', 'x']})),
+    ('external_force', {'coordinates': ['x'], 'gain': NAN}),
+    ('external_force', {'model': 'any', 'gain': 2.0}),
+    *(('lugre_friction', {'coordinate': 'x', 'stiffness': 9.0, 'friction': 1.0} | arguments)
+      for arguments in (
+          {'stiffness': 0.0}, {'stiffness': INF}, {'friction': -1.0}, {'friction': None},
+          {'stribeck': -0.1}, {'stribeck': NAN}, {'speed': 0.0}, {'exponent': 0.5},
+          {'damping': -1.0}, {'bristle_damping': INF}, {'bristle_damping_speed': 0.0},
+          {'stribeck': 0.5, 'bristle_damping': 30.0, 'damping': 0.1}, {'drive': 'mx65'})),
+    *(('motor', {'coordinate': 'x'} | arguments) for arguments in (
+        {}, {'time_constant': -1.0}, {'torque_limit': 0.0}, {'torque_limit': NAN},
+        {'no_load_speed': 3.0}, {'torque_limit': 1.0, 'no_load_speed': -3.0},
+        {'drive': 'erob80_50'}))])
 def test_effect_parameter_out_of_its_range_is_refused(kind, arguments):
     with refused(ValueError):
         EFFECTS[kind](**arguments)
 
 
 def test_effects_of_the_tables_are_all():
-    assert set(UNKNOWN) | set(TOO_LONG) == set(EFFECTS)
+    assert set(UNKNOWN) | set(TOO_LONG) | BESIDE == set(EFFECTS)
 
 
 @pytest.mark.parametrize('kind', UNKNOWN)
@@ -162,8 +174,8 @@ def test_spring_of_no_length_has_no_force_in_its_middle():
 
 
 KERNEL_ROWS = [row for row in EFFECT_ROWS
-               if len(row.effects) == 1 and (issubclass(EFFECTS[row.effects[0][0]], Force)
-                                             or row.name == 'magnetic_field')]
+               if len(row.effects) == 1 and not EFFECTS[row.effects[0][0]].internal
+               and (issubclass(EFFECTS[row.effects[0][0]], Force) or row.name == 'magnetic_field')]
 
 
 @pytest.mark.parametrize('row', KERNEL_ROWS, ids=lambda row: row.name)
@@ -307,6 +319,12 @@ def test_external_force_begins_with_its_initial_command_until_another_comes():
         simulation.restart([0.0, 0.0], [0.0, 0.0])
 
 
+def test_external_force_refuses_gains_of_other_numbers_than_its_own():
+    with refused(EffectError):
+        plain_run(free('x', 'y'), 'rk4', 0.1, [0.0] * 2, [0.0] * 2,
+                  effect('external_force', ['x', 'y'], gain=[1.0, 2.0, 3.0]))
+
+
 @pytest.mark.parametrize('initial', [[], [1.0, 2.0], [NAN], [1e13]])
 def test_external_force_refuses_a_bad_initial_command(initial):
     with refused(ValueError):
@@ -337,6 +355,18 @@ def test_external_force_command_is_in_the_order_of_its_own_coordinates_and_shows
     assert simulation.dH_dq.tolist() == [-2.0, 0.0, -1.0]
     simulation.advance(1)
     assert simulation.p == pytest.approx([0.2, 0.0, 0.1])
+
+
+def test_external_force_multiplies_its_command_by_a_gain_and_adds_an_offset():
+    simulation = plain_run(
+        free('x', 'y', 'z'), 'stormer_verlet', 0.1, [0.0] * 3, [0.0] * 3,
+        effect('external_force', ['z', 'x'], 0.2, gain=[2.0, -3.0], offset=[0.5, 0.0]))
+    assert simulation.dH_dq.tolist() == [0.0] * 3
+    simulation.set_command([1.0, 2.0])
+    assert simulation.dH_dq.tolist() == [6.0, 0.0, -2.5]
+    simulation.advance(5)
+    # The offset ends with the command, after two steps.
+    assert simulation.p == pytest.approx([-1.2, 0.0, 0.5])
 
 
 def test_noise_is_normal_and_depends_on_seed_stream_and_count_only():

@@ -8,6 +8,7 @@ from pathlib import Path
 from helpers import effect, plain_run, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError, EffectState
+from hnn_vi_ros.effects.commands import JointCommand, JointPath
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
@@ -26,6 +27,7 @@ import pytest
 from urdf_robots import ROOT, TREE, TREE_ARGUMENTS
 
 ARM = ROOT / 'config' / 'robots' / 'two_joint_arm.urdf'
+GRIPPER = ARM.with_name('gripper.urdf')
 SCENE = """\
 hamiltonian: {{kind: urdf, file: {file}}}
 effects:
@@ -128,6 +130,33 @@ def test_friction_grows_with_the_commanded_force_while_it_acts(tmp_path):
 def test_numbers_that_do_not_fit_the_robot_are_refused(kind, arguments, tmp_path):
     with refused(EffectError):
         System(tree(tmp_path), [EFFECTS[kind](**arguments)], INTEGRATORS['gauss4']())
+
+
+def test_friction_and_limits_of_followers_act_on_their_leader():
+    robot = RigidBodyTree(str(GRIPPER))
+    assert stops(robot, 'urdf') == {('finger_left', 0.0, 1.0), ('finger_left', 0.9, -1.0)}
+    own = EFFECTS['joint_friction']('urdf').resolve(robot.coordinates, EffectState.empty(1, 1))
+    assert [*own.damping, *own.friction] == pytest.approx([0.006, 0.006])
+
+
+@pytest.mark.parametrize('given', [
+    JointCommand(('finger_left', 'tip_left'), np.array([0.1, 0.2]), *np.full((2, 2), np.nan)),
+    JointPath(('tip_right',), 0.0, np.ones(1), np.ones((1, 1)))])
+def test_command_to_a_follower_is_refused_with_its_leader(given):
+    robot, servo = RigidBodyTree(str(GRIPPER)), EFFECTS['servo'](['finger_left'], 1.0)
+    simulation = plain_run(Uncompiled(robot), 'generalized_leapfrog', 0.001, [0.1], [0.0], servo)
+    with refused(ValueError):
+        simulation.set_command(given)
+    # As ros2_control sends joints that it does not command.
+    simulation.set_command(JointCommand(
+        ('finger_left', 'tip_left'), np.array([0.3, np.nan]), *np.full((2, 2), np.nan)))
+    assert simulation.motors.servo_target.targets[0] == [0.3]
+
+
+def test_effect_on_a_follower_is_refused_with_its_leader():
+    with refused(EffectError):
+        System(RigidBodyTree(str(GRIPPER)), [EFFECTS['servo'](['tip_left'], 1.0)],
+               INTEGRATORS['gauss4']())
 
 
 @pytest.mark.parametrize('friction', ['joint', 'learned'])

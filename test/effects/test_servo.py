@@ -108,13 +108,13 @@ def test_joints_that_are_not_named_do_what_they_did_and_no_command_is_no_force()
     simulation.advance(5)
     assert (simulation.p == 0.0).all()
     simulation.set_command(command('yx', position=[0.1, NAN], velocity=[0.3, 0.2]))
-    aim = simulation.motors.aim
+    aim = simulation.motors.servo_target
     assert aim.names == ['x', 'y', 'z'] and not aim.on_path
     np.testing.assert_array_equal(aim.targets, [[NAN, 0.1, NAN], [0.2, 0.3, NAN], [0.0] * 3])
     simulation.set_command(command('z', position=1.0))
-    np.testing.assert_array_equal(simulation.motors.aim.targets[0], [NAN, 0.1, 1.0])
+    np.testing.assert_array_equal(simulation.motors.servo_target.targets[0], [NAN, 0.1, 1.0])
     simulation.restart(simulation.q, simulation.p)
-    assert np.isnan(simulation.motors.aim.targets[:2]).all()
+    assert np.isnan(simulation.motors.servo_target.targets[:2]).all()
 
 
 def test_effort_beside_a_position_is_that_of_the_external_force():
@@ -152,10 +152,10 @@ LIMITS = JointLimits(lower={'x': -1.0}, upper={'x': 0.5, 'y': 2.0})
 def test_command_that_cannot_be_used_is_refused_whole_and_the_last_one_stays(given):
     simulation = servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog')
     simulation.set_command(command('xy', position=0.3))
-    before = simulation.motors.aim.targets
+    before = simulation.motors.servo_target.targets
     with refused(ValueError):
         simulation.set_command(given)
-    assert np.array_equal(simulation.motors.aim.targets, before)
+    assert np.array_equal(simulation.motors.servo_target.targets, before)
 
 
 @pytest.mark.parametrize('columns', [1, 2, 3])
@@ -165,7 +165,7 @@ def test_points_that_are_one_to_the_clock_are_refused(columns):
     simulation.restart([0.0], [0.0], step=round(1e8 / 0.02))
     with refused(ValueError):
         simulation.set_command(path([1.0, 1.0 + 1e-9, 2.0], *[[0.0, 1.0, 0.0]] * columns))
-    assert not simulation.motors.aim.on_path
+    assert not simulation.motors.servo_target.on_path
 
 
 @pytest.mark.parametrize('given', [
@@ -182,7 +182,7 @@ def test_half_of_a_command_that_cannot_be_used_leaves_the_other_half():
     simulation = servo('x', more=[ExternalForce(['x'])])
     with refused(ValueError):
         simulation.set_command(command('x', position=1.0, effort=INF))
-    assert np.isnan(simulation.motors.aim.targets[0, 0]) and simulation.dH_dq[0] == 0.0
+    assert np.isnan(simulation.motors.servo_target.targets[0, 0]) and simulation.dH_dq[0] == 0.0
 
 
 def aims(simulation: Simulation, steps: int) -> np.ndarray:
@@ -190,7 +190,7 @@ def aims(simulation: Simulation, steps: int) -> np.ndarray:
     found = []
     for _ in range(steps):
         simulation.advance(1)
-        found.append(simulation.motors.aim.targets[:, 0])
+        found.append(simulation.motors.servo_target.targets[:, 0])
     return np.array(found)
 
 
@@ -225,17 +225,17 @@ def test_path_begins_where_the_joints_are_to_be_then():
     simulation = servo('x', h=0.01)
     simulation.set_command(path([1.0], [1.0], [0.0], [0.0]))
     simulation.advance(30)
-    before = simulation.motors.aim.targets
+    before = simulation.motors.servo_target.targets
     # Points that are past do not count.
     simulation.set_command(path([0.1, 1.0], [7.0, -1.0], [0.0] * 2, [0.0] * 2, delay=-0.15))
-    assert simulation.motors.aim.targets == pytest.approx(before, abs=1e-12)
+    assert simulation.motors.servo_target.targets == pytest.approx(before, abs=1e-12)
     assert aims(simulation, 85)[-1] == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)
     # And so does one that is commanded while nothing was: from where the joint is.
     other = servo('x', q=0.25)
     other.set_command(path([1.0], [1.0], delay=0.5))
-    assert other.motors.aim.targets[:2, 0] == pytest.approx([0.25, 0.0], abs=1e-15)
+    assert other.motors.servo_target.targets[:2, 0] == pytest.approx([0.25, 0.0], abs=1e-15)
     other.set_command(command('x', position=0.5))
-    assert not other.motors.aim.on_path
+    assert not other.motors.servo_target.on_path
 
 
 @pytest.mark.parametrize('count', [5, long(40)])
@@ -287,7 +287,7 @@ def test_position_on_a_limit_to_the_digits_of_a_file_is_taken():
     simulation = servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog')
     simulation.set_command(command('x', position=0.5 + 1e-12))
     simulation.set_command(path([1.0], [0.5 * (1.0 + EPS)], names='xy'))
-    assert simulation.motors.aim.on_path
+    assert simulation.motors.servo_target.on_path
 
 
 @pytest.mark.parametrize('names', ['', 'xy'])
@@ -295,11 +295,11 @@ def test_path_without_points_ends_the_one_before_where_it_is(names):
     simulation = servo('x', 'y', q=0.2)
     simulation.set_command(path([1.0], [1.0], names='xy'))
     simulation.advance(20)
-    now = simulation.motors.aim.targets
+    now = simulation.motors.servo_target.targets
     assert (now[:2] > 0.1).all()
     simulation.set_command(path([], [], names=names))
     simulation.advance(5)
-    aim = simulation.motors.aim
+    aim = simulation.motors.servo_target
     assert not aim.on_path
     np.testing.assert_array_equal(aim.targets, [now[0], [0.0, 0.0], [0.0, 0.0]])
 
@@ -309,4 +309,5 @@ def test_path_without_points_holds_joints_that_nothing_drives_where_they_are():
     simulation.advance(10)
     q = simulation.q.copy()
     simulation.set_command(path([], [], names='xy'))
-    np.testing.assert_array_equal(simulation.motors.aim.targets, [q, [0.0] * 2, [0.0] * 2])
+    np.testing.assert_array_equal(
+        simulation.motors.servo_target.targets, [q, [0.0] * 2, [0.0] * 2])

@@ -186,9 +186,9 @@ def test_drag_of_turning_is_that_of_the_angular_velocity():
     (['body_rz', 'body_fx', 'body_fy'], [0.5, 2.0, -1.0], 'body', [0.0, 0.0, 0.5])])
 def test_commands_act_along_axes_of_space_or_of_the_body(names, command, force, torque):
     run = plain_run(Uncompiled(FREE), 'lie_leapfrog', 0.1, Q, P,
-                    *made(('external_force', {'coordinates': names})))
+                    *made(('external_force', {'coordinates': names, 'gain': 2.0})))
     assert tuple(run.command_names) == tuple(names)
-    run.set_command(command)
+    run.set_command([0.5 * number for number in command])
     rates = momentum_rates((3,), run.q, run.p, run.dH_dq, run.dH_dp)
     if force == 'body':
         force = Rotation.from_quat(Q[3:]).apply([2.0, -1.0, 0.0])

@@ -5,6 +5,7 @@
 from pathlib import Path
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.rigid_body.following import FollowingParameters
 from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import TreeParameters, Work
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
@@ -22,12 +23,14 @@ import yaml
 STATES = 20
 
 
-@pytest.fixture(params=['tree', 'small tree', *(path.stem for path in SHIPPED)])
+@pytest.fixture(params=['tree', 'small tree', 'followers', *(path.stem for path in SHIPPED)])
 def robot(request, tmp_path) -> RigidBodyTree:
     if request.param == 'tree':
         return tree(tmp_path)
     if request.param == 'small tree':
         return tree(tmp_path, **SMALL_ARGUMENTS)
+    if request.param == 'followers':
+        return tree(tmp_path, locked={}, rotor_inertia={'hip': 0.3, 'follower': 0.2})
     return RigidBodyTree(str(ROOT / 'config' / 'robots' / f'{request.param}.urdf'))
 
 
@@ -46,9 +49,11 @@ def states(robot: RigidBodyTree) -> tuple[np.ndarray, np.ndarray]:
 def complex_kernel(robot: RigidBodyTree):
     """Return the kernel as plain Python for complex numbers, in which nothing is lost by steps."""
     kernel = robot.kernel
-    if robot.dimension <= MOST_STRAIGHT:
+    if robot.bodies.parent.size <= MOST_STRAIGHT + 1:
         return kernel
-    parameters = TreeParameters(robot.bodies, Work.empty(robot.dimension, complex))
+    parameters = TreeParameters(robot.bodies, Work.empty(robot.dimension, complex)) \
+        if robot.following is None else FollowingParameters.empty(
+            robot.bodies, robot.following, complex)
     return kernel._replace(parameters=parameters)
 
 
@@ -153,7 +158,8 @@ def test_coordinates_are_the_joints_with_their_units(tmp_path):
 
 def test_robots_are_one_kernel_and_small_ones_one_for_each_shape(tmp_path):
     robots = [tree(tmp_path), *(robot for path in SHIPPED if (
-        robot := RigidBodyTree(str(path))).dimension > MOST_STRAIGHT)]
+        robot := RigidBodyTree(str(path))).following is None
+        and robot.dimension > MOST_STRAIGHT)]
     q, p = states(robots[0])
     robots[0].gradient(q, p)
     dispatcher = original(by_address(robots[0].kernel)).gradient

@@ -36,7 +36,7 @@ def test_robot_is_read_with_what_effects_will_ask_for():
             rail.damping, rail.friction) == (-0.5, 0.5, 1.0, 90.0, 2.5, 0.5)
     np.testing.assert_allclose(rail.axis, [0.6, 0.0, 0.8], rtol=1e-15)
     (hip,) = robot.links['base'].joints
-    assert hip.limits.lower is None and hip.kind == 'continuous' and hip.mimics is None
+    assert hip.limits.lower is None and hip.kind == 'continuous' and hip.mimic is None
     np.testing.assert_allclose(hip.rotation @ hip.rotation.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(robot.links['trunk'].inertial.moments.trace(), 0.55, rtol=1e-15)
 
@@ -133,7 +133,7 @@ def test_misspelt_name_of_what_has_physical_meaning_is_answered_with_the_nearest
     ('<axis xyz="1 2 -2"', '<axis xyz="1 2 -2" gazebo_frame="hip"')])
 def test_attributes_of_other_tools_are_skipped_and_told(old, new):
     assert old in TREE
-    with pytest.warns(UserWarning, match='of other tools than URDF, not read'):
+    with pytest.warns(UserWarning, match='extensions of other tools, ignored'):
         robot = parse_urdf(TREE.replace(old, new).encode(), 'robot.urdf')
     assert [*robot.links] == [*parse_urdf(TREE.encode(), 'robot.urdf').links]
 
@@ -183,19 +183,19 @@ LONG = FLAT.replace('izz="1e-5"', 'izz="9e-5"')
 @pytest.mark.parametrize('old, new, arguments, expected', [
     # What rests, even of a mass that is none.
     ('iyz="0" izz="1"', 'iyz="0" izz="9"', {},
-     "robot.urdf:2: link 'ground': principal moments of inertia 1, 1, 9 kg m2: .* since it rest"),
-    ('<mass value="9"/>', '<mass value="-9"/>', {}, "'ground': mass = -9 kg .*, since it rests"),
+     "robot.urdf:2: link 'ground': principal moments of inertia 1, 1, 9 kg m2: .* is at rest"),
+    ('<mass value="9"/>', '<mass value="-9"/>', {}, "'ground': mass = -9 kg .* is at rest"),
     # Held by locked, in a tool that is a body with it.
     (FLAT, LONG, {'locked': {'follower': 0.0, 'finger': 0.0}, 'joints': None},
-     "'tip': principal .*(triangle inequality).* since together with what it is fixed to it is p"),
+     "'tip': principal .*(triangle inequality).* because the body that it is fixed to is"),
     # Fixed, and without mass.
     ('<link name="hand"/>',
      f'<link name="hand"><inertial><mass value="0"/>{FLAT}</inertial></link>', {},
-     "'hand': principal .* without mass; give .* since together with what it is fixed to"),
+     "'hand': principal .* without mass; give .* because the body that it is fixed to is valid"),
     # Behind a joint that is locked.
     (INERTIA, INERTIA.replace('0.1"', '9"'), {'locked': {
         'follower': 0.0, 'hip': 0.0, 'wrist': 0.0, 'finger': 0.0, 'tail': 0.0}, 'joints': ['rail'],
-        'rotor_inertia': {}}, "'trunk': principal .* since it rests"),
+        'rotor_inertia': {}}, "'trunk': principal .* because it is at rest"),
     # Behind the base.
     ('<mass value="9"/>', '<mass value="-9"/>', {'base': 'base'}, None),
 ])
@@ -217,7 +217,7 @@ def test_link_that_no_body_could_be_is_told_where_it_does_not_matter(
 
 def test_slide_on_what_rests_turns_no_moments_of_inertia(tmp_path):
     text = chain([1.0], [1.0]).replace('continuous', 'prismatic').replace('ixx="0"', 'ixx="-5"')
-    with pytest.warns(UserWarning, match="'l1': .* none may be negative; .* it does not turn"):
+    with pytest.warns(UserWarning, match="'l1': .* must not be negative; .* it does not rotate"):
         robot = build(tmp_path, text, **PLAIN)
     assert robot.masses(np.zeros((1, 1))).item() == 1.0
     with refused(ModelError):
@@ -237,7 +237,7 @@ def test_many_links_that_no_body_could_be_are_one_warning(tmp_path):
 @pytest.mark.parametrize('arguments', [
     {'base': 'floor'}, {'joints': ['hip']},
     {'joints': ['hip', 'hip', 'rail', 'wrist', 'finger', 'tail']}, {'joints': ['hpi']},
-    {'joints': ['follower']}, {'joints': ['grip']}, {'locked': {}},
+    {'joints': ['follower']}, {'joints': ['grip']}, {'joints': ['follower'], 'locked': {}},
     {'locked': {'follower': 0.0, 'grip': 1.0}}, {'locked': {'follower': float('nan')}},
     {'joints': [], 'locked': dict.fromkeys(
         ['follower', 'hip', 'rail', 'wrist', 'finger', 'tail'], 0.0), 'rotor_inertia': {}},
@@ -246,6 +246,85 @@ def test_many_links_that_no_body_could_be_are_one_warning(tmp_path):
 def test_argument_that_does_not_fit_the_robot_is_answered_with_the_valid_ones(tmp_path, arguments):
     with refused(ModelError, ValueError):
         build(tmp_path, **arguments)
+
+
+MIMIC = '<mimic joint="finger"/>'
+
+
+@pytest.mark.parametrize('old, new', [
+    (MIMIC, '<mimic joint="fingr"/>'), (MIMIC, '<mimic joint="follower"/>'),
+    (MIMIC, '<mimic joint="grip"/>'), (MIMIC, MIMIC * 2),
+    (MIMIC, '<mimic joint="tail"/>'), (MIMIC, '<mimic joint="finger" multiplier="x"/>'),
+    (MIMIC, '<mimic joint="finger" multiplier="1e13"/>'),
+    (MIMIC, '<mimic joint="finger" offset="nan"/>'),
+    ('<limit lower="0" upper="0.1"', f'{MIMIC.replace("finger", "follower")}'
+     '<limit lower="0" upper="0.1"')])
+def test_mistake_in_what_a_joint_follows_is_answered_with_file_line_and_remedy(
+        tmp_path, old, new):
+    assert old in TREE
+    text = TREE.replace(old, new, 1)
+    if new == '<mimic joint="tail"/>':
+        # Which the base does not carry.
+        text = text.replace('<parent link="trunk"/><child link="end"/>',
+                            '<parent link="ground"/><child link="end"/>')
+    with refused(ModelError):
+        build(tmp_path, text, joints=None, locked={}, rotor_inertia={}, base='base')
+
+
+@pytest.mark.parametrize('number', [15, 40])
+def test_numbers_of_a_long_chain_of_followers_that_overflow_are_refused(tmp_path, number):
+    text = chain([1.0] * number, [1.0] * number)
+    for i in range(1, number):
+        text = text.replace(f'<child link="l{i}"/>', f'<child link="l{i}"/><mimic joint='
+                            f'"j{i + 1}" multiplier="1e12"/>', 1)
+    with refused(ModelError):
+        build(tmp_path, text, **PLAIN)
+
+
+@pytest.mark.parametrize('finger, follower, mimic, expected, told', [
+    # The same range, a wider one, one that narrows it, one that leaves no room, and none.
+    ((0.0, 0.1), (-0.3, 0.1), 'multiplier="-4" offset="0.1"', (0.0, 0.1), ''),
+    ((0.0, 0.1), (-9.0, 9.0), '', (0.0, 0.1), ''),
+    ((0.0, 0.1), (0.0, 0.1), 'multiplier="2"', (0.0, 0.05),
+     'finger moves from 0 to 0.05 because of follower'),
+    ((0.0, 0.1), (0.0, 0.1), 'multiplier="-1"', (0.0, 0.1),
+     'those of follower leave finger no room and are ignored'),
+    ((0.0, 0.1), (2.0, 3.0), 'multiplier="0" offset="9"', (0.0, 0.1), '')])
+def test_limits_of_a_follower_are_limits_of_its_leader(
+        tmp_path, recwarn, finger, follower, mimic, expected, told):
+    limits = '<limit lower="0" upper="0.1" velocity="1" effort="1"/>'
+    text = TREE
+    for name, (low, high) in {'finger': finger, 'follower': follower}.items():
+        before, after = text.split(f'<joint name="{name}"')
+        text = f'{before}<joint name="{name}"' + after.replace(limits, limits.replace(
+            '"0"', f'"{low}"').replace('"0.1"', f'"{high}"'), 1)
+    robot = build(tmp_path, text.replace(MIMIC, f'<mimic joint="finger" {mimic}/>'), locked={})
+    assert robot.joints[4].bounds == pytest.approx(expected, abs=1e-15)
+    warned = [str(warning.message) for warning in recwarn]
+    assert warned == [f"{tmp_path}/robot.urdf:29: joint 'follower': limits of joints that mimic "
+                      f'others: {told}'] * bool(told)
+
+
+def test_continuous_leader_has_the_limits_and_the_friction_of_a_slide_that_follows(tmp_path):
+    text = TREE.replace(MIMIC, '<mimic joint="hip" multiplier="-0.1" offset="0.05"/>'
+                               '<dynamics damping="3" friction="7"/>')
+    with pytest.warns(UserWarning, match='hip moves from -0.5 to 0.5 because of follower'):
+        robot = build(tmp_path, text, locked={})
+    hip = robot.joints[3]
+    assert hip.bounds == pytest.approx((-0.5, 0.5)) and hip.units.q == 'rad'
+    # [N s/m] times [m/rad]^2, and [N] times [m/rad].
+    assert (hip.damping, hip.friction) == pytest.approx((0.03, 0.7))
+
+
+def test_follower_of_a_locked_joint_is_locked(tmp_path):
+    text = TREE.replace(MIMIC, '<mimic joint="tail" multiplier="0.1" offset="0.02"/>')
+    joints, rotors = ['wrist', 'rail', 'hip', 'finger'], {'hip': 0.3}
+    own = build(tmp_path, text, joints=joints, locked={'tail': 0.4}, rotor_inertia=rotors)
+    both = build(tmp_path, text, joints=joints, rotor_inertia=rotors,
+                 locked={'tail': 0.4, 'follower': 0.06})
+    assert own.robot.locked == pytest.approx({'tail': 0.4, 'follower': 0.06})
+    np.testing.assert_allclose(own.bodies.inertia, both.bodies.inertia, rtol=1e-15, atol=1e-18)
+    assert own.following is None
 
 
 def test_robot_without_joints_is_answered_by_what_it_lacks(tmp_path):
@@ -302,6 +381,14 @@ ALL = [f'joint{i}' for i in range(1, 1900)]
 def test_robot_of_very_many_joints_is_refused_in_one_short_line(tmp_path, number, tail, arguments):
     with refused(ModelError, ValueError):
         build(tmp_path, ladder(number, tail), **PLAIN | arguments)
+
+
+def test_robot_of_very_many_followers_is_refused_in_one_short_line(tmp_path):
+    text = ladder(1900, '<joint name="lead" type="continuous"><parent link="link0"/>'
+                        '<child link="end"/></joint><link name="end"/>')
+    with refused(ValueError):
+        build(tmp_path, text.replace(
+            '<child link="link', '<mimic joint="lead"/><child link="link'), **PLAIN)
 
 
 def test_joint_whose_name_cannot_name_a_coordinate_is_refused_unless_it_is_held(tmp_path):

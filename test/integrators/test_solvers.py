@@ -9,7 +9,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
-from hnn_vi_ros.integrators.base import OK, Point
+from hnn_vi_ros.integrators.base import OK, PhasePoint
 from hnn_vi_ros.integrators.gauss import gauss_tableau, modes_of, simplified_newton
 from hnn_vi_ros.integrators.implicit_midpoint import MidpointWork
 from hnn_vi_ros.integrators.newton_solver import krylov, newton
@@ -163,7 +163,7 @@ class Chain:
 
     def end(self, h: float, steps: int) -> np.ndarray:
         """Return q and p after some steps of h from a state that excites all modes."""
-        rng, m, z, z1 = np.random.default_rng(0), self.pairs, *map(Point.empty, [self.n] * 2)
+        rng, m, z, z1 = np.random.default_rng(0), self.pairs, *map(PhasePoint.empty, [self.n] * 2)
         z.q[:m], z.q[m:], z.p[:] = (size * rng.normal(size=k) for size, k in (
             (0.5, m), (0.02, m), (1.0, 2 * m)))
         self.kernel.gradient(self.kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)

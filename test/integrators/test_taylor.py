@@ -112,7 +112,7 @@ def test_taylor_holds_a_command_over_a_step_and_counts_its_work():
 
 
 def test_a_step_longer_than_the_time_out_of_commands_is_said():
-    with pytest.warns(UserWarning, match='acts in whole steps of 1 s, longer than its timeout'):
+    with pytest.warns(UserWarning, match='acts for whole steps of 1 s, longer than its timeout'):
         Simulation(HAMILTONIANS['pendulum'](), Taylor(), 1.0, [0.7], [0.1],
                    [ExternalForce(['angle'], timeout=0.2)])
 

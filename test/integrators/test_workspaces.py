@@ -5,7 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Point, PointWork
+from hnn_vi_ros.integrators.base import PhasePoint, PointWork
 from hnn_vi_ros.integrators.step_addresses import memory_by_address
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
 from hnn_vi_ros.simulation.assembly import compile_forget
@@ -16,7 +16,7 @@ import pytest
 class Keeping(NamedTuple):
     """A workspace that keeps what no count goes with."""
 
-    kept: Point
+    kept: PhasePoint
 
 
 def plain(memory: tuple) -> None:
@@ -37,7 +37,7 @@ def test_forget_takes_every_count_to_zero_and_nothing_else(run):
     assert compile_forget
     for name in ('generalized_leapfrog', 'time_transformed'):
         # As wrappers leave it: with a point of their own, one that they keep, or nothing.
-        point = Point.empty(2)
+        point = PhasePoint.empty(2)
         memory = (*INTEGRATORS[name]().memory(2), PointWork(point), Keeping(point), ())
         for workspace in memory:
             for _, array in arrays_of('', workspace) if workspace else ():

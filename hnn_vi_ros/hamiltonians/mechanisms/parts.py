@@ -38,7 +38,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Box:
+class Cuboid:
     """
     A solid box, its edges along the axes.
 
@@ -115,7 +115,7 @@ class Trail:
         return self.point.ndim > 1
 
 
-Part = Line | Box | Ball | Trail
+Part = Line | Cuboid | Ball | Trail
 Mechanism = Callable[[np.ndarray, float], dict[str, Part]]
 
 
@@ -133,7 +133,8 @@ def bounds_of(parts: dict[str, Part]) -> np.ndarray:
         elif isinstance(part, Trail):
             corners.append(part.point.reshape(-1, 3))
         else:
-            half_size = np.array(part.half_size if isinstance(part, Box) else 3 * (part.radius,))
+            half_size = np.array(
+                part.half_size if isinstance(part, Cuboid) else 3 * (part.radius,))
             corners += [part.center.reshape(-1, 3) - half_size,
                         part.center.reshape(-1, 3) + half_size]
     points = np.vstack(corners)

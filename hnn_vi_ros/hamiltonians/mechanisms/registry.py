@@ -11,7 +11,7 @@ z points up. A moving part has the leading axes of q; a fixed part has none.
 from collections.abc import Sequence
 
 from hnn_vi_ros.hamiltonians.mechanisms.parts import (
-    AMBER, Ball, Box, Line, Mechanism, Part, place, SILVER, STEEL, Trail)
+    AMBER, Ball, Cuboid, Line, Mechanism, Part, place, SILVER, STEEL, Trail)
 import numpy as np
 
 # Angles of the corners of a closed circle.
@@ -80,7 +80,7 @@ def cartesian_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
     q = np.asarray(q, dtype=np.float64)
     bob = place(q[..., 0], q[..., 1] if q.shape[-1] == 3 else 0.0, q[..., -1])
     return {
-        'pivot': Box(np.zeros(3), (0.06 * reach,) * 3, STEEL),
+        'pivot': Cuboid(np.zeros(3), (0.06 * reach,) * 3, STEEL),
         'rod': Line(np.stack([np.zeros_like(bob), bob], axis=-2), 0.02 * reach, SILVER),
         'bob': Ball(bob, 0.1 * reach, AMBER),
         'path': Trail(bob, 0.008 * reach, AMBER),
@@ -95,7 +95,7 @@ def _swinging(angles: np.ndarray, rods: tuple[str, ...], bobs: tuple[str, ...]
     circle = len(rods) * place(np.sin(_ROUND), 0.0, -np.cos(_ROUND))
     parts: dict[str, Part] = {
         'circle': Line(circle, 0.005, STEEL),
-        'pivot': Box(np.zeros(3), (0.06, 0.06, 0.06), STEEL)}
+        'pivot': Cuboid(np.zeros(3), (0.06, 0.06, 0.06), STEEL)}
     for i, (rod, bob) in enumerate(zip(rods, bobs, strict=True)):
         parts[rod] = Line(joints[..., i:i + 2, :], 0.02, SILVER)
         parts[bob] = Ball(joints[..., i + 1, :], 0.12, AMBER)
@@ -131,12 +131,12 @@ def mass_spring(q: np.ndarray, reach: float) -> dict[str, Part]:
     depth, height = 1.7 * half, 2.6 * half
     spring = _zigzag(np.full_like(x, wall), x - half, half, 0.5 * half, COILS)
     return {
-        'wall': Box(np.array([wall - thick, 0.0, 0.5 * height - thick]),
-                    (thick, depth, 0.5 * height + thick), STEEL),
-        'floor': Box(np.array([0.5 * (wall + end), 0.0, -thick]),
-                     (0.5 * (end - wall), depth, thick), STEEL),
+        'wall': Cuboid(np.array([wall - thick, 0.0, 0.5 * height - thick]),
+                       (thick, depth, 0.5 * height + thick), STEEL),
+        'floor': Cuboid(np.array([0.5 * (wall + end), 0.0, -thick]),
+                        (0.5 * (end - wall), depth, thick), STEEL),
         'spring': Line(spring, 0.025 * reach, SILVER),
-        'mass': Box(place(x, 0.0, half), (half, half, half), AMBER),
+        'mass': Cuboid(place(x, 0.0, half), (half, half, half), AMBER),
     }
 
 
@@ -172,9 +172,11 @@ def spring_chain(q: np.ndarray, reach: float) -> dict[str, Part]:
     begins = np.concatenate([-wall, x + half], axis=-1)
     ends = np.concatenate([x - half, wall], axis=-1)
     parts: dict[str, Part] = {
-        'wall1': Box(np.array([-0.5 * end - thick, 0.0, half]), (thick, half, 1.5 * half), STEEL),
-        'wall2': Box(np.array([0.5 * end + thick, 0.0, half]), (thick, half, 1.5 * half), STEEL),
-        'floor': Box(np.array([0.0, 0.0, -thick]), (0.5 * end, half, thick), STEEL)}
+        'wall1': Cuboid(
+            np.array([-0.5 * end - thick, 0.0, half]), (thick, half, 1.5 * half), STEEL),
+        'wall2': Cuboid(
+            np.array([0.5 * end + thick, 0.0, half]), (thick, half, 1.5 * half), STEEL),
+        'floor': Cuboid(np.array([0.0, 0.0, -thick]), (0.5 * end, half, thick), STEEL)}
     for i in range(2 * m + 1):
         name, coils, width, color = (
             (f'soft{i // 2}', SOFT_COILS, 0.6 * half, SILVER) if i % 2 == 0
@@ -182,7 +184,7 @@ def spring_chain(q: np.ndarray, reach: float) -> dict[str, Part]:
         parts[name] = Line(_zigzag(begins[..., i], ends[..., i], half, width, coils),
                            0.035 * reach, color)
     for i in range(2 * m):
-        parts[f'mass{i + 1}'] = Box(place(x[..., i], 0.0, half), (half, half, half), AMBER)
+        parts[f'mass{i + 1}'] = Cuboid(place(x[..., i], 0.0, half), (half, half, half), AMBER)
     return parts
 
 
@@ -307,13 +309,13 @@ def bouncing_mass(q: np.ndarray, reach: float) -> dict[str, Part]:
     half, thick, wide = 0.1 * reach, 0.02 * reach, 0.6 * reach
     rail = -2.5 * half
     parts: dict[str, Part] = {
-        'floor': Box(np.array([0.0, 0.0, -thick]), (wide, 0.4 * wide, thick), STEEL),
+        'floor': Cuboid(np.array([0.0, 0.0, -thick]), (wide, 0.4 * wide, thick), STEEL),
         'rail': Line(place(rail, 0.0, np.array([0.0, reach])), 0.008 * reach, STEEL)}
     for i in range(5):
         height = 0.25 * reach * i
         parts[f'tick{i}'] = Line(place(rail + np.array([0.0, 0.6 * half]), 0.0, height),
                                  0.006 * reach, STEEL)
-    parts['mass'] = Box(place(0.0, 0.0, z + half), (half, half, half), AMBER)
+    parts['mass'] = Cuboid(place(0.0, 0.0, z + half), (half, half, half), AMBER)
     return parts
 
 

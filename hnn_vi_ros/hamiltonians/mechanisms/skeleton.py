@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 # Radii of bones and joints, relative to the size of the robot.
-_BONE, _JOINT = 0.012, 0.025
+_BONE_RADIUS, _JOINT_RADIUS = 0.012, 0.025
 # Maximum size of a shape file [bytes].
-_LARGEST_SHAPE = 256_000_000
+_MAX_SHAPE_BYTES = 256_000_000
 _FILENAME = re.compile(r'\bfilename\s*=\s*("[^"]*"|\'[^\']*\')')
 
 
@@ -63,7 +63,7 @@ def bones(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> dict[str, 
     Parameters
     ----------
     robot : Robot
-        Its links; a joint that is not a coordinate is at its locked value, or at zero.
+        Its links; a joint that neither is a coordinate nor follows one is locked, or at zero.
     coordinates : sequence of str
         The joints that move, in the order of q.
     q : np.ndarray, shape (n, d)
@@ -76,7 +76,8 @@ def bones(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> dict[str, 
 
     """
     from scipy.spatial.transform import Rotation  # slow to import
-    found, columns = {}, {name: column for column, name in enumerate(coordinates)}
+    found, factors, offsets = {}, *robot.driven([*robot.joints], coordinates)
+    positions = dict(zip(robot.joints, factors @ q.T + offsets[:, None], strict=True))
     waiting = [(robot.root, np.zeros((len(q), 3)), Rotation.identity(len(q)))]
     while waiting:
         name, place, turn = waiting.pop()
@@ -84,9 +85,7 @@ def bones(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> dict[str, 
         if tip is not None:
             found[f'end of {name}'] = np.stack([place, place + turn.apply(tip)], axis=1)
         for joint in link.joints:
-            values = (q[:, columns[joint.name]] if joint.name in columns
-                      else np.full(len(q), robot.locked.get(joint.name, 0.0)))
-            offset, own = moved(joint, values)
+            offset, own = moved(joint, positions[joint.name])
             end = place + turn.apply(offset)
             found[joint.name] = np.stack([place, end], axis=1)
             waiting.append((joint.child, end, turn * own))
@@ -106,9 +105,9 @@ def _draw(robot: Robot, coordinates: Sequence[str], q: np.ndarray, reach: float
     parts: dict[str, Part] = {}
     for name, ends in places.items():
         ends = ends.reshape(*q.shape[:-1], 2, 3)
-        parts[name] = Line(ends, _BONE * size, SILVER)
+        parts[name] = Line(ends, _BONE_RADIUS * size, SILVER)
         if name in coordinates:
-            parts[f'{name} joint'] = Ball(ends[..., 1, :], _JOINT * size, AMBER)
+            parts[f'{name} joint'] = Ball(ends[..., 1, :], _JOINT_RADIUS * size, AMBER)
     return parts
 
 
@@ -147,9 +146,9 @@ def shapes_of(robot: Robot) -> tuple[str, str]:
         problem = (f'{len(lacking)} of {len(meshes)} meshes cannot be shown, as {lacking[0]}: '
                    f'{files.get(lacking[0], ("", "no filename"))[1]}')
     elif not shapes:
-        problem = 'no <visual> to draw'
+        problem = 'there is no <visual>'
     return _FILENAME.sub(whole, robot.text), (
-        f'{robot.where}: {problem}; its skeleton is shown' if problem else '')
+        f'{robot.where}: {problem}; a skeleton is shown instead' if problem else '')
 
 
 def _shape_file(name: str, urdf: Path) -> tuple[Path, str]:
@@ -167,9 +166,9 @@ def _shape_file(name: str, urdf: Path) -> tuple[Path, str]:
     inside += [one in Path(os.path.normpath(path)).parents
                for one in [own, *(packages if name.startswith(SCHEME) else [])] if one]
     if not any(inside):
-        return path, 'neither in the folder of the URDF nor in its package'
+        return path, 'not in the folder of the URDF, nor in its package'
     if not path.is_file():
         return path, no_file(path)
     size = path.stat().st_size
-    return path, '' if size <= _LARGEST_SHAPE else (
-        f'{size / 1e6:.0f} MB, at most {_LARGEST_SHAPE / 1e6:.0f} MB are shown')
+    return path, '' if size <= _MAX_SHAPE_BYTES else (
+        f'{size / 1e6:.0f} MB, limit {_MAX_SHAPE_BYTES / 1e6:.0f} MB')

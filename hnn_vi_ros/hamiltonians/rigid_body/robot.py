@@ -4,9 +4,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import did_you_mean, listed, ModelError
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -14,13 +15,13 @@ import numpy as np
 TURNING, SLIDING, RIGID = ('revolute', 'continuous'), 'prismatic', 'fixed'
 KINDS = (*TURNING, SLIDING, RIGID)
 # Tolerance for rounded digits in a file: relative to the largest moment of inertia, and [kg m2].
-_ROUNDING, _NOTHING = 1e-6, 1e-12
+_RELATIVE_TOLERANCE, _ABSOLUTE_TOLERANCE = 1e-6, 1e-12
 
 _NUMBERS = ('mass', 'centre_x', 'centre_y', 'centre_z', 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
 _MOMENTS = np.triu_indices(3)
 
 
-class Units(NamedTuple):
+class JointUnits(NamedTuple):
     """Units of a joint: of q and p, of its force, of its viscous friction, and of a rotor."""
 
     q: str
@@ -30,7 +31,7 @@ class Units(NamedTuple):
     rotor: str
 
     @classmethod
-    def of(cls, kind: str) -> 'Units':
+    def of(cls, kind: str) -> 'JointUnits':
         """Return the units of a kind of joint."""
         return cls('m', 'kg m/s', 'N', 'N s/m', 'kg') if kind == SLIDING else \
             cls('rad', 'kg m2/s', 'N m', 'N m s/rad', 'kg m2')
@@ -71,17 +72,17 @@ class Inertial:
     def fault(self) -> str:
         """Return the reason no body has this mass and these moments of inertia, '' if one has."""
         low, middle, high = np.linalg.eigvalsh(self.moments)
-        room = _NOTHING + _ROUNDING * abs(high)
+        room = _ABSOLUTE_TOLERANCE + _RELATIVE_TOLERANCE * abs(high)
         text = f'principal moments of inertia {low:g}, {middle:g}, {high:g} kg m2'
         if self.mass < 0.0:
             return f'mass = {self.mass:g} kg must not be negative'
         if low < -room:
-            return f'{text}: none may be negative; see ixx to izz'
+            return f'{text}: must not be negative; see ixx to izz'
         if low + middle < high - room:
-            return (f'{text}: no body has one that is more than the two others together (triangle '
+            return (f'{text}: the largest must not exceed the sum of the others (triangle '
                     'inequality); see ixx to izz, and their unit')
         if self.mass == 0.0 and high > room:
-            return f'{text} without mass; give the mass, or leave inertial out'
+            return f'{text} without mass; give the mass, or remove inertial'
         return ''
 
 
@@ -105,6 +106,14 @@ class Limits:
     upper: float | None = None
     velocity: float | None = None
     effort: float | None = None
+
+
+class Mimic(NamedTuple):
+    """Rule of a joint: multiplier times the value of another joint, plus an offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +143,7 @@ class Joint:
         Coefficient of the force -damping q' [N m s/rad] or [N s/m].
     friction : float
         Static friction [N m] or [N].
-    mimics : str or None
+    mimic : Mimic or None
         The joint that this one follows.
 
     """
@@ -150,12 +159,12 @@ class Joint:
     limits: Limits
     damping: float
     friction: float
-    mimics: str | None
+    mimic: Mimic | None
 
     @property
-    def units(self) -> Units:
+    def units(self) -> JointUnits:
         """Return the units of the joint."""
-        return Units.of(self.kind)
+        return JointUnits.of(self.kind)
 
     @property
     def moves(self) -> bool:
@@ -213,6 +222,8 @@ class Robot:
         The file, and its text.
     locked : mapping of str to float
         Joints that do not move, and their values [rad], [m].
+    followers : mapping of str to Mimic
+        Joints that follow others, and the moving joint at the end of each chain of mimics.
 
     """
 
@@ -222,6 +233,58 @@ class Robot:
     where: str
     text: str
     locked: Mapping[str, float] = field(default_factory=dict)
+    followers: Mapping[str, Mimic] = field(default_factory=dict)
+
+    @cached_property
+    def joints(self) -> dict[str, Joint]:
+        """Return all joints by name."""
+        return {joint.name: joint for link in self.links.values() for joint in link.joints}
+
+    def followed(self, joint: Joint, locked: Mapping[str, float]) -> Mimic:
+        """
+        Return the end of a joint's chain of mimics: a joint that is locked, or follows no other.
+
+        Raises
+        ------
+        ModelError
+            A joint of the chain follows itself, or one that cannot move.
+
+        """
+        multiplier, offset, chain = 1.0, 0.0, {joint.name}
+        while joint.mimic is not None and joint.name not in locked:
+            name, own, shift = joint.mimic
+            multiplier, offset = multiplier * own, multiplier * shift + offset
+            leader = self.joints.get(name)
+            if leader is None or not leader.moves:
+                valid = [other.name for other in self.joints.values() if other.moves]
+                raise ModelError(f'{joint.place}: mimics {name[:80]!r}, which is not a movable '
+                                 f'joint{did_you_mean(name[:80], valid)}; correct it, or lock the '
+                                 f'joint with locked: {{{joint.name}: 0.0}}; movable joints: '
+                                 f'{listed(valid)}')
+            if name in chain:
+                raise ModelError(f'{joint.place}: mimics {name!r}, which follows this joint: the '
+                                 f'circle has no leader; remove a mimic, or lock the joint with '
+                                 f'locked: {{{joint.name}: 0.0}}')
+            chain.add(name)
+            joint = leader
+        return Mimic(joint.name, multiplier, offset)
+
+    def driven(self, joints: Sequence[str], coordinates: Sequence[str]
+               ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return G and c of the values G q + c of n joints, shapes (n, d) and (n,).
+
+        Joints that neither are coordinates nor follow one have their locked value, or zero.
+        """
+        factors, offsets = np.zeros((len(joints), len(coordinates))), np.zeros(len(joints))
+        columns = {name: column for column, name in enumerate(coordinates)}
+        for row, name in enumerate(joints):
+            leader, multiplier, offset = self.followers.get(name, Mimic(name, 1.0, 0.0))
+            if leader in columns:
+                factors[row, columns[leader]], offsets[row] = multiplier, offset
+            else:
+                offsets[row] = self.locked.get(name, 0.0)
+        return factors, offsets
 
     def numbers(self) -> dict[str, float]:
         """Return mass, centre of mass and moments of each link, as ``forearm.centre_z``."""
@@ -256,7 +319,7 @@ class JointCoordinate(Coordinate):
     Parameters
     ----------
     joint : Joint
-        Its description in the URDF.
+        Its description in the URDF, with the limits, damping and friction of its followers.
 
     """
 

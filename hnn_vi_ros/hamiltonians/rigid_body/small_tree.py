@@ -11,12 +11,12 @@ M = L D L^T and y = L^-1 p,
     H = sum of y_i^2 / (2 D_i) + V(q).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
-from hnn_vi_ros.hamiltonians.rigid_body.spatial import hand_down, join, momentum, power
-from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
-from hnn_vi_ros.hamiltonians.straight_code import graph_kernel
+from hnn_vi_ros.hamiltonians.rigid_body.spatial import body_momentum, hand_down, join, power
+from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, Following
+from hnn_vi_ros.hamiltonians.straight_code import graph_kernels
 from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
@@ -24,12 +24,12 @@ import numpy as np
 # sweeps; it grows with the cube of their number, like the time to compile it.
 MOST_STRAIGHT = 3
 # Entries of rotations closer to -1, 0 and 1 than this are replaced by these numbers.
-_ROUNDING = 1e-14
+_ENTRY_TOLERANCE = 1e-14
 
 
-def small_tree_kernel(bodies: Bodies) -> Kernel:
+def small_tree_kernel(bodies: Bodies, following: Following | None = None) -> Kernel:
     """Return the functions of H of some bodies as code without loops; see sweeps."""
-    graph, d = Graph(), bodies.parent.size - 1
+    graph, d = Graph(), bodies.parent.size - 1 if following is None else following.size
     names, momenta = ([f'{kind}{i}' for i in range(d)] for kind in 'qp')
     q, p = ([Symbol(graph, graph.name(name)) for name in both] for both in (names, momenta))
     values: dict[str, float] = {}
@@ -43,23 +43,28 @@ def small_tree_kernel(bodies: Bodies) -> Kernel:
         return made
 
     turns = bodies.placement[:, :9]
-    whole = np.abs(turns - np.round(turns)) < _ROUNDING
+    whole = np.abs(turns - np.round(turns)) < _ENTRY_TOLERANCE
     turns = np.where(whole, np.round(turns), symbols(np.where(whole, 0.0, turns)))
     placement = np.hstack([turns, symbols(bodies.placement[:, 9:])])
+    if following is None:
+        joints, rows = ([own[at] for at in bodies.coordinate[1:]] for own in (q, p))
+    else:
+        G = symbols(following.matrix())
+        joints, rows = G @ q + symbols(following.offset), p
     mass, first = _composed(bodies._replace(
         placement=placement, inertia=symbols(bodies.inertia),
-        armature=symbols(bodies.armature)), [q[at] for at in bodies.coordinate[1:]])
-    energy = symbols(bodies.load[1:]) @ [q[at] for at in bodies.coordinate[1:]] \
-        - first @ symbols(bodies.gravity)
-    return mass_kernel(graph, mass, energy, [p[at] for at in bodies.coordinate[1:]],
-                       (names, momenta), values)
+        armature=symbols(bodies.armature)), joints)
+    energy = symbols(bodies.load[1:]) @ joints - first @ symbols(bodies.gravity)
+    if following is not None:
+        mass = G.T @ (mass + np.tril(mass, -1).T) @ G
+    return mass_kernels(graph, mass, energy, rows, (names, momenta))(values)
 
 
-def mass_kernel(graph: Graph, mass: np.ndarray, energy: Symbol, y: list[Symbol],
-                names: tuple[Sequence[str], Sequence[str]], values: Mapping[str, float]
-                ) -> Kernel:
+def mass_kernels(graph: Graph, mass: np.ndarray, energy: Symbol, y: list[Symbol],
+                 names: tuple[Sequence[str], Sequence[str]]
+                 ) -> Callable[[Mapping[str, float]], Kernel]:
     """
-    Return the functions of H = p . M^-1 p / 2 + V as code without loops.
+    Return the functions of H = p . M^-1 p / 2 + V as code without loops, for values of names.
 
     Parameters
     ----------
@@ -73,8 +78,6 @@ def mass_kernel(graph: Graph, mass: np.ndarray, energy: Symbol, y: list[Symbol],
         p in the order of the rows of M; overwritten.
     names : pair of sequence of str
         Names of coordinates and momenta.
-    values : mapping of str to float
-        Values of the other names.
 
     """
     for j in range(len(y)):
@@ -85,7 +88,7 @@ def mass_kernel(graph: Graph, mass: np.ndarray, energy: Symbol, y: list[Symbol],
             for k in range(j + 1, i + 1):
                 mass[i, k] = mass[i, k] - factor * mass[k, j]
         energy = energy + 0.5 * y[j] * y[j] * inverse
-    return graph_kernel(graph, energy.node, *names, values)
+    return graph_kernels(graph, energy.node, *names)
 
 
 def _composed(bodies: Bodies, values: Sequence[Symbol]) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +104,7 @@ def _composed(bodies: Bodies, values: Sequence[Symbol]) -> tuple[np.ndarray, np.
             offset[i] = offset[i] + turns[i, :, 2] * values[i - 1]
     inertia[0] = 0.0
     for i in range(n - 1, 0, -1):
-        momentum(inertia, axis, i, force)
+        body_momentum(inertia, axis, i, force)
         mass[i - 1, i - 1] = power(axis, force, i) + bodies.armature[i]
         at, parent = i, bodies.parent[i]
         while parent > 0:

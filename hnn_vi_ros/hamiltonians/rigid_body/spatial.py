@@ -14,7 +14,7 @@ import numpy as np
 
 
 @inlined
-def momentum(inertia: np.ndarray, motion: np.ndarray, i: int, force: np.ndarray) -> None:
+def body_momentum(inertia: np.ndarray, motion: np.ndarray, i: int, force: np.ndarray) -> None:
     """Store the momentum of body i in its row of ``force``."""
     m, x, y, z = inertia[i, 0], inertia[i, 1], inertia[i, 2], inertia[i, 3]
     xx, xy, yy = inertia[i, 4], inertia[i, 5], inertia[i, 6]

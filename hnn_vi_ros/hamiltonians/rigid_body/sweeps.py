@@ -22,7 +22,7 @@ R. Featherstone, Rigid Body Dynamics Algorithms, 2008, chapters 2 and 6.
 from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import (
-    add_cross_force, cross_motion, hand_down, inherit, join, momentum, power, weight_power)
+    add_cross_force, body_momentum, cross_motion, hand_down, inherit, join, power, weight_power)
 from hnn_vi_ros.kernels import factorise, inlined, solve_cholesky
 import numpy as np
 from numpy.typing import DTypeLike
@@ -63,6 +63,35 @@ class Bodies(NamedTuple):
     armature: np.ndarray
     gravity: np.ndarray
     load: np.ndarray
+
+
+class Following(NamedTuple):
+    """
+    Joints that follow others: the values q of d joints are G y + c, with k coordinates y.
+
+    Parameters
+    ----------
+    leader : np.ndarray of int, shape (d,)
+        Column of the one entry in each row of G.
+    multiplier, offset : np.ndarray, shape (d,)
+        The entries, and c.
+
+    """
+
+    leader: np.ndarray
+    multiplier: np.ndarray
+    offset: np.ndarray
+
+    @property
+    def size(self) -> int:
+        """Return k."""
+        return int(self.leader.max()) + 1
+
+    def matrix(self) -> np.ndarray:
+        """Return G, shape (d, k)."""
+        G = np.zeros((self.leader.size, self.size))
+        G[np.arange(self.leader.size), self.leader] = self.multiplier
+        return G
 
 
 class Work(NamedTuple):
@@ -174,7 +203,7 @@ def compose(bodies: Bodies, work: Work) -> None:
             composite[i, k] = work.inertia[i, k]
     for i in range(bodies.parent.size - 1, 0, -1):
         join(offset, bodies.parent[i], i, composite)
-        momentum(composite, axis, i, force)
+        body_momentum(composite, axis, i, force)
         x, y, z = force[i, 0], force[i, 1], force[i, 2]
         u, v, w = force[i, 3], force[i, 4], force[i, 5]
         for j in range(i - 1):
@@ -209,7 +238,7 @@ def move(bodies: Bodies, work: Work) -> None:
         inherit(work.offset, bodies.parent[i], i, velocity)
         for k in range(6):
             velocity[i, k] += axis[i, k] * work.rates[i - 1]
-        momentum(work.inertia, velocity, i, momenta)
+        body_momentum(work.inertia, velocity, i, momenta)
         cross_motion(axis, velocity, i, work.product)
     for i in range(bodies.parent.size - 1, 0, -1):
         hand_down(work.offset, bodies.parent[i], i, momenta)
@@ -243,14 +272,14 @@ def displace(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
         for k in range(6):
             velocity_v[i, k] += axis_v[i, k] * work.rates[i - 1]
         # I v changes by shift x* (I v) + I (v' - shift x v), and h by the momentum of the shift.
-        momentum(work.inertia, shift, i, spare)
+        body_momentum(work.inertia, shift, i, spare)
         for k in range(3):
             first_v[i, 1 + k] = spare[i, 3 + k]
         cross_motion(shift, work.velocity, i, spare)
         for k in range(6):
             spare[i, k] = velocity_v[i, k] - spare[i, k]
-        momentum(work.inertia, spare, i, momentum_v)
-        momentum(work.inertia, work.velocity, i, spare)
+        body_momentum(work.inertia, spare, i, momentum_v)
+        body_momentum(work.inertia, work.velocity, i, spare)
         add_cross_force(shift, spare, i, momentum_v)
     for i in range(bodies.parent.size - 1, 0, -1):
         parent = bodies.parent[i]
@@ -261,13 +290,18 @@ def displace(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
 
 @inlined
 def solve_rate_changes(bodies: Bodies, work: Work, v_p: np.ndarray, start: int) -> None:
-    """Fill the change of the rates, M^-1 (v_p - (M v)'), and add its contributions."""
-    axis, momentum_v, rate, impulse = work.axis, work.momentum_v, work.spare, work.impulse
+    """Fill the change of the rates, M^-1 (v_p - (M v)')."""
     for i in range(1, bodies.parent.size):
         work.rates_v[i - 1] = (v_p[start + bodies.coordinate[i]]
                                - power(work.axis_v, work.momentum, i)
-                               - power(axis, momentum_v, i))
+                               - power(work.axis, work.momentum_v, i))
     solve_cholesky(work.mass, work.rates_v)
+
+
+@inlined
+def add_rate_changes(bodies: Bodies, work: Work) -> None:
+    """Add the contributions of the changes of the rates; call ``solve_rate_changes`` first."""
+    axis, momentum_v, rate, impulse = work.axis, work.momentum_v, work.spare, work.impulse
     for k in range(6):
         impulse[0, k] = 0.0
     for i in range(1, bodies.parent.size):
@@ -275,7 +309,7 @@ def solve_rate_changes(bodies: Bodies, work: Work, v_p: np.ndarray, start: int) 
         for k in range(6):
             rate[i, k] += axis[i, k] * work.rates_v[i - 1]
             work.velocity_v[i, k] += rate[i, k]
-        momentum(work.inertia, rate, i, impulse)
+        body_momentum(work.inertia, rate, i, impulse)
     for i in range(bodies.parent.size - 1, 0, -1):
         # The bodies behind it have been processed.
         for k in range(6):
@@ -285,7 +319,7 @@ def solve_rate_changes(bodies: Bodies, work: Work, v_p: np.ndarray, start: int) 
 
 @inlined
 def force_change_of(bodies: Bodies, work: Work, i: int) -> float:
-    """Return the change of H_q of the joint of body i; call ``solve_rate_changes`` first."""
+    """Return the change of H_q of the joint of body i; call ``add_rate_changes`` first."""
     composite, spare = work.composite, work.spare
     cross_motion(work.axis_v, work.velocity, i, spare)
     change = power(spare, work.momentum, i)

@@ -3,37 +3,64 @@
 """Reduction of a robot to the bodies of its moving joints; rigidly joined links are one body."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 import math
 import re
+from typing import NamedTuple
 import warnings
 
 from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
-    Inertial, Joint, KINDS, Link, RIGID, Robot, SLIDING)
-from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, compose, place, Work
+    Inertial, Joint, KINDS, Link, Mimic, RIGID, Robot, SLIDING)
+from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, compose, Following, place, Work
 import numpy as np
 
-MOST_JOINTS = 12
+MOST_JOINTS, MOST_DRIVEN = 12, 64
 _NAME = re.compile(r'[^\W\d][\w.-]*\Z')
 # Smallest eigenvalue of M, with its diagonal scaled to one, that counts as positive.
-_SINGULAR = 1e-13
+_MIN_EIGENVALUE = 1e-13
 # Generic configurations at which M is tested.
 _PROBES = 4
+# Share of a joint's range by which limits of followers may narrow it unsaid.
+_ROUNDED = 1e-3
+
+
+class Tree(NamedTuple):
+    """
+    A robot as bodies.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot with the values of all locked joints, and the joints that follow others.
+    bodies : Bodies
+        Its bodies; with ``following``, the joint of each has a coordinate of its own.
+    joints : tuple of Joint
+        The joints in the order of the coordinates, with the damping, friction and limits of those
+        that follow them.
+    following : Following or None
+        The values of all joints; None if no joint follows another.
+
+    """
+
+    robot: Robot
+    bodies: Bodies
+    joints: tuple[Joint, ...]
+    following: Following | None
 
 
 def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, float],
-            gravity: Sequence[float], base: str, rotor_inertia: Mapping[str, float]
-            ) -> tuple[Bodies, tuple[Joint, ...]]:
+            gravity: Sequence[float], base: str, rotor_inertia: Mapping[str, float]) -> Tree:
     """
-    Return the bodies of a robot, and the joints in the order of the coordinates.
+    Return the bodies of a robot.
 
     Parameters
     ----------
     robot : Robot
         A robot; links that are not behind ``base`` are ignored.
     joints : sequence of str or None
-        The moving joints in the order of the coordinates; by default all that are not locked, from
-        the base to the tips.
+        The moving joints in the order of the coordinates; by default all that are not locked and
+        follow no other, from the base to the tips.
     locked : mapping of str to float
         Values of joints that do not move [rad] or [m].
     gravity : sequence of float
@@ -53,34 +80,51 @@ def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, flo
 
     """
     if base not in robot.links:
-        raise ValueError(f'base = {base!r} is no link; links: {listed(robot.links)}')
+        raise ValueError(f'base = {base!r} is not a link; links: {listed(robot.links)}')
+    for joint, value in locked.items():
+        if not math.isfinite(value):
+            raise ValueError(f'locked of {joint} = {value} must be a finite number')
     builder = _Builder(robot, locked, base)
-    moving = {joint.name: joint for joint in builder.joints}
+    driven, followers = {joint.name: joint for joint in builder.joints}, builder.followers
+    moving = {name: joint for name, joint in driven.items() if name not in followers}
     order = list(moving) if joints is None else list(joints)
-    _check_joints(order, moving, builder.met)
+    _check_joints(order, moving, builder.met, followers)
+    if len(driven) > MOST_DRIVEN:
+        raise ValueError(f'{len(driven)} joints move or follow others, at most {MOST_DRIVEN} are '
+                         f'supported; lock some, or use another base: {listed(driven)}')
     for name, values in (('locked', locked), ('rotor_inertia', rotor_inertia)):
-        valid = builder.met if name == 'locked' else moving
+        valid = builder.met if name == 'locked' else driven
         for joint in values:
             if joint not in valid:
-                raise ValueError(f'{name} names {joint!r}, which is no joint that moves; valid: '
+                raise ValueError(f'{name} names {joint!r}, which is not a movable joint; valid: '
                                  f'{listed(valid) or "none"}')
     for joint, value in rotor_inertia.items():
         if not (math.isfinite(value) and value >= 0.0):
-            raise ValueError(f'rotor_inertia of {joint} = {value} must be a number from 0')
+            raise ValueError(f'rotor_inertia of {joint} = {value} must be at least 0 and finite')
     if len(gravity) != 3 or not all(map(math.isfinite, gravity)):
         raise ValueError(f'gravity = {list(gravity)} must be three numbers [m/s2], such as '
                          '[0, 0, -9.81]')
-    places = [order.index(name) for name in moving]
-    bodies = builder.bodies(places, [rotor_inertia.get(name, 0.0) for name in moving], gravity)
-    if not all(np.isfinite(part).all() for part in bodies):
-        raise ModelError(f'{robot.links[base].place}: numbers behind it whose products overflow; '
-                         'see their units')
-    _check_mass(bodies, builder.joints)
-    return bodies, tuple(moving[name] for name in order)
+    places, following = [order.index(name) for name in moving], None
+    if followers:
+        ends = [followers.get(name, Mimic(name, 1.0, 0.0)) for name in driven]
+        following = Following(np.array([order.index(end.joint) for end in ends]),
+                              *np.array([end[1:] for end in ends]).T.copy())
+        places = [*range(len(driven))]
+    bodies = builder.bodies(places, [rotor_inertia.get(name, 0.0) for name in driven], gravity)
+    if not all(np.isfinite(part).all() for part in (*bodies, *(following or ()))):
+        raise ModelError(f'{robot.links[base].place}: products of numbers beyond this link '
+                         'overflow; check their units')
+    _check_mass(bodies, following, [moving[name] for name in order])
+    return Tree(replace(robot, locked={**locked, **builder.held}, followers=followers), bodies,
+                _with_followers([moving[name] for name in order], driven, followers), following)
 
 
-def mass_matrix(bodies: Bodies, q: np.ndarray) -> np.ndarray:
+def mass_matrix(bodies: Bodies, q: np.ndarray, following: Following | None = None) -> np.ndarray:
     """Return M(q), shape (d, d), for q of shape (d,), in the arithmetic of q."""
+    if following is not None:
+        G = following.matrix()
+        half = 0.5 * G.T @ mass_matrix(bodies, G @ q + following.offset) @ G
+        return half + half.T
     d = q.size
     work = Work.empty(d)
     place(bodies, work, q, 0)
@@ -91,11 +135,43 @@ def mass_matrix(bodies: Bodies, q: np.ndarray) -> np.ndarray:
     return lower[np.ix_(rows, rows)]
 
 
-def _check_joints(order: Sequence[str], moving: Mapping[str, Joint], met: Mapping[str, Joint]
-                  ) -> None:
+def _with_followers(joints: Sequence[Joint], driven: Mapping[str, Joint],
+                    followers: Mapping[str, Mimic]) -> tuple[Joint, ...]:
+    """Return joints with damping, friction and limits of those that follow them, and tell."""
+    found, told = {joint.name: joint for joint in joints}, []
+    for name, (leader, multiplier, offset) in followers.items():
+        joint, own = found[leader], driven[name]
+        joint = replace(joint, damping=joint.damping + multiplier * multiplier * own.damping,
+                        friction=joint.friction + abs(multiplier) * own.friction)
+        found[leader], (first, last) = joint, own.bounds
+        if first is None or last is None or multiplier == 0.0:
+            continue
+        # Limits of a joint that follows are limits of its leader.
+        lower, upper = sorted(((first - offset) / multiplier, (last - offset) / multiplier))
+        low, high = (end if end is not None else infinite for end, infinite in zip(
+            joint.bounds, (-math.inf, math.inf), strict=True))
+        least, most = max(low, lower), min(high, upper)
+        if not least < most:
+            told.append((own, f'those of {name} leave {leader} no room and are ignored'))
+            continue
+        if max(least - low, high - most) > _ROUNDED * (most - least):
+            told.append((own, f'{leader} moves from {least:g} to {most:g} because of {name}'))
+        found[leader] = replace(
+            joint, kind='revolute' if joint.kind == 'continuous' else joint.kind,
+            limits=replace(joint.limits, lower=least, upper=most))
+    if told:
+        warnings.warn(f'{told[0][0].place}: limits of joints that mimic others: '
+                      f'{listed(text for _, text in told)}', stacklevel=4)
+    return tuple(found.values())
+
+
+def _check_joints(order: Sequence[str], moving: Mapping[str, Joint], met: Mapping[str, Joint],
+                  followers: Mapping[str, Mimic]) -> None:
     for name in order:
         if name not in moving:
-            why = 'it is locked' if name in met else 'no such joint moves'
+            why = 'it is locked' if name in met else 'it is not a movable joint'
+            if name in followers:
+                why = f'it follows {followers[name].joint}'
             raise ValueError(f'joints names {name!r}: {why}; moving joints: '
                              f'{listed(moving) or "none"}')
     if len(set(order)) < len(order):
@@ -103,15 +179,15 @@ def _check_joints(order: Sequence[str], moving: Mapping[str, Joint], met: Mappin
     named = set(order)
     left = [name for name in moving if name not in named]
     if left:
-        raise ValueError(f'joints leaves out {listed(left)}; name them too, or hold them where '
-                         f'they are to be: locked: {{{left[0]}: 0.0}}')
+        raise ValueError(f'joints does not contain {listed(left)}; add them, or lock them, for '
+                         f'example with locked: {{{left[0]}: 0.0}}')
     if not order:
         raise ValueError('no joint moves: ' + (
-            'all are locked; lock fewer' if met else 'behind the base there is none but fixed '
-            'ones; take another base, or a robot with joints'))
+            'all are locked; lock fewer' if met else 'those beyond the base are fixed; use '
+            'another base, or a robot with movable joints'))
     if len(order) > MOST_JOINTS:
-        raise ValueError(f'joints: {len(order)} move, at most {MOST_JOINTS} can; lock some, or '
-                         f'take another base: {listed(order)}')
+        raise ValueError(f'{len(order)} joints move, at most {MOST_JOINTS} are supported; lock '
+                         f'some, or use another base: {listed(order)}')
     for name in order:
         if not _NAME.match(name):
             raise ModelError(f'{moving[name].place}: the name of a coordinate must be a letter or '
@@ -119,17 +195,20 @@ def _check_joints(order: Sequence[str], moving: Mapping[str, Joint], met: Mappin
                              'rename the joint')
 
 
-def _check_mass(bodies: Bodies, joints: Sequence[Joint]) -> None:
+def _check_mass(bodies: Bodies, following: Following | None, joints: Sequence[Joint]) -> None:
     """Raise unless M is positive definite at some configuration."""
     rng = np.random.default_rng(1)
     for _ in range(_PROBES):
-        mass = mass_matrix(bodies._replace(
-            coordinate=np.arange(-1, len(joints))), rng.uniform(-1.0, 1.0, len(joints)))
+        with np.errstate(all='ignore'):
+            mass = mass_matrix(bodies, rng.uniform(-1.0, 1.0, len(joints)), following)
+        if not np.isfinite(mass).all():
+            raise ModelError(f'{joints[0].place}: products of masses and multipliers of joints '
+                             'overflow; check their units')
         diagonal = np.diag(mass)
         if (diagonal > 0.0).all():
             scale = np.sqrt(diagonal)
             values, vectors = np.linalg.eigh(mass / scale / scale[:, None])
-            if values[0] > _SINGULAR:
+            if values[0] > _MIN_EIGENVALUE:
                 return
             free = np.abs(vectors[:, 0]) > 0.1
         else:
@@ -137,8 +216,8 @@ def _check_mass(bodies: Bodies, joints: Sequence[Joint]) -> None:
     names = [joint.name for joint, one in zip(joints, free, strict=True) if one]
     first = next(joint for joint, one in zip(joints, free, strict=True) if one)
     raise ModelError(f'{first.place}: {listed(names)} can move without moving any mass or '
-                     f'inertia; give <inertial> to link {first.child!r} or those behind it, lock '
-                     'the joint, or give its rotor_inertia')
+                     f'inertia; give <inertial> to link {first.child!r} or to links beyond it, '
+                     'lock the joint, or give its rotor_inertia')
 
 
 class _Body:
@@ -178,12 +257,16 @@ class _Builder:
     def __init__(self, robot: Robot, locked: Mapping[str, float], base: str):
         self._robot, self._locked = robot, locked
         self._rows = [_Body(0, False, False, np.eye(3), np.zeros(3))]
+        # Body of each link, and the pose of its frame in that of the body.
+        self.links: dict[str, tuple[int, np.ndarray, np.ndarray]] = {}
         # Physically impossible links, with their rows and the reason.
         self._odd: list[tuple[Link, int, str]] = []
         # The moving joints, in the order of the bodies; and all joints that could move.
         self.joints: list[Joint] = []
         self.met: dict[str, Joint] = {}
-        self._mimics: list[Joint] = []
+        # Joints that follow moving ones; and the values of those that follow locked ones.
+        self.followers: dict[str, Mimic] = {}
+        self.held: dict[str, float] = {}
         # Joints to visit, with the body that carries them and the pose of their link's frame in
         # the frame of the body.
         self._waiting: list[tuple[Joint, int, np.ndarray, np.ndarray]] = []
@@ -191,15 +274,14 @@ class _Builder:
         while self._waiting:
             self._pass(*self._waiting.pop())
         self._judge()
-        if self._mimics:
-            text = listed(f'{joint.name} (of {joint.mimics})' for joint in self._mimics)
-            held = listed(f'{joint.name}: 0.0' for joint in self._mimics)
-            raise ModelError(f'{self._mimics[0].place}: joints that mimic others are not '
-                             f'simulated: {text}; hold them where they are to be: '
-                             f'locked: {{{held}}}')
+        for name, mimic in self.followers.items():
+            if mimic.joint not in self.met:
+                raise ModelError(f'{self.met[name].place}: mimics {mimic.joint}, which is not '
+                                 f'beyond the base {base}; use another base, or lock the joint '
+                                 f'with locked: {{{name}: 0.0}}')
 
     def _reach(self, name: str, row: int, rotation: np.ndarray, origin: np.ndarray) -> None:
-        link = self._robot.links[name]
+        link, self.links[name] = self._robot.links[name], (row, rotation, origin)
         if link.inertial is not None:
             if fault := link.inertial.fault:
                 self._odd.append((link, row, fault))
@@ -212,39 +294,33 @@ class _Builder:
     def _judge(self) -> None:
         """Raise for an impossible link that affects the motion, and warn about all others."""
         for link, row, fault in self._odd:
-            assert link.inertial is not None, 'only what is there can be odd'
+            assert link.inertial is not None, 'only an inertial that is given can be invalid'
             if row > 0 and (link.inertial.mass < 0.0 or self._rows[row].fault):
                 raise ModelError(f'{link.place}: {fault}')
         for link, row, fault in self._odd[:1]:
-            why = 'together with what it is fixed to it is possible'
+            why = 'the body that it is fixed to is valid as a whole'
             if not self._rows[row].turns:
-                why = 'it does not turn' if row > 0 else 'it rests'
+                why = 'it does not rotate' if row > 0 else 'it is at rest'
             others = listed(other.name for other, *_ in self._odd[1:])
-            warnings.warn(f'{link.place}: {fault}; simulated as it is, since {why}'
+            warnings.warn(f'{link.place}: {fault}; simulated nevertheless, because {why}'
                           f'{"; likewise " * bool(others)}{others}', stacklevel=5)
 
     def _pass(self, joint: Joint, row: int, rotation: np.ndarray, origin: np.ndarray) -> None:
         origin = origin + rotation @ joint.origin
         rotation = rotation @ joint.rotation
         if joint.kind not in KINDS:
-            raise ModelError(f'{joint.place}: type {joint.kind!r} cannot be simulated; valid: '
-                             f'{", ".join(KINDS)}; or take a base behind it: base: {joint.child}')
+            raise ModelError(f'{joint.place}: type {joint.kind!r} is not supported; valid: '
+                             f'{", ".join(KINDS)}; or use a base beyond it: base: {joint.child}')
         if joint.moves:
             self.met[joint.name] = joint
         if joint.kind == RIGID:
             self._reach(joint.child, row, rotation, origin)
-        elif joint.name in self._locked:
-            value = self._locked[joint.name]
-            if not math.isfinite(value):
-                raise ValueError(f'locked at {joint.name} = {value} must be a finite number')
+        elif (value := self._fixed_value(joint)) is not None:
             if joint.kind == SLIDING:
                 origin = origin + value * (rotation @ joint.axis)
             else:
                 from scipy.spatial.transform import Rotation  # slow to import
                 rotation = rotation @ Rotation.from_rotvec(value * joint.axis).as_matrix()
-            self._reach(joint.child, row, rotation, origin)
-        elif joint.mimics is not None:
-            self._mimics.append(joint)
             self._reach(joint.child, row, rotation, origin)
         else:
             frame = frame_of(joint.axis)
@@ -253,6 +329,18 @@ class _Builder:
             turns = self._rows[row].turns or not slides
             self._rows.append(_Body(row, slides, turns, rotation @ frame, origin))
             self._reach(joint.child, len(self._rows) - 1, frame.T, np.zeros(3))
+
+    def _fixed_value(self, joint: Joint) -> float | None:
+        """Return the value of a joint that is locked or follows a locked one; None if it moves."""
+        if joint.name in self._locked or joint.mimic is None:
+            return self._locked.get(joint.name)
+        mimic = self._robot.followed(joint, self._locked)
+        if mimic.joint not in self._locked:
+            self.followers[joint.name] = mimic
+            return None
+        value = mimic.multiplier * self._locked[mimic.joint] + mimic.offset
+        self.held[joint.name] = value
+        return value
 
     def bodies(self, places: Sequence[int], armature: Sequence[float], gravity: Sequence[float]
                ) -> Bodies:
@@ -265,6 +353,12 @@ class _Builder:
             np.array([int(body.slides) for body in rows]), np.array(placement),
             np.array(inertia), np.array([0.0, *armature]), np.array(gravity, dtype=np.float64),
             np.zeros(len(rows)))
+
+
+def links_of(robot: Robot, locked: Mapping[str, float], base: str
+             ) -> dict[str, tuple[int, np.ndarray, np.ndarray]]:
+    """Return the body of each link, and the pose of its frame in that of the body."""
+    return _Builder(robot, locked, base).links
 
 
 def frame_of(axis: np.ndarray) -> np.ndarray:

@@ -3,15 +3,16 @@
 """Compiled H of a tree of bodies: few bodies as code without loops, more as data of recursions."""
 
 from hnn_vi_ros.hamiltonians.base import compiled_kernel
+from hnn_vi_ros.hamiltonians.rigid_body.following import following_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT, small_tree_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
-    Bodies, compose, displace, force_change_of, force_of, move, place, solve_rate_changes,
-    solve_rates, TreeParameters, Work)
+    add_rate_changes, Bodies, compose, displace, Following, force_change_of, force_of, move, place,
+    solve_rate_changes, solve_rates, TreeParameters, Work)
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 
-def tree_kernel(bodies: Bodies) -> Kernel:
+def tree_kernel(bodies: Bodies, following: Following | None = None) -> Kernel:
     """Return the functions of H of some bodies, with their own workspace."""
     d = len(bodies.parent) - 1
     # A bound of the moments of the weights: their sum times the largest possible distance.
@@ -21,9 +22,15 @@ def tree_kernel(bodies: Bodies) -> Kernel:
     weights = (bodies.inertia[1:, 0] * reach[1:]
                + np.linalg.norm(bodies.inertia[1:, 1:4], axis=1))
     scale = float(np.linalg.norm(bodies.gravity) * weights.sum())
-    kernel = small_tree_kernel(bodies) if d <= MOST_STRAIGHT else compiled_kernel(
-        (_energy, _gradient, _hessian_vector), TreeParameters(bodies, Work.empty(d)), d)
-    return kernel._replace(gradient_scale=(scale, 0.0), energy_scale=scale)
+    if d <= MOST_STRAIGHT:
+        kernel = small_tree_kernel(bodies, following)
+    elif following is not None:
+        kernel = following_kernel(bodies, following)
+    else:
+        kernel = compiled_kernel(
+            (_energy, _gradient, _hessian_vector), TreeParameters(bodies, Work.empty(d)), d)
+    gain = 1.0 if following is None else float(np.abs(following.matrix()).sum(axis=0).max())
+    return kernel._replace(gradient_scale=(gain * scale, 0.0), energy_scale=scale)
 
 
 @inlined
@@ -65,6 +72,7 @@ def _hessian_vector(parameters: TreeParameters, q: np.ndarray, p: np.ndarray, v_
         move(bodies, work)
         displace(bodies, work, v_q, start)
         solve_rate_changes(bodies, work, v_p, start)
+        add_rate_changes(bodies, work)
         for i in range(1, bodies.parent.size):
             at = start + bodies.coordinate[i]
             product_q[at] = force_change_of(bodies, work, i)

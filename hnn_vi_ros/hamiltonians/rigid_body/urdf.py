@@ -17,17 +17,18 @@ import warnings
 from hnn_vi_ros.errors import did_you_mean, listed, ModelError
 from hnn_vi_ros.files import Element, MAX_XML_BYTES, parse_xml, read_limited
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
-    Inertial, Joint, Limits, Link, Robot, SLIDING, TURNING)
+    Inertial, Joint, Limits, Link, Mimic, Robot, SLIDING, TURNING)
 import numpy as np
 
 # Without backtracking: the time is proportional to the length.
 _NUMBER = re.compile(r'[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?\Z')
-_LONGEST_NAME = 200
+_MAX_NAME_LENGTH = 200
 # Ten times as many links as the largest published humanoids.
-_MOST_LINKS = 2000
+_MAX_LINKS = 2000
 # In SI units; larger numbers, whose products overflow, are mistakes. Limits may be any number.
-_LARGEST = 1e12
+_MAX_NUMBER = 1e12
 _MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
+_MIMIC = {'multiplier': 1.0, 'offset': 0.0}
 # Version 1.0 has no quaternions; 1.2 requires both limits of a joint, or none.
 _VERSIONS = ('1.0', '1.1', '1.2')
 # Elements with physical meaning: their attributes, and their child elements. Others, such as
@@ -38,7 +39,7 @@ _ATTRIBUTES: dict[str, tuple[str, ...]] = {
     'origin': ('xyz', 'rpy', 'quat_xyzw'), 'parent': ('link',), 'child': ('link',),
     'axis': ('xyz',), 'dynamics': ('damping', 'friction'),
     'limit': ('lower', 'upper', 'velocity', 'effort', 'acceleration', 'deceleration', 'jerk'),
-    'mimic': ('joint', 'multiplier', 'offset'), 'calibration': (
+    'mimic': ('joint', *_MIMIC), 'calibration': (
         'rising', 'falling', 'reference_position'), 'safety_controller': (
         'soft_lower_limit', 'soft_upper_limit', 'k_position', 'k_velocity')}
 _ELEMENTS: dict[str, tuple[str, ...]] = {
@@ -80,29 +81,29 @@ def parse_urdf(text: bytes, where: str) -> Robot:
     """Return the robot that a URDF describes; see ``read_urdf``."""
     root = parse_xml(text, where, ModelError)
     if root.tag != 'robot':
-        raise ModelError(f'{where}:{root.line}: <{root.tag}>, expected <robot>: no URDF')
+        raise ModelError(f'{where}:{root.line}: not a URDF: <{root.tag}>, expected <robot>')
     macro = next((child for child in root.children if child.tag.startswith('xacro:')), None)
     if macro is not None:
-        raise ModelError(f'{where}:{macro.line}: <{macro.tag}>: a xacro, which is no URDF yet; '
-                         'make one of it: xacro FILE > robot.urdf')
+        raise ModelError(f'{where}:{macro.line}: <{macro.tag}>: this is a xacro file; convert it '
+                         'to a URDF with: xacro FILE > robot.urdf')
     links, between = root.named('link'), root.named('joint')
-    if max(len(links), len(between)) > _MOST_LINKS:
+    if max(len(links), len(between)) > _MAX_LINKS:
         raise ModelError(f'{where}: {len(links)} links and {len(between)} joints, at most '
-                         f'{_MOST_LINKS} of each are read; leave out what is not simulated')
+                         f'{_MAX_LINKS} of each are supported; remove those that do not move')
     version = root.attributes.get('version', _VERSIONS[0])
     if version not in _VERSIONS:
-        raise ModelError(f'{where}:{root.line}: robot version={version[:40]!r} cannot be read; '
+        raise ModelError(f'{where}:{root.line}: robot version={version[:40]!r} is not supported; '
                          f'valid: {", ".join(_VERSIONS)}')
     foreign = [*_foreign(root, where, version)]
     if foreign:
-        warnings.warn(f'{foreign[0]}{f" and {len(foreign) - 1} more" * (len(foreign) > 1)}: of '
-                      'other tools than URDF, not read', stacklevel=4)
+        warnings.warn(f'{foreign[0]}{f" and {len(foreign) - 1} more" * (len(foreign) > 1)}: '
+                      'extensions of other tools, ignored', stacklevel=4)
     joints = [_joint(element, where, version) for element in between]
     _check_names([_name(element, where) for element in links], 'link', where)
     _check_names([joint.name for joint in joints], 'joint', where)
     carried: dict[str, list[Joint]] = {_name(element, where): [] for element in links}
     if not links:
-        raise ModelError(f'{where}: a robot without links; expected <link name="..."/>')
+        raise ModelError(f'{where}: the robot has no links; expected <link name="..."/>')
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in carried:
@@ -144,8 +145,8 @@ def _foreign(element: Element, where: str, version: str, label: str = 'robot'
             raise ModelError(f'{place}: unknown attribute {name[:60]!r}{hint}; valid: '
                              f'{listed(valid) or "none"}')
     if 'quat_xyzw' in element.attributes and version == '1.0':
-        raise ModelError(f'{place}: quat_xyzw is of version 1.1, and this file of 1.0, in which '
-                         'others do not read it; write <robot version="1.1">, or rpy in its place')
+        raise ModelError(f'{place}: quat_xyzw needs version 1.1, but the version of this file is '
+                         '1.0; write <robot version="1.1">, or use rpy instead')
     for child in element.children:
         if child.tag in inside:
             named = f'{child.tag} {child.attributes.get("name", "")!r}'
@@ -153,8 +154,8 @@ def _foreign(element: Element, where: str, version: str, label: str = 'robot'
                                 named if tag == 'robot' else f'{label}: {child.tag}')
         elif (hint := did_you_mean(child.tag.lower(), inside)) or (
                 child.tag in _ATTRIBUTES and (tag, child.tag) != ('link', 'origin')):
-            raise ModelError(f'{where}:{child.line}: {label}: <{child.tag[:60]}> means nothing '
-                             f'there{hint}; valid: {listed(inside) or "none"}')
+            raise ModelError(f'{where}:{child.line}: {label}: unknown element '
+                             f'<{child.tag[:60]}>{hint}; valid: {listed(inside) or "none"}')
 
 
 def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
@@ -162,23 +163,23 @@ def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
     carriers: dict[str, Joint] = {}
     for joint in joints:
         if joint.child in carriers:
-            raise ModelError(f'{joint.place}: link {joint.child!r} hangs on joint '
-                             f'{carriers[joint.child].name!r} already; a tree has one joint '
-                             'towards the base for each link')
+            raise ModelError(f'{joint.place}: link {joint.child!r} is already the child of '
+                             f'joint {carriers[joint.child].name!r}; in a tree each link has one '
+                             'parent')
         carriers[joint.child] = joint
     roots = [link for link in links if link not in carriers]
     if len(roots) > 1:
-        raise ModelError(f'{where}: several links hang on nothing: {listed(roots)}; join all but '
-                         'one to others, by fixed joints for example')
+        raise ModelError(f'{where}: several links have no parent: {listed(roots)}; join all but '
+                         'one to others, for example with fixed joints')
     # Towards the base, each link once.
     known = set(roots)
     for link in links:
         path: dict[str, Joint] = {}
         while link not in known:
             if link in path:
-                raise ModelError(f'{path[link].place}: joints in a circle: '
-                                 f'{listed(joint.name for joint in path.values())}; a tree has '
-                                 'none: leave one of them out')
+                raise ModelError(f'{path[link].place}: the joints form a loop: '
+                                 f'{listed(joint.name for joint in path.values())}; remove one '
+                                 'of them to get a tree')
             path[link] = carriers[link]
             link = carriers[link].parent
         known.update(path)
@@ -189,7 +190,8 @@ def _joint(element: Element, where: str, version: str) -> Joint:
     name, place = _name(element, where), _place(element, where)
     kind = element.attributes.get('type')
     if not kind:
-        raise ModelError(f'{place}: no type; valid: revolute, continuous, prismatic, fixed')
+        raise ModelError(f'{place}: type is missing; valid: revolute, continuous, prismatic, '
+                         'fixed')
     origin, rotation = _frame(element, place)
     limit, dynamics, mimic = (_only(element, tag, place) for tag in ('limit', 'dynamics', 'mimic'))
     damping, friction = (_number(dynamics, key, place, default=0.0)
@@ -200,13 +202,15 @@ def _joint(element: Element, where: str, version: str) -> Joint:
     parent, child = (_end(element, end, place) for end in ('parent', 'child'))
     return Joint(name, kind, place, parent, child, origin, rotation, _axis(element, kind, place),
                  _limits(limit, place, version == '1.2' and kind in ('revolute', SLIDING)),
-                 damping, friction, None if mimic is None else mimic.attributes['joint'])
+                 damping, friction, None if mimic is None else Mimic(
+                     mimic.attributes['joint'], *(_number(mimic, key, place, default=default)
+                                                  for key, default in _MIMIC.items())))
 
 
 def _end(element: Element, end: str, place: str) -> str:
     found = _only(element, end, place)
     if found is None or not found.attributes.get('link'):
-        raise ModelError(f'{place}: no {end}; expected <{end} link="..."/>')
+        raise ModelError(f'{place}: {end} is missing; expected <{end} link="..."/>')
     return found.attributes['link']
 
 
@@ -228,10 +232,10 @@ def _limits(element: Element | None, place: str, both: bool) -> Limits:
     lower, upper = found.pop('lower'), found.pop('upper')
     if both and element is not None and (lower is None or upper is None):
         raise ModelError(f'{place}: limit without {"lower" if lower is None else "upper"}; '
-                         'version 1.2 has both or no <limit>')
+                         'version 1.2 requires both, or no <limit>')
     if lower is not None and upper is not None and lower > upper:
-        raise ModelError(f'{place}: limits {lower:g} to {upper:g} leave nothing between; exchange '
-                         'lower and upper')
+        raise ModelError(f'{place}: the lower limit {lower:g} is above the upper one {upper:g}; '
+                         'exchange them')
     _check_not_negative(place, {f'limit {key}': value for key, value in found.items()})
     return Limits(lower, upper, found['velocity'], found['effort'])
 
@@ -250,7 +254,7 @@ def _inertial(link: Element, where: str) -> Inertial | None:
     masses, inertia = (_only(element, tag, place) for tag in ('mass', 'inertia'))
     if masses is None or inertia is None:
         raise ModelError(f'{place}: inertial without {"mass" if masses is None else "inertia"}; '
-                         'give both, or leave inertial out of a link that weighs nothing')
+                         'give both, or remove inertial from a link without mass')
     xx, xy, xz, yy, yz, zz = (_number(inertia, key, place) for key in _MOMENTS)
     moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     centre, rotation = _frame(element, place)
@@ -267,12 +271,13 @@ def _frame(element: Element, place: str) -> tuple[np.ndarray, np.ndarray]:
         turn = Rotation.from_euler('xyz', _vector(origin, 'rpy', place, (0.0, 0.0, 0.0)))
         return xyz, turn.as_matrix()
     if 'rpy' in origin.attributes:
-        raise ModelError(f'{place}: origin has rpy and quat_xyzw; leave one of them out')
+        raise ModelError(f'{place}: origin has rpy and quat_xyzw; remove one of them')
     # As in urdfdom, it need not be normalised.
     quaternion = _vector(origin, 'quat_xyzw', place, (0.0, 0.0, 0.0, 1.0))
     size = np.abs(quaternion).max()
     if not size > 0.0:
-        raise ModelError(f'{place}: origin quat_xyzw = 0 0 0 0 is no rotation; none is 0 0 0 1')
+        raise ModelError(f'{place}: origin quat_xyzw = 0 0 0 0 is not a rotation; the identity is '
+                         '0 0 0 1')
     return xyz, Rotation.from_quat(quaternion / size).as_matrix()
 
 
@@ -289,16 +294,16 @@ def _vector(element: Element | None, key: str, place: str, default: tuple[float,
 
 
 def _number(element: Element | None, key: str, place: str, default: float | None = None,
-            largest: float = _LARGEST) -> float:
+            largest: float = _MAX_NUMBER) -> float:
     if element is None or key not in element.attributes:
         if default is None:
-            assert element is not None, 'a number that must be there is that of an element'
+            assert element is not None, 'only a number that is optional may have no element'
             raise ModelError(f'{place}: {element.tag} without {key}; expected {key}="..."')
         return default
     return _float(element.attributes[key].strip(), f'{element.tag} {key}', place, largest)
 
 
-def _float(word: str, name: str, place: str, largest: float = _LARGEST) -> float:
+def _float(word: str, name: str, place: str, largest: float = _MAX_NUMBER) -> float:
     value = float(word) if _NUMBER.match(word) else math.nan
     if not (math.isfinite(value) and abs(value) <= largest):
         bound = '' if largest == math.inf else f' of at most {largest:g}'
@@ -309,23 +314,23 @@ def _float(word: str, name: str, place: str, largest: float = _LARGEST) -> float
 def _only(element: Element, tag: str, place: str) -> Element | None:
     found = element.named(tag)
     if len(found) > 1:
-        raise ModelError(f'{place}: {len(found)} times <{tag}>, expected one; remove the others')
+        raise ModelError(f'{place}: {len(found)} times <{tag}>, expected once; remove the others')
     return found[0] if found else None
 
 
 def _name(element: Element, where: str) -> str:
     name = element.attributes.get('name', '')
-    if not (name and name.isprintable() and len(name) <= _LONGEST_NAME):
+    if not (name and name.isprintable() and len(name) <= _MAX_NAME_LENGTH):
         raise ModelError(f'{where}:{element.line}: {element.tag} name={name[:60]!r} must be 1 to '
-                         f'{_LONGEST_NAME} printable characters')
+                         f'{_MAX_NAME_LENGTH} printable characters')
     return name
 
 
 def _check_names(names: Sequence[str], tag: str, where: str) -> None:
     name, count = max(Counter(names).items(), key=lambda item: item[1], default=('', 0))
     if count > 1:
-        raise ModelError(f'{where}: {count} {tag}s are named {name!r}; give each a name of its '
-                         'own')
+        raise ModelError(f'{where}: {count} {tag}s are named {name!r}; give each a unique '
+                         'name')
 
 
 def _place(element: Element, where: str) -> str:

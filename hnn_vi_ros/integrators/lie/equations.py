@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import OK, Point, Requirements, TURNED
+from hnn_vi_ros.integrators.base import OK, PhasePoint, Requirements, TURNED
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.lie.rotations import cross, dot, RETRACTIONS, trivialised, turn
@@ -92,8 +92,8 @@ class _Problem(NamedTuple):
     h: float
     retraction: Callable
     g: np.ndarray
-    z: Point
-    z1: Point
+    z: PhasePoint
+    z1: PhasePoint
     work: GroupWork
     scale: np.ndarray
     ahead: np.ndarray
@@ -107,8 +107,9 @@ def is_rotation(kernel: Kernel, i: int, passed: int) -> bool:
 
 
 @inlined
-def solve_momenta_inside(kernel: Kernel, h: float, options: LieOptions, g: np.ndarray, z: Point,
-                         z1: Point, work: GroupWork) -> tuple[int, float, int]:
+def solve_momenta_inside(kernel: Kernel, h: float, options: LieOptions, g: np.ndarray,
+                         z: PhasePoint, z1: PhasePoint, work: GroupWork
+                         ) -> tuple[int, float, int]:
     """
     Solve (dtau^-1_(h xi))^* mu = pi - h g^* H_g(g, mu) with xi = H_mu(g, mu).
 
@@ -150,7 +151,7 @@ def solve_momenta_inside(kernel: Kernel, h: float, options: LieOptions, g: np.nd
 
 
 @inlined
-def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
+def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: PhasePoint, z1: PhasePoint,
                 work: GroupWork) -> tuple[int, float, int]:
     """
     Solve x = h H_mu(g tau(x), mu) with mu = dtau_x^* pi, and store g tau(x) in z1.q.
@@ -220,7 +221,8 @@ def check_turns(kernel: Kernel, retraction: Callable, x: np.ndarray, outcome: in
 
 
 @called
-def move(kernel: Kernel, retraction: Callable, z: Point, x: np.ndarray, z1: Point) -> None:
+def move(kernel: Kernel, retraction: Callable, z: PhasePoint, x: np.ndarray, z1: PhasePoint
+         ) -> None:
     """Fill z1.q with z.q moved by x: g tau(x) for a rotation, a sum for other coordinates."""
     d = kernel.dimension
     for start in range(0, x.size, d):
@@ -240,7 +242,7 @@ def move(kernel: Kernel, retraction: Callable, z: Point, x: np.ndarray, z1: Poin
 
 
 @called
-def transport(kernel: Kernel, h: float, z: Point, work: GroupWork, z1: Point) -> None:
+def transport(kernel: Kernel, h: float, z: PhasePoint, work: GroupWork, z1: PhasePoint) -> None:
     """
     Fill z1.p with pi1 = (dtau^-1_(-x))^* mu, from pi, x, mu and g^* H_g in ``slope``.
 
@@ -296,7 +298,7 @@ def fill_forces(kernel: Kernel, q: np.ndarray, dH_dq: np.ndarray, forces: np.nda
 
 
 @called
-def set_turn_scale(kernel: Kernel, h: float, z: Point, x: np.ndarray, scale: np.ndarray,
+def set_turn_scale(kernel: Kernel, h: float, z: PhasePoint, x: np.ndarray, scale: np.ndarray,
                    own_scale: np.ndarray) -> None:
     """Set the scale of each change: that of the coordinates, 1 for a quaternion, and its own."""
     d = kernel.dimension

@@ -5,7 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import OK, Point, PointWork, Requirements, TURNED
+from hnn_vi_ros.integrators.base import OK, PhasePoint, PointWork, Requirements, TURNED
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.gauss import Collocation, orders_of, Tableau
 from hnn_vi_ros.integrators.lie.equations import (
@@ -81,8 +81,8 @@ class _Problem(NamedTuple):
     h: float
     matrix: np.ndarray
     weights: np.ndarray
-    z: Point
-    point: Point
+    z: PhasePoint
+    point: PhasePoint
     work: LieGaussWork
     scale: np.ndarray
     ahead: np.ndarray
@@ -124,11 +124,11 @@ class LieGauss(Collocation):
         return (LieGaussWork(
             kept, SolverWork.empty(size, dtype), np.zeros(size, dtype),
             *np.zeros((4, size // 2), dtype), *np.zeros((4, n), dtype),
-            *np.zeros((2, size), dtype)), PointWork(Point.empty(n, dtype)))
+            *np.zeros((2, size), dtype)), PointWork(PhasePoint.empty(n, dtype)))
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: Tableau, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: Tableau, z: PhasePoint, z1: PhasePoint,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         work, point, n, s = memory[0], memory[1].point, z.q.size, options.weights.size
@@ -171,7 +171,7 @@ LIE_GAUSS_METHODS = {
 
 
 @inlined
-def _start(kernel: Kernel, options: Tableau, kept: GaussSlopes, z: Point, h: float,
+def _start(kernel: Kernel, options: Tableau, kept: GaussSlopes, z: PhasePoint, h: float,
            x: np.ndarray) -> None:
     """Set the initial guess from the last collocation polynomial, or from the state."""
     n, s, slopes, end = z.q.size, options.weights.size, kept.slopes, kept.end
@@ -189,7 +189,7 @@ def _start(kernel: Kernel, options: Tableau, kept: GaussSlopes, z: Point, h: flo
 
 
 @called
-def _change_chart(kernel: Kernel, end: np.ndarray, z: Point, x: np.ndarray, s: int) -> None:
+def _change_chart(kernel: Kernel, end: np.ndarray, z: PhasePoint, x: np.ndarray, s: int) -> None:
     """
     Transform rotations and momenta from the chart of the previous step to the present chart.
 
@@ -288,7 +288,7 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
 
 
 @called
-def _fill_last_momenta(kernel: Kernel, h: float, z: Point, work: LieGaussWork) -> None:
+def _fill_last_momenta(kernel: Kernel, h: float, z: PhasePoint, work: LieGaussWork) -> None:
     """Fill P_1 = dcay_(x_1)^* (pi_k - h torque)."""
     P, x = work.momenta, work.end
     for i in range(P.size):
@@ -302,7 +302,7 @@ def _fill_last_momenta(kernel: Kernel, h: float, z: Point, work: LieGaussWork) -
 
 
 @called
-def _carry_momenta(kernel: Kernel, h: float, z: Point, work: LieGaussWork) -> None:
+def _carry_momenta(kernel: Kernel, h: float, z: PhasePoint, work: LieGaussWork) -> None:
     """Fill ``forces`` with pi_(k+1) - pi_k, where pi_(k+1) = cay(-x_1) (pi_k - h torque)."""
     x, change, m = work.end, work.forces, work.momenta
     for i in range(m.size):

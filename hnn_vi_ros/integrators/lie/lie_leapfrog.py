@@ -3,7 +3,7 @@
 """One-step methods on a group: eq. (6), symplectic Euler, its adjoint, and the leapfrog."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import OK, Point, PointWork, Requirements, TURNED
+from hnn_vi_ros.integrators.base import OK, PhasePoint, PointWork, Requirements, TURNED
 from hnn_vi_ros.integrators.lie.equations import (
     add_bend, check_turns, FURTHEST, GroupWork, LieIntegrator, LieOptions, move,
     solve_momenta_inside, solve_turns, transport, turns_beyond)
@@ -37,7 +37,7 @@ class LieVariationalEuler(LieIntegrator):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: LieOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple[GroupWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         work = memory[0]
@@ -76,7 +76,7 @@ class LieSymplecticEuler(LieIntegrator):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: LieOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple[GroupWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         work = memory[0]
@@ -101,7 +101,7 @@ class LieSymplecticEulerAdjoint(LieIntegrator):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: LieOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple[GroupWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         outcome, residual, gradients = solve_turns(kernel, h, options, z, z1, memory[0])
@@ -127,11 +127,11 @@ class LieLeapfrog(LieIntegrator):
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspaces of the two equations, and the point between them."""
         return (GroupWork.empty(n, dtype), GroupWork.empty(n, dtype),
-                PointWork(Point.empty(n, dtype)))
+                PointWork(PhasePoint.empty(n, dtype)))
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: LieOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         middle = memory[2].point

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Integrator, OK, Point, Requirements, TURNED
+from hnn_vi_ros.integrators.base import Integrator, OK, PhasePoint, Requirements, TURNED
 from hnn_vi_ros.integrators.lie.equations import (
     fill_forces, FURTHEST, FURTHEST_CAYLEY, move, turns_beyond)
 from hnn_vi_ros.integrators.lie.rotations import cayley, dot
@@ -74,7 +74,7 @@ class LieStormerVerlet(Integrator):
             width = {'scalar': 1, 'rotation': 3, 'pose': 6}[coordinate.kind]
             start += width
             if width > 1 and not _has_principal_axes(hamiltonian, slice(start - 3, start)):
-                return ('needs bodies in frames of principal axes, which that of '
+                return ('needs body frames along principal axes, but that of '
                         f'{coordinate.name} is not')
         return ''
 
@@ -85,7 +85,7 @@ class LieStormerVerlet(Integrator):
 
     @staticmethod
     @inlined
-    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+    def step(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         work = memory[0]
@@ -121,8 +121,8 @@ def _has_principal_axes(hamiltonian: Hamiltonian, columns: slice) -> bool:
 
 
 @called
-def _kick(kernel: Kernel, h: float, q: np.ndarray, dH_dq: np.ndarray, z: Point, z1: Point,
-          forces: np.ndarray) -> None:
+def _kick(kernel: Kernel, h: float, q: np.ndarray, dH_dq: np.ndarray, z: PhasePoint,
+          z1: PhasePoint, forces: np.ndarray) -> None:
     """Fill the momenta of z1 with the momenta of z minus h g^* H_g."""
     fill_forces(kernel, q, dH_dq, forces)
     for i in range(forces.size):

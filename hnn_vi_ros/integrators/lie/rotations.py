@@ -10,7 +10,7 @@ from hnn_vi_ros.kernels import inlined
 import numpy as np
 
 # Terms of a power series; for y <= 2.25, a rotation of 3 rad, 12 of them suffice in double.
-_MOST_TERMS = 100
+_MAX_TERMS = 100
 
 
 class Coefficients(NamedTuple):
@@ -57,7 +57,7 @@ def exponential(y: float) -> Coefficients:
     # P = sum over k of (-y)^k / (2 k + 3)! and D = sum of (2 k + 2) (-y)^k / (2 k + 3)!.
     term = 1 + 0 * y
     sines, rest = term / 6, term / 3
-    for k in range(1, _MOST_TERMS):
+    for k in range(1, _MAX_TERMS):
         term = -term * y / ((2 * k - 1) * (2 * k))
         more = term / ((2 * k + 1) * (2 * k + 3))
         sines += more / (2 * k + 2)
