@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, qos_profiles, Topic
     from hnn_vi_ros.recording.bags.cdr import (
         decode_float64_multi_array, decode_joint_state, decode_state, MOMENTUM, RATE, serialize,
-        State, state_names, Template)
+        state_names, StateMessage, Template)
     from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
     from hnn_vi_ros.recording.bags.mcap_sink import McapSink
     from hnn_vi_ros.recording.sample import Sample

@@ -15,6 +15,8 @@ from hnn_vi_ros.exports import lazy_exports
 if TYPE_CHECKING:
     from hnn_vi_ros.run.companions.members import (
         Accompanied, accompany, deviation, ensemble_card, member_scenes, Members, simulate_spread)
+    from hnn_vi_ros.run.companions.sensors import (
+        joint_sensor, JointReading, joints_of, JointSensor)
     from hnn_vi_ros.run.companions.twin import Report, Twin, VALID
     from hnn_vi_ros.run.compilation import compiled_beside
     from hnn_vi_ros.run.compiled_scenes import compile_scenes

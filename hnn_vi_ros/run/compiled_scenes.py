@@ -17,7 +17,7 @@ from hnn_vi_ros.simulation import (
     build, ignore_sigint_in_children, resolve, simulate, usable_processors, worker_processes)
 
 # Maximum number of processes, of 0.3 GB each: more would wait for the same functions.
-_MOST = 8
+_MAX_PROCESSES = 8
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def compile_scenes(names: Sequence[str], rescue: bool = True) -> Iterator[Compil
         Results in the order of completion.
 
     """
-    with worker_processes(min(usable_processors(), _MOST, len(names))) as pool:
+    with worker_processes(min(usable_processors(), _MAX_PROCESSES, len(names))) as pool:
         with ignore_sigint_in_children():
             futures = [pool.submit(_compile, name, rescue) for name in _in_turns(names)]
         for future in as_completed(futures):

@@ -50,8 +50,8 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
         raise RecordingError(f'{where}: its {STATE_FILE} is damaged') from problem
     if {name: (array.shape, array.dtype) for name, array in found.items()} != {
             name: (array.shape, array.dtype) for name, array in own.items()}:
-        raise RecordingError(f'{where}: its {STATE_FILE} is that of another simulation; '
-                             'was it recorded by another version?')
+        raise RecordingError(f'{where}: its {STATE_FILE} belongs to another simulation; was it '
+                             'recorded by another version?')
     # No number in a file may be out of the range of the methods, each of which has memories:
     # `way` is the number of the active method.
     methods = {name.partition('.')[0] for name in own if name.startswith('memory')}

@@ -16,7 +16,7 @@ import numpy as np
 
 # A drift is a slope over at least this many blocks, and over this many times in which the state
 # changes by its size: about three periods of an oscillation.
-_BLOCKS, _TIMES = 100, 20.0
+_MIN_DRIFT_BLOCKS, _MIN_DRIFT_TIMES = 100, 20.0
 _HOUR = 3600.0
 
 
@@ -58,7 +58,7 @@ class EnergyRecord:
         self.unit = '1' if simulation.energy else 'J'
         self._size, self._steepest = abs(simulation.energy) or 1.0, 0.0
         self._tick, self._samples = tick, 0
-        self._least = _TIMES * time_scale(
+        self._least = _MIN_DRIFT_TIMES * time_scale(
             InitialValueProblem(simulation.hamiltonian, (), simulation.q, simulation.p))
         # Lowest and highest error of each block of _length samples, and of the unfinished block.
         self._low: list[float] = []
@@ -85,14 +85,14 @@ class EnergyRecord:
         """Update the drift."""
         middle = 0.5 * (np.array(self._low) + np.array(self._high))
         run = (middle.size - 1) * self._length * self._tick
-        if middle.size >= _BLOCKS and run >= self._least:
+        if middle.size >= _MIN_DRIFT_BLOCKS and run >= self._least:
             self.drift_per_hour = secular_change(middle) / run * _HOUR
 
     def _end_block(self) -> None:
         self._low.append(self._open[0])
         self._high.append(self._open[1])
         self._open = (math.inf, -math.inf)
-        if len(self._low) == 2 * _BLOCKS:
+        if len(self._low) == 2 * _MIN_DRIFT_BLOCKS:
             # Double the block length, so that the memory does not grow.
             self._low = list(map(min, self._low[::2], self._low[1::2]))
             self._high = list(map(max, self._high[::2], self._high[1::2]))
@@ -120,9 +120,9 @@ class EnergyRecord:
 
 
 # Most samples that guards process together: the cost per sample hardly falls beyond that.
-_MOST = 256
+_MAX_GUARDED_SAMPLES = 256
 # Wall time between two warnings that the tolerance is exceeded [s].
-_REPEATED = 10.0
+_WARNING_INTERVAL = 10.0
 
 
 class Monitor:
@@ -169,7 +169,7 @@ class Monitor:
         self._scale = scale
         self.guards = list(guards)
         # Samples that the guards have not processed, and alarms that were found in the meantime.
-        self._room = partial(Waiting, _MOST * simulation.q.size)
+        self._room = partial(Waiting, _MAX_GUARDED_SAMPLES * simulation.q.size)
         self._waiting = self._room()
         self._queued: Sample | None = None
         self._accounted = math.nan
@@ -258,7 +258,7 @@ class Monitor:
         """Add the next sample to the energy record, and warn if the tolerance is exceeded."""
         self.newest = sample
         if self.energy.add(sample) and time.monotonic() >= self._due:
-            self._due = time.monotonic() + _REPEATED
+            self._due = time.monotonic() + _WARNING_INTERVAL
             self._warn(self.over_tolerance(), not self._warned)
             self._warned = True
 
@@ -279,8 +279,8 @@ class Monitor:
         assert tolerance is not None, 'it is exceeded'
         least = 'at least ' if tolerance.kind == 'path_error' else ''
         return (f'the tolerance is exceeded: {tolerance.kind} {least}{self.energy.largest:.3g}, '
-                f'allowed is {tolerance.error:g} up to {tolerance.horizon:g} s; use a smaller '
-                'step_size, or ask for a smaller error or a longer horizon')
+                f'the limit is {tolerance.error:g} up to {tolerance.horizon:g} s; use a smaller '
+                'step_size, or request a smaller error or a longer horizon')
 
 
 def _ask(guards: Iterable[StateGuard], sample: Sample) -> list[tuple[Alarm, int]]:

@@ -10,7 +10,7 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
 # Wall time of the preview, which the last batch of steps may exceed [s].
-_LONGEST = 0.1
+_MAX_WALL_TIME = 0.1
 
 
 def look_ahead(simulation: Simulation, seconds: float) -> Bounds:
@@ -31,7 +31,7 @@ def look_ahead(simulation: Simulation, seconds: float) -> Bounds:
     q0, p0, step = simulation.q.copy(), simulation.p.copy(), simulation.steps
     met = [np.concatenate([q0, p0])[None]]
     left, batch = max(1.0, seconds // simulation.step_size), 1
-    until = time.monotonic() + _LONGEST
+    until = time.monotonic() + _MAX_WALL_TIME
     while left > 0 and time.monotonic() < until:
         n = int(min(batch, left))
         try:

@@ -79,7 +79,8 @@ def measure_effects(parts: Parts, batches: int = 15, batch_time: float = 0.02) -
 def _calibrate(simulation: Simulation, scene: Scene, batch_time: float) -> int:
     """Compile, and return a number of steps that takes about the given time [s]."""
     simulation.compile()
-    steps, seconds = 1, 0.0
+    # At least four: a step may fail late.
+    steps, seconds = 2, 0.0
     while seconds < 0.5 * batch_time:
         steps *= 2
         seconds = _run(simulation, scene, steps)
@@ -138,7 +139,9 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
     """
     choice = {} if chosen is None else {
         'tolerance': asdict(chosen.tolerance), 'choice': asdict(chosen.choice)}
-    report = (scene.model_dump() | choice | simulation.hamiltonian.provenance | {
+    loops = getattr(simulation.system.constraints, 'report', '')
+    said = {'loops': loops} if loops else {}
+    report = (scene.model_dump() | choice | said | simulation.hamiltonian.provenance | {
         'model_files': scene.model_digests, 'source': _place(scene.source), 'origin': origin,
         'first_step': simulation.steps, 'conservative': simulation.conservative})
     if explain:

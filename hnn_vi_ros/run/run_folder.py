@@ -90,8 +90,8 @@ def create_run_folder(scene: str, home: Path) -> Path:
         return folder
     except OSError as problem:
         raise RecordingError(
-            f'{folder} cannot be created ({problem.strerror}); set record_path and '
-            'rerun_path to a place that can be written') from problem
+            f'{folder} cannot be created ({problem.strerror}); set record_path and rerun_path to '
+            'a writable folder') from problem
 
 
 @final

@@ -10,7 +10,7 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.simulation import Simulation
 
-_MOST_STEPS = 1e9
+_MAX_STEPS_PER_SAMPLE = 1e9
 # The last second that a ROS time stamp can hold.
 _LAST_SECOND = 2**31 - 1
 
@@ -66,10 +66,10 @@ class Sampler:
         h = simulation.step_size
         # The product underflows to zero for a tiny step.
         exact = 1.0 / (rate * h) if rate * h else math.inf
-        if exact > _MOST_STEPS:
+        if exact > _MAX_STEPS_PER_SAMPLE:
             raise ParameterError(
-                f'parameter step_size: {exact:.3g} steps from sample to sample are too many, at '
-                f'most {_MOST_STEPS:.0e}; use a larger step_size or publish_rate')
+                f'parameter step_size: {exact:.3g} steps per sample, more than '
+                f'{_MAX_STEPS_PER_SAMPLE:.0e}; use a larger step_size or publish_rate')
         self.every = steps_between(rate, h)
         self.tick = self.every * h
         self.deviation = '' if abs(exact - self.every) <= 1e-9 * exact else (
@@ -82,16 +82,16 @@ class Sampler:
         samples = min(round(duration / self.tick), left) if duration else left
         if samples == 0:
             raise ParameterError(f'parameter duration = {duration:g} s: expected at least the '
-                                 f'time between two samples, {self.tick:g} s, and that they end '
-                                 f'before {_LAST_SECOND} s')
+                                 f'sample interval, {self.tick:g} s, and an end before '
+                                 f'{_LAST_SECOND} s')
         return samples
 
     @property
     def end(self) -> str:
         """Return the reason that no more samples follow the counted ones."""
         return 'the duration is over' if self._left() else (
-            f'the next sample would be stamped beyond {_LAST_SECOND} s, the last that ROS can '
-            'tell; reset with reset_time, or begin anew')
+            f'the next time stamp would be beyond {_LAST_SECOND} s, the latest time in ROS '
+            'messages; reset with reset_time, or start again')
 
     def _left(self) -> int:
         """Return the number of samples that can still be stamped."""

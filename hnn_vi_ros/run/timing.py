@@ -21,11 +21,11 @@ LARGEST_DEBT, LARGEST_DEBT_TO_OTHERS = 1.0, 10.0
 LONGEST_CALL = 0.01
 # After a stall, ticks are spaced by this share of their time: subscribers see a faster pace for a
 # while and no burst. Shorter ticks than this cannot be slept for [s].
-_APART, _SHORTEST = 0.75, 5e-4
+_CATCH_UP_SPACING, _MIN_SLEEP = 0.75, 5e-4
 # Number of advances of an external clock from which the median is taken.
-_ADVANCES = 100
+_MEDIAN_SIZE = 100
 # Tolerance on round-off [ticks]: a clock that is set in steps of a tick is due at each tick.
-_ROUNDING = 1e-6
+_TICK_TOLERANCE = 1e-6
 
 
 class Pacer:
@@ -68,7 +68,7 @@ class Pacer:
         """Discard the backlog: time that has passed, as in a pause, is not caught up on."""
         self._origin, self._done = self._now(), 0
         self._newest, self._earliest = self._origin, -math.inf
-        self._advances: deque[float] = deque(maxlen=_ADVANCES)
+        self._advances: deque[float] = deque(maxlen=_MEDIAN_SIZE)
 
     @property
     def timer_period(self) -> float:
@@ -116,14 +116,14 @@ class Pacer:
                 self._advances.append(now - self._newest)
             self._newest = now
             owed = (now - self._origin) / self._wall_per_tick - self._done
-            if owed < 1.0 - _ROUNDING or now < self._earliest:
+            if owed < 1.0 - _TICK_TOLERANCE or now < self._earliest:
                 return False
             if owed * self._wall_per_tick > self.largest_debt + self._wall_per_tick:
                 self._origin += (owed - 1.0) * self._wall_per_tick
                 self.overruns += 1
-            if _SHORTEST <= self._wall_per_tick < LONGEST_CALL and not self.led:
+            if _MIN_SLEEP <= self._wall_per_tick < LONGEST_CALL and not self.led:
                 # A call takes only one of the longer ticks; an external clock is followed at once.
-                self._earliest = now + _APART * self._wall_per_tick
+                self._earliest = now + _CATCH_UP_SPACING * self._wall_per_tick
         self._done += 1
         return True
 
@@ -140,9 +140,9 @@ class OverrunGuard(StateGuard):
     """
 
     kind = 'real-time overrun'
-    remedy = ('use a lower real_time_factor or publish_rate, a larger step_size or a '
-              'cheaper integrator; let /clock, where it is followed, have one publisher and no '
-              'jumps; results are not affected')
+    remedy = ('use a lower real_time_factor or publish_rate, a larger step_size or a cheaper '
+              'integrator; a /clock that is used needs one publisher and no jumps; results are '
+              'not affected')
 
     def __init__(self, pacer: Pacer):
         self._pacer, self._seen = pacer, pacer.overruns
@@ -152,12 +152,13 @@ class OverrunGuard(StateGuard):
         if overruns == self._seen:
             return None
         self._seen = overruns
-        cause = ('/clock has jumped, as with two publishers, or is faster than this machine'
+        cause = ('/clock jumped, for example because of two publishers, or is faster than this '
+                 'machine'
                  if self._pacer.led else 'use a lower real_time_factor or publish_rate, a larger '
                  'step_size or a cheaper integrator')
         return Alarm(self.kind, sample.step, float(overruns), 0.0,
-                     f'{overruns} overruns: more than {self._pacer.largest_debt:g} s behind the '
-                     f'clock, which is given up; {cause}', '1')
+                     f'{overruns} overruns: fell more than {self._pacer.largest_debt:g} s behind '
+                     f'the clock; the lost time is skipped; {cause}', '1')
 
     def renew(self, sample: Observed) -> Alarm | None:
         return None
@@ -166,7 +167,7 @@ class OverrunGuard(StateGuard):
 # Number of batches of steps, and of samples, in the statistics.
 WINDOW = 512
 # Wall time between two evaluations of the figures [s].
-_PERIOD = 0.25
+_EVALUATION_INTERVAL = 0.25
 
 
 class Figures(NamedTuple):
@@ -243,7 +244,7 @@ class Timing:
         now = self._now()
         if now < self._due or not self._batches:
             return False
-        self._due = now + _PERIOD
+        self._due = now + _EVALUATION_INTERVAL
         then, count = self._last
         self._last = now, self._count
         pace = math.nan

@@ -14,18 +14,18 @@ from hnn_vi_ros.hamiltonians import GRAMMAR, Graph, Hamiltonian, Reader
 from hnn_vi_ros.phase_space import columns
 import numpy as np
 from pydantic import (
-    BaseModel, create_model, Field, field_validator, model_validator, StringConstraints)
+    BaseModel, BeforeValidator, create_model, Field, field_validator, model_validator,
+    StringConstraints)
 
 
 class InvariantChoice(StrictModel):
     """A quantity that is conserved in addition to H."""
 
     name: str = Field(pattern=r'^[^\W\d]\w*$', max_length=100, description=(
-        'what it is called; without a function, a known one of the system'))
+        'name; without a function, that of a known invariant of the system'))
     function: Annotated[str, NAMES_CODE, StringConstraints(
         pattern=r'^[\w.]+:\w+$')] | None = Field(None, description=(
-            'package.module:function of yours; takes q and p, arrays of d numbers each, and '
-            'returns a number'))
+            'package.module:function of q and p, arrays of d numbers each, that returns a number'))
 
 
 class Invariant:
@@ -91,7 +91,7 @@ def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, 
     for index, choice in enumerate(choices):
         where = place('invariants', index)
         if choice.name in [other.name for other in choices[:index]]:
-            raise SceneError(f'{where}: {choice.name} stands twice; give it another name')
+            raise SceneError(f'{where}: {choice.name} occurs twice; rename one')
         if choice.function is not None:
             where = f'{where}: {choice.function}'
             found[choice.name] = own = Invariant(
@@ -102,14 +102,14 @@ def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, 
         elif choice.name in known:
             found[choice.name] = known[choice.name]
         else:
-            raise SceneError(f'{where}: no invariant {choice.name!r} of this system is known; '
-                             f'known: {listed(known) or "none"}; or give a function')
+            raise SceneError(f'{where}: unknown invariant {choice.name!r} of this system; known: '
+                             f'{listed(known) or "none"}; or give a function')
     return found
 
 
-_LONGEST = 200
-_EXPECTED = ('an equation of the coordinates c, their momenta p_c and velocities v_c, and H, with '
-             f'{GRAMMAR}')
+_MAX_CONDITION = 200
+_VALID_CONDITION = ('an equation of the coordinates c, their momenta p_c and velocities v_c, and '
+                    f'H, with {GRAMMAR}')
 
 
 class Condition:
@@ -134,9 +134,9 @@ class Condition:
     def __init__(self, text: str):
         self.text = text
         sides = text.split('=')
-        if len(text) > _LONGEST or len(sides) != 2:
-            raise ValueError(f'{text[:_LONGEST]!r} is no equation of at most {_LONGEST} '
-                             f'characters: expected {_EXPECTED}')
+        if len(text) > _MAX_CONDITION or len(sides) != 2:
+            raise ValueError(f'{text[:_MAX_CONDITION]!r} is not an equation of at most '
+                             f'{_MAX_CONDITION} characters: expected {_VALID_CONDITION}')
         self._graph = Graph()
         try:
             left, right = (Reader(self._graph, side, start) for side, start in zip(
@@ -145,8 +145,8 @@ class Condition:
             raise ValueError(f'{text!r}: {problem}') from problem
         self._names = left.names.keys() | right.names.keys()
         if not self._names:
-            raise ValueError(f'{self.text!r} depends on nothing of the system: expected '
-                             f'{_EXPECTED}')
+            raise ValueError(f'{self.text!r} does not depend on the state: expected '
+                             f'{_VALID_CONDITION}')
         self._difference = self._graph.plus(left.root, self._graph.scaled(-1.0, right.root))
 
     def check(self, hamiltonian: Hamiltonian) -> None:
@@ -155,8 +155,8 @@ class Condition:
         valid = [*names, *(f'{kind}_{name}' for kind in 'pv' for name in momenta), 'H']
         unknown = sorted(self._names - set(valid))
         if unknown:
-            raise ValueError(f'{self.text!r}: no quantity {unknown[0]!r}'
-                             f'{did_you_mean(unknown[0], valid)}; valid: '
+            raise ValueError(f'{self.text!r}: unknown quantity '
+                             f'{unknown[0]!r}{did_you_mean(unknown[0], valid)}; valid: '
                              f'{listed(valid)}')
 
     def values(self, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -201,15 +201,16 @@ class LearnedChoice(StrictModel):
     """The Hamiltonian of a trained model of any family."""
 
     kind: Literal['hnn', 'learned'] = Field(description=(
-        'that of a trained model, a Hamiltonian neural network or one of another family'))
+        'Hamiltonian of a trained model: a Hamiltonian neural network or a model of another '
+        'family'))
     model: str = Field(min_length=1, max_length=4096, description=(
-        'a shipped model, one trained into models/ of the working directory, or the path of a '
+        'name of a shipped model or of a model in models/ of the working directory, or path of a '
         '.safetensors file'))
     confine: bool | None = Field(None, description=(
-        'whether H continues as a smooth convex wall outside of the box that the model was '
-        'trained in, where a network holds no state; default: as the model card says'))
+        'continue H as a smooth convex wall outside the training domain, where a network does '
+        'not confine the state; default: given by the model card'))
     member: int | None = Field(None, ge=1, description=(
-        'of an ensemble, that member alone, from 1 on; default: the mean of all'))
+        'use one member of an ensemble, from 1; default: the mean of all members'))
 
 
 class UncertaintyChoice(StrictModel):
@@ -220,24 +221,66 @@ class UncertaintyChoice(StrictModel):
         'which an alarm is raised [1]'))
 
 
+# One number for all joints, or one for each.
+_OfJoints = Annotated[float, Field(ge=0.0)] | list[Annotated[float, Field(ge=0.0)]]
+
+
+class JointSensorChoice(StrictModel):
+    """Sensor of the joints: what it makes of the simulated positions, velocities and efforts."""
+
+    noise: _OfJoints = Field(0.0, description=(
+        'standard deviation of a position, of all joints or as a list [q]'))
+    bias: float | list[float] = Field(0.0, description='constant error of a position [q]')
+    quantisation: _OfJoints = Field(0.0, description=(
+        'resolution of an encoder: positions are rounded to its multiples [q]'))
+    velocity: Literal['sensor', 'encoder', 'none'] = Field('sensor', description=(
+        'sensor: measured, with its own noise; encoder: difference of the last two measured '
+        'positions by their time; none: messages have no velocities'))
+    velocity_noise: _OfJoints = Field(0.0, description=(
+        'standard deviation of a velocity of a sensor [q/s]'))
+    effort_noise: _OfJoints = Field(0.0, description=(
+        'standard deviation of an effort [N] or [N m]'))
+    delay: float = Field(0.0, ge=0.0, le=100.0, description=(
+        'age of what a message holds, at its stamp [s]'))
+    rate: float | None = Field(None, gt=0.0, description=(
+        'readings per second, publish_rate divided by a whole number; default: publish_rate [Hz]'))
+    dropout: float = Field(0.0, ge=0.0, lt=1.0, description=(
+        'probability that a reading is lost [1]'))
+    seed: int = Field(0, ge=0, lt=2**63, description='seed of the random numbers')
+
+    def check(self, joints: int) -> None:
+        """Raise ValueError if a list does not have one entry for each joint."""
+        for name, value in self:
+            if isinstance(value, list) and len(value) != joints:
+                raise ValueError(f'{name} has {len(value)} values, expected 1, or one for each of '
+                                 f'the {joints} joints')
+
+
+class MeasurementsChoice(StrictModel):
+    """Sensors that replace exact values on topics of the simulator."""
+
+    joint_states: JointSensorChoice = Field(description=(
+        'sensor of joint_states; the true state stays on ~/state'))
+
+
 class PythonChoice(StrictModel):
     """A Hamiltonian returned by a user's Python function."""
 
-    kind: Literal['python'] = Field(description='what a Python function of yours returns')
+    kind: Literal['python'] = Field(description='Hamiltonian returned by a Python function')
     factory: Annotated[str, NAMES_CODE] = Field(pattern=r'^[\w.]+:\w+$', description=(
-        'package.module:function; called without arguments, returns a Hamiltonian'))
+        'package.module:function without arguments that returns a Hamiltonian'))
 
 
 class EventChoice(StrictModel):
     """A condition whose instants are detected."""
 
     when: str = Field(max_length=200, description=(
-        'an equation that comes true at the event, of coordinates c, momenta p_c, velocities v_c, '
-        'H, pi and numbers, with + - * / ^ ( ) and functions such as sin and sqrt: angle1 = 0'))
+        'equation that holds at the event, with coordinates c, momenta p_c, velocities v_c, H, '
+        'pi, numbers, + - * / ^ ( ) and functions such as sin and sqrt: angle1 = 0'))
     direction: Literal['up', 'down', 'both'] = Field('both', description=(
-        'which changes of its left less its right side count'))
+        'direction in which the left side minus the right side crosses zero'))
     then: Literal['log', 'stop'] = Field('log', description=(
-        'log: it is published, recorded and shown; stop: and the run ends there'))
+        'log: publish, record and show the event; stop: also end the run there'))
 
     @field_validator('when')
     @classmethod
@@ -250,14 +293,14 @@ class AutoChoice(StrictModel):
     """The cheapest method and step size within a tolerance, determined by trials."""
 
     kind: Literal['auto'] = Field(
-        description='the cheapest method and step size that hold a tolerance; give one error')
+        description='cheapest method and step size within a tolerance; give one of the two errors')
     energy_error: float | None = Field(None, gt=0.0, description=(
-        'largest abs(H - H0 - W) over the energies in play: the mean of abs(p . H_p) along the '
-        'path, which no constant in H changes [1]'))
+        'largest abs(H - H0 - W) relative to the energy scale, the mean of abs(p . H_p) along the '
+        'path, which is independent of constants in H [1]'))
     path_error: float | None = Field(None, gt=0.0, description=(
         'largest deviation of a coordinate or momentum from the exact path, in its own unit; '
-        'looked at after every step, or at some hundred instants'))
-    horizon: float = Field(gt=0.0, le=1e9, description='until when the error must be held [s]')
+        'checked after every step, or at some hundred times'))
+    horizon: float = Field(gt=0.0, le=1e9, description='time until which the error is limited [s]')
 
     @model_validator(mode='after')
     def _check_errors(self) -> 'AutoChoice':
@@ -268,7 +311,7 @@ class AutoChoice(StrictModel):
 
 def choices(classes: Mapping[str, type], *more: type[BaseModel]) -> Any:
     """
-    Return a discriminated union of one schema per class, selected by ``kind``.
+    Return a discriminated union of one schema per class, selected by ``kind`` or given by it.
 
     Parameters
     ----------
@@ -280,10 +323,14 @@ def choices(classes: Mapping[str, type], *more: type[BaseModel]) -> Any:
 
     """
     schemas = [*more, *(_schema(kind, cls) for kind, cls in classes.items())]
-    if len(schemas) == 1:
-        return schemas[0]
     # Union of a list, since `|` needs the types one by one.
-    return Annotated[Union[tuple(schemas)], Field(discriminator='kind')]  # noqa: UP007
+    chosen: Any = Annotated[Union[tuple(schemas)], Field(discriminator='kind')]  # noqa: UP007
+    return Annotated[chosen, BeforeValidator(of_kind, Literal[tuple(classes)] | chosen)]
+
+
+def of_kind(choice: Any) -> Any:
+    """Return the mapping for a kind given only by its name."""
+    return {'kind': choice} if isinstance(choice, str) else choice
 
 
 def _schema(kind: str, cls: type) -> type[BaseModel]:
@@ -370,7 +417,7 @@ def _blamed(name: str, place: str, folder: str | None) -> Iterator[None]:
     except HnnViRosError:
         raise
     except ModuleNotFoundError as problem:
-        remedy = '' if folder else '; put the folder that holds it on PYTHONPATH'
+        remedy = '' if folder else '; add its folder to PYTHONPATH'
         raise SceneError(f'{place}: {name}: {problem}{remedy}') from problem
     except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
         raise SceneError(f'{place}: {name}: {type(problem).__name__}: '

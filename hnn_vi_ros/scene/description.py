@@ -13,8 +13,8 @@ from hnn_vi_ros.scene.origin import Origin
 from hnn_vi_ros.scene.scene import Scene
 
 # Remedy for a bag of several runs.
-ONE_RUN = ('cut it there, by `mcap filter`, and give the part of one run; the simulator begins a '
-           'bag at each reset')
+ONE_RUN = ('cut it there with `mcap filter`, and give the part of one run; the simulator starts a '
+           'new bag at each reset')
 
 
 def described_scene(text: bytes | str, where: str, trust_code: bool = False
@@ -45,7 +45,7 @@ def described_scene(text: bytes | str, where: str, trust_code: bool = False
     fields = {name: value for name, value in described.items() if name in Scene.model_fields}
     scene = validate(fields, places, Scene, RecordingError, trust_code=trust_code)
     if isinstance(scene.integrator, AutoChoice):
-        raise RecordingError(f'{places.place("integrator")}: does not say what auto chose')
+        raise RecordingError(f'{places.place("integrator")}: does not contain the choice of auto')
     # Find models next to the scene again, relative to the current folder.
     source = str(described.get('source', 'scene'))
     files = described.get('model_files', {})
@@ -79,11 +79,11 @@ def only_scene(texts: Iterable[tuple[str, int]], topic: str, bag: Path) -> str:
     for text, time in texts:
         times.setdefault(text, time)
     if not times:
-        raise RecordingError(f'{bag}: holds neither a scene.yaml nor a message of {topic}; record '
-                             'that topic too')
+        raise RecordingError(f'{bag}: contains neither a scene.yaml nor a message of {topic}; '
+                             'record that topic too')
     text, *others = times
     if others:
         resets = ', '.join(str(times[other]) for other in others[:3])
-        raise RecordingError(f'{bag}: holds {len(times)} scenes on {topic}: the run was reset at '
-                             f'log time {resets} ns: {ONE_RUN}')
+        raise RecordingError(f'{bag}: contains {len(times)} scenes on {topic}: the run was reset '
+                             f'at log time {resets} ns: {ONE_RUN}')
     return text

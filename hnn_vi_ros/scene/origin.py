@@ -10,7 +10,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import ModelError, offered
 from hnn_vi_ros.files import (
-    command, find_beside, is_path, KeyPlaces, no_file, package_file, parse_mapping, SCHEME,
+    find_beside, is_path, KeyPlaces, no_file, package_file, parse_mapping, SCHEME,
     shipped_file, shipped_names)
 from hnn_vi_ros.models import file_digest
 
@@ -127,25 +127,25 @@ class Origin:
             return
         place = self.place(*key)
         if file.suffix != suffix:
-            raise ModelError(f'{place}: {str(file)!r} is no {suffix} file')
+            raise ModelError(f'{place}: {str(file)!r} is not a {suffix} file')
         try:
             digest = file_digest(file)
         except ModelError as problem:
             raise ModelError(f'{place}: {problem}') from problem
         if digest not in self.digests:
             raise ModelError(f'{place}: {str(file)!r} is not the file that was recorded: its '
-                             f'SHA-256 begins with {digest[:16]}; put the recorded one there')
+                             f'SHA-256 begins with {digest[:16]}; restore the recorded file')
 
 
 def _remedy(model: str) -> str:
     """Return the command that creates a missing model, if its name is known."""
     if model.endswith(_OF_TORCH):
-        return ('; a model is a .safetensors file, which the network of the original HNN code '
-                f'becomes by: {command(f"import_checkpoint {model} ...")}')
+        return ('; a model is a .safetensors file; convert a torch module with: '
+                f'hnn import {model} ...')
     if model not in shipped_names('training'):
         return ''
     file = shipped_file('training', model)
     configuration, _ = parse_mapping(file.read_bytes(), file, ModelError)
     source = configuration['data'].get('source')
     data = f' --data FILE, which is {source}' if source else ''
-    return f'; train it with: {command(f"train --config {model}")}{data}'
+    return f'; train it with: hnn train --config {model}{data}'

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes: their YAML schema, and the construction of Hamiltonian, integrator and effects."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
@@ -11,29 +11,25 @@ import os
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from hnn_vi_ros.effects import Effect, EffectError, EFFECTS
+from hnn_vi_ros.effects import Effect, EffectError, EFFECTS, gear_effects
 from hnn_vi_ros.errors import (
     CalibrationError, listed, ModelError, offered, SceneError, UnsupportedSystem)
-from hnn_vi_ros.files import find_yaml, KeyPlaces, read_yaml, StrictModel, validate
+from hnn_vi_ros.files import (
+    dump_yaml, find_yaml, KeyPlaces, read_yaml, StrictModel, validate)
 from hnn_vi_ros.hamiltonians import (
-    COORDINATES, DESCRIBED, Hamiltonian, HAMILTONIANS, MECHANISMS, ROTATING)
+    COORDINATES, DESCRIBED, Hamiltonian, HAMILTONIANS, MECHANISMS, ROTATING, traced)
 from hnn_vi_ros.integrators import Integrator, INTEGRATORS, ON_FAILURE
 from hnn_vi_ros.models import file_digest
 from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.scene.choices import (
     AutoChoice, call_factory, choices, EventChoice, InitialState, InvariantChoice, invariants_of,
-    LearnedChoice, PythonChoice, UncertaintyChoice)
+    LearnedChoice, MeasurementsChoice, PythonChoice, UncertaintyChoice)
 from hnn_vi_ros.scene.origin import Origin
 import numpy as np
 from pydantic import BaseModel, Field, model_validator, PrivateAttr
 
 # A part of a scene that is selected by its kind.
 Choice = str | Mapping[str, Any] | BaseModel
-
-
-def of_kind(choice: Choice) -> Any:
-    """Return the mapping for a kind given only by its name."""
-    return {'kind': choice} if isinstance(choice, str) else choice
 
 
 def plain_data(value: Any) -> Any:
@@ -61,22 +57,27 @@ class Scene(StrictModel):
     hamiltonian: choices(  # type: ignore[valid-type]
         _EXACT, LearnedChoice, PythonChoice) = Field(description='H(q, p) [J]')
     effects: list[choices(EFFECTS)] = Field(  # type: ignore[valid-type]
-        [], max_length=100, description='what acts beside H(q, p); nothing else is simulated')
+        [], max_length=100, description=(
+            'effects in addition to H(q, p); nothing else is simulated'))
     integrator: choices(INTEGRATORS, AutoChoice) = Field(  # type: ignore[valid-type]
-        description='the one-step map of (q, p)')
+        description='one-step map of (q, p)')
     step_size: float | None = Field(None, gt=0.0, le=1e6, description=(
-        'h [s]; with the integrator auto, which chooses it, a time that it must divide'))
+        'h [s]; for the integrator auto, which chooses h, a time that h must divide'))
     initial_state: InitialState = Field(description='(q, p) at t = 0 s')
+    duration: float = Field(10.0, gt=0.0, le=1e9, description=(
+        'simulated time of `hnn run` and `simulate` without one [s]; nodes have a parameter'))
     on_failure: Literal[ON_FAILURE] = Field('substep', description=(  # type: ignore[valid-type]
-        'what is done about a step that fails: it is taken in sub-steps; or by implicit_midpoint, '
-        'as are all steps beyond the limit of stability of an explicit method; or the run stops'))
-    events: list[EventChoice] = Field([], max_length=100, description='what is watched for')
+        'remedy for a failed step: substep divides it; implicit takes it, and all steps beyond '
+        'the stability limit of an explicit method, with implicit_midpoint; stop ends the run'))
+    events: list[EventChoice] = Field([], max_length=100, description='events to detect')
     invariants: list[InvariantChoice] = Field([], max_length=20, description=(
-        'what the motion conserves beside H: published with the accuracy, and watched'))
+        'quantities conserved in addition to H: published with the accuracy, and monitored'))
     uncertainty: UncertaintyChoice | None = Field(None, description=(
-        'runs all members of an ensemble beside their mean, and reports their spread'))
+        'run all members of an ensemble beside their mean, and report their spread'))
+    measurements: MeasurementsChoice | None = Field(None, description=(
+        'sensors whose readings are published in place of exact values'))
     mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]
-        None, description='how the mechanism is drawn; without it only states are shown')
+        None, description='mechanism to draw; without it only states are shown')
 
     @model_validator(mode='after')
     def _check_step_size(self) -> 'Scene':
@@ -87,14 +88,14 @@ class Scene(StrictModel):
     _origin: Origin = PrivateAttr(default_factory=Origin)
 
     @classmethod
-    def build(cls, *, hamiltonian: Choice, integrator: Choice,
+    def build(cls, *, hamiltonian: Choice | Callable[[Any, Any], Any], integrator: Choice,
               initial_state: Mapping[str, Any] | tuple[Any, Any],
               step_size: float | None = None, effects: Sequence[Choice] = (),
               events: Sequence[Mapping[str, Any]] = (),
               invariants: Sequence[Mapping[str, Any]] = (),
               uncertainty: Mapping[str, Any] | None = None, on_failure: str = 'substep',
-              mechanism: str | None = None, description: str = '', name: str = 'scene'
-              ) -> 'Scene':
+              measurements: Mapping[str, Any] | None = None, mechanism: str | None = None,
+              description: str = '', name: str = 'scene', duration: float = 10.0) -> 'Scene':
         """
         Return a scene created without a file, validated as a YAML file is.
 
@@ -102,7 +103,7 @@ class Scene(StrictModel):
         ----------
         hamiltonian, integrator : str or mapping
             As in YAML, ``{'kind': 'pendulum', 'length': 2.0}``; or the name of a kind; or a part
-            of another scene.
+            of another scene. A Hamiltonian may be a function; see ``simulate``.
         initial_state : tuple of (q, p), or mapping
             Coordinates and momenta, in the order and units of the Hamiltonian.
         step_size : float, optional
@@ -115,28 +116,41 @@ class Scene(StrictModel):
             Options of an ensemble: how the spread of its members is reported.
         on_failure : str, optional
             Reaction to a failed step: ``'substep'``, ``'implicit'`` or ``'stop'``.
+        measurements : mapping, optional
+            Sensors whose readings are published in place of exact values.
         mechanism : str, optional
             Drawing of the system.
         description : str, optional
             One line for titles.
         name : str, optional
             Name of the scene, used in the names of a run's files.
+        duration : float, optional
+            Simulated time of ``simulate`` without one [s].
 
         Raises
         ------
         SceneError
             A part does not fit the schema; the message names its key and the expected value.
 
+        Examples
+        --------
+        >>> scene = Scene.build(hamiltonian='pendulum', integrator='gauss8', step_size=0.1,
+        ...                     initial_state=([1.0], [0.0]), effects=[{'kind': 'damping',
+        ...                                                             'rate': 0.1}])
+        >>> scene.effects[0].rate
+        0.1
+
         """
         state = dict(zip('qp', initial_state, strict=True)) if isinstance(
             initial_state, tuple | list) and len(initial_state) == 2 else initial_state
+        if callable(hamiltonian):
+            hamiltonian, state = _traced(hamiltonian, state, name)
         data = plain_data({
-            'description': description, 'hamiltonian': of_kind(hamiltonian),
-            'effects': [of_kind(effect) for effect in effects],
-            'integrator': of_kind(integrator), 'step_size': step_size, 'initial_state': state,
+            'description': description, 'hamiltonian': hamiltonian, 'effects': effects,
+            'integrator': integrator, 'step_size': step_size, 'initial_state': state,
             'on_failure': on_failure, 'events': events, 'invariants': invariants,
-            'uncertainty': uncertainty,
-            'mechanism': mechanism})
+            'uncertainty': uncertainty, 'measurements': measurements, 'mechanism': mechanism,
+            'duration': duration})
         scene = _validated(data, f'Scene.build {name}')
         scene._origin = Origin(Path(name))
         return scene
@@ -159,15 +173,27 @@ class Scene(StrictModel):
         """Return this scene with other values of some keys, or raise SceneError."""
         # Code named in the scene was approved when it was read.
         scene = _validated({**self.model_dump(exclude=set(changes)), **changes},
-                           f'{self.name} as changed')
+                           f'{self.name} with overrides')
         scene._origin = replace(self._origin, replaced=self._origin.replaced | changes.keys())
         return scene
 
-    def with_overrides(self, step_size: float | None = None, integrator: str | None = None,
+    def to_yaml(self) -> str:
+        """
+        Return the scene as YAML, without keys that have their defaults.
+
+        Examples
+        --------
+        >>> print(load_scene('exact_pendulum').to_yaml().splitlines()[-1])
+        mechanism: pendulum
+
+        """
+        return dump_yaml(self.model_dump(exclude_defaults=True))
+
+    def with_overrides(self, step_size: float | None = None, integrator: Choice | None = None,
                        initial_state: Mapping[str, Sequence[float]] | None = None,
                        effects: Sequence[Mapping[str, Any]] | None = None) -> 'Scene':
         """
-        Return this scene with the given parts replaced; the integrator is given by name.
+        Return this scene with the given parts replaced.
 
         Raises
         ------
@@ -176,21 +202,21 @@ class Scene(StrictModel):
 
         """
         if integrator == 'auto':
-            raise SceneError('integrator auto needs an error to hold: write it into the scene, as '
+            raise SceneError('integrator auto needs a tolerance: write it into the scene, as '
                              'integrator: {kind: auto, path_error: 1.0e-6, horizon: 100.0}')
-        if integrator not in (None, *INTEGRATORS):
+        if isinstance(integrator, str) and integrator not in INTEGRATORS:
             raise SceneError(f'unknown integrator {integrator!r}'
                              f'{offered(str(integrator), sorted(INTEGRATORS))}')
-        given = {'step_size': step_size, 'integrator': integrator and {'kind': integrator},
+        given = {'step_size': step_size, 'integrator': integrator,
                  'initial_state': initial_state, 'effects': effects}
-        changes = {name: value for name, value in given.items() if value is not None}
+        changes = {name: plain_data(value) for name, value in given.items() if value is not None}
         return self.changed(changes) if changes else self
 
     @property
     def known_step_size(self) -> float:
         """Return the step size [s]; raise SceneError if `auto` has not chosen it yet."""
         if self.step_size is None:
-            raise SceneError(f'{self.place("integrator")}: auto chose no step size yet; '
+            raise SceneError(f'{self.place("integrator")}: auto has not chosen a step size yet; '
                              'automatic_choice.resolve(scene) returns a scene with one')
         return self.step_size
 
@@ -218,13 +244,13 @@ class Scene(StrictModel):
 
         """
         if isinstance(self.integrator, AutoChoice):
-            raise SceneError(f'{self.place("integrator")}: auto names no method yet; '
+            raise SceneError(f'{self.place("integrator")}: auto has not chosen a method yet; '
                              'automatic_choice.resolve(scene) returns a scene with one')
         return self._construct(INTEGRATORS, self.integrator, 'integrator')
 
     def create_effects(self) -> list[Effect]:
         """
-        Create the effects in order.
+        Create the effects in order; those of the drives of a robot follow them.
 
         Raises
         ------
@@ -234,8 +260,10 @@ class Scene(StrictModel):
             A parameter is out of range.
 
         """
-        return [self._construct(EFFECTS, choice, 'effects', i)
-                for i, choice in enumerate(self.effects)]
+        drives = getattr(self.hamiltonian, 'drives', None)
+        return [*(self._construct(EFFECTS, choice, 'effects', i)
+                  for i, choice in enumerate(self.effects)),
+                *(gear_effects(drives) if drives else ())]
 
     def create_hamiltonian(self) -> Hamiltonian:
         """
@@ -302,14 +330,14 @@ class Scene(StrictModel):
             raise SceneError(
                 f'{self.place("mechanism")}: {self.mechanism} draws '
                 f'{"a body that turns" if self.mechanism in ROTATING else "scalar coordinates"}, '
-                f'but H has {listed(c.name for c in coordinates)}; leave it out or take another')
+                f'but H has {listed(c.name for c in coordinates)}; remove it or choose another')
         if self.mechanism and len(names) not in COORDINATES[self.mechanism]:
             numbers = [str(number) for number in COORDINATES[self.mechanism]]
             if len(numbers) > 3:
                 numbers[2:-1] = ['...']
             raise SceneError(
                 f'{self.place("mechanism")}: {self.mechanism} draws {", ".join(numbers)} '
-                f'coordinates, but H has {len(names)}; leave it out or take another')
+                f'coordinates, but H has {len(names)}; remove it or choose another')
 
     def _construct(self, classes: Mapping[str, type], choice: BaseModel, *key: str | int) -> Any:
         arguments = choice.model_dump()
@@ -344,7 +372,9 @@ class Scene(StrictModel):
             yield
         except (ValueError, OverflowError) as problem:
             if isinstance(problem, EffectError):
-                key = 'effects', problem.index
+                # Drives and loops follow the effects of the scene.
+                key = ('effects', problem.index) if problem.index < len(self.effects) else (
+                    'hamiltonian',)
             raise SceneError(self._blame(key, str(problem))) from problem
         except (CalibrationError, ModelError) as problem:
             raise type(problem)(self._blame(key, str(problem))) from problem
@@ -381,6 +411,19 @@ class Parts(NamedTuple):
         return self._replace(hamiltonian=self.hamiltonian.copy())
 
 
+def _traced(function: Callable[[Any, Any], Any], state: Any, name: str) -> tuple[Any, Any]:
+    """Return the formula of H, and the state at which it starts with lists of numbers."""
+    if not isinstance(state, Mapping) or state.keys() != {'q', 'p'}:
+        raise SceneError(f'Scene.build {name}: initial_state: a function H needs q and p')
+    q = np.asarray(state['q'])
+    try:
+        names, text = traced(function, len(q) if q.ndim else None)
+    except ValueError as problem:
+        raise SceneError(f'Scene.build {name}: {problem}') from problem
+    return ({'kind': 'formula', 'coordinates': names, 'H': text},
+            {half: np.atleast_1d(own) for half, own in state.items()})
+
+
 def _validated(data: dict[str, Any], where: str) -> Scene:
     """Return the scene of plain data trusted by the user, or raise SceneError."""
     return validate(data, partial(KeyPlaces.of_data, data, where), Scene, SceneError,
@@ -406,10 +449,12 @@ def load_scene(scene: str | Path) -> Scene:
     SceneError
         The scene does not exist or is not valid; the message names file, line and key.
 
+    Examples
+    --------
+    >>> load_scene('pendulum').integrator.kind
+    'variational_euler'
+
     """
-    if str(scene).endswith(('.urdf', '.xacro')):
-        raise SceneError(f'{scene}: a robot, which needs a scene; write one with: '
-                         f'hnn scene --new --robot {scene}')
     path = find_yaml('scene', str(scene), SceneError)
     loaded, places = read_yaml(path, Scene, SceneError)
     # A module next to the scene is found like an installed one.

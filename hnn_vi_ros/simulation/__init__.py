@@ -16,7 +16,7 @@ from hnn_vi_ros.exports import lazy_exports
 if TYPE_CHECKING:
     from hnn_vi_ros.simulation.accuracy.automatic_choice import (
         Choice, Chosen, problem_of, resolve, tolerance_of)
-    from hnn_vi_ros.simulation.accuracy.cost import Cost, CostStudy, measure_costs
+    from hnn_vi_ros.simulation.accuracy.cost import CostStudy, measure_costs, MethodCost
     from hnn_vi_ros.simulation.accuracy.diagnostics import local_error, secular_change
     from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time, time_between_motions
     from hnn_vi_ros.simulation.accuracy.trials import (
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.construction import build, build_at, compile_loop
     from hnn_vi_ros.simulation.dense_step import whole_steps
     from hnn_vi_ros.simulation.events import watched, WatchedSimulation
-    from hnn_vi_ros.simulation.following import Law
+    from hnn_vi_ros.simulation.following import CommandLaw
     from hnn_vi_ros.simulation.gradients.acting_effects import (
         ActingEffects, check_effects, flow_rates)
     from hnn_vi_ros.simulation.gradients.dependences import (
-        Dependence, derivative, difference, OnNumber, States, sum_of)
-    from hnn_vi_ros.simulation.gradients.derivatives import Change, DifferentiableRun, Recorded
+        Dependence, derivative, difference, OnNumber, StateSequence, sum_of)
+    from hnn_vi_ros.simulation.gradients.derivatives import Change, DifferentiableRun, RunRecord
     from hnn_vi_ros.simulation.gradients.of_hamiltonian import base_of, OnHamiltonian, OnLagrangian
     from hnn_vi_ros.simulation.gradients.scene_run import check_in_files, Numbers, SceneRun
     from hnn_vi_ros.simulation.guards.bands import BandGuard, EnergyGuard, is_wrong

@@ -15,7 +15,7 @@ from typing import Any
 from hnn_vi_ros.effects import Wrapped
 from hnn_vi_ros.integrators import (
     CALLERS, copy_array, copy_point, forget, Integrator, is_finite, memory_by_address,
-    MemoryByAddress, NOT_FINITE, OK, Point, Step, steps_by_address, StepsByAddress)
+    MemoryByAddress, NOT_FINITE, OK, PhasePoint, Step, steps_by_address, StepsByAddress)
 from hnn_vi_ros.kernels import (
     bare, clear, compiled, compiled_loop, compiled_options, entry_point, Kernel, LINK_ONLY,
     Parameters, provide_for, Target)
@@ -59,7 +59,7 @@ overload(forget, jit_options={'forceinline': True, **LINK_ONLY})(compile_forget)
 
 
 def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int, every: int,
-            z: Point, z1: Point, memory: tuple, q_out: np.ndarray, p_out: np.ndarray,
+            z: PhasePoint, z1: PhasePoint, memory: tuple, q_out: np.ndarray, p_out: np.ndarray,
             last: int) -> tuple[int, int, int, float, int, int, int]:
     """Take steps first to last - 1, and record samples; stop before a step that fails."""
     kernel, options, z, z1, memory, q_out, p_out = bare(
@@ -83,7 +83,7 @@ def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int
 
 
 def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, parts: int,
-                  most: int, z: Point, z1: Point, memory: tuple
+                  most: int, z: PhasePoint, z1: PhasePoint, memory: tuple
                   ) -> tuple[bool, int]:
     """Take a step in equal sub-steps, with at most `most` gradients; z and z1 hold the result."""
     kernel, options, z, z1, memory = bare((kernel, options, z, z1, memory))
@@ -138,7 +138,7 @@ class Loop:
         if provide and self._compiled and isinstance(kernel.parameters, Target):
             provide_for(kernel, method.step, self._options)
 
-    def __call__(self, h: float, first: int, second: int, z: Point, z1: Point,
+    def __call__(self, h: float, first: int, second: int, z: PhasePoint, z1: PhasePoint,
                  memory: tuple[Any, ...], *others: Any) -> Any:
         """Run the loop; takes its arguments except step, kernel and options."""
         if self._entry is None:
@@ -149,7 +149,7 @@ class Loop:
         return self._entry(self._step, self._kernel, h, self._options, first, second, z, z1,
                            self._passed, *others)
 
-    def compile(self, h: float, first: int, second: int, z: Point, z1: Point,  # noqa: A003
+    def compile(self, h: float, first: int, second: int, z: PhasePoint, z1: PhasePoint,  # noqa: A003
                 memory: tuple[Any, ...], *others: Any) -> None:
         """Compile the loop for arguments of these types, or load it from the disk cache."""
         if self._entry is not None:

@@ -80,5 +80,5 @@ def check_numbers(name: str, values: Any) -> np.ndarray:
         return np.array(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         text = ' '.join(repr(values).split())
-        raise TypeError(f'{name} = {text:.80} must be numbers, as an array or as lists of '
+        raise TypeError(f'{name} = {text:.80} must be numbers in an array, or in lists of '
                         'equal lengths') from None

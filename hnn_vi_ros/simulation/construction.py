@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Construction of simulations from scenes."""
 
-from hnn_vi_ros.integrators import Point
+from hnn_vi_ros.integrators import PhasePoint
 from hnn_vi_ros.models import warn_of_scheme
 from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation.assembly import advance, Loop
@@ -50,5 +50,5 @@ def compile_loop(parts: Parts) -> None:
     rescue = Rescue(system, parts.scene.on_failure)
     n = system.kernel.dimension
     Loop(advance, system.kernel, rescue.methods[0], provide=False).compile(
-        parts.scene.known_step_size, 0, 1, Point.empty(n), Point.empty(n), rescue.memories(n)[0],
-        *np.empty((2, 1, n)), 1)
+        parts.scene.known_step_size, 0, 1, PhasePoint.empty(n), PhasePoint.empty(n),
+        rescue.memories(n)[0], *np.empty((2, 1, n)), 1)

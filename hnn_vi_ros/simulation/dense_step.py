@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.simulation import Simulation
 
 # Minimum number of stages for the collocation polynomial to be as good as quintic Hermite.
-_STAGES = 5
+_MIN_STAGES = 5
 # Fractions of each part of a step at which its polynomial is evaluated.
-_PLACES = np.linspace(0.0, 1.0, 9)
+_FRACTIONS = np.linspace(0.0, 1.0, 9)
 # Tolerance, as a share of a step and in roundings of the number of steps, for a time to count as
 # the end of a step, such as 0.3 / 0.1.
-_SHARE, _ROUNDINGS = 1e-9, 4.0 * float(np.finfo(np.float64).eps)
+_STEP_TOLERANCE, _COUNT_TOLERANCE = 1e-9, 4.0 * float(np.finfo(np.float64).eps)
 
 
 class _Look(NamedTuple):
@@ -79,7 +79,7 @@ class DenseStep:
         # The Taylor series can be evaluated anywhere in the step.
         self._series = (plain and isinstance(simulation.integrator, Taylor)
                         and self._start.q.ndim == 1)
-        if (plain and isinstance(simulation.integrator, Gauss) and stages >= _STAGES
+        if (plain and isinstance(simulation.integrator, Gauss) and stages >= _MIN_STAGES
                 and simulation.rescued == rescued):
             # H_q and H_p at the stages, stored by the step for the next initial guess.
             H_q, H_p = np.split(simulation.state.named['memory0.0.slopes'], 2)
@@ -111,8 +111,8 @@ class DenseStep:
         """Return fractions of the step, shape (k,), between which the path bends little."""
         ends = self.polynomial.ends if self._series else self._knots[0]
         if ends is WHOLE:
-            return _PLACES
-        inside = ends[:-1, None] + np.diff(ends)[:, None] * _PLACES[:-1]
+            return _FRACTIONS
+        inside = ends[:-1, None] + np.diff(ends)[:, None] * _FRACTIONS[:-1]
         return np.append(inside.ravel(), 1.0)
 
     @cached_property
@@ -227,7 +227,7 @@ def whole_steps(time: float, step_size: float) -> tuple[int, float]:
     """
     steps = time / step_size
     nearest = round(steps)
-    if abs(steps - nearest) <= _SHARE + _ROUNDINGS * nearest:
+    if abs(steps - nearest) <= _STEP_TOLERANCE + _COUNT_TOLERANCE * nearest:
         return nearest, 0.0
     return int(steps), steps - int(steps)
 

@@ -24,11 +24,11 @@ else:
 
 _EPS = float(np.finfo(np.float64).eps)
 # Maximum number of evaluations of the search for a minimum, and its tolerance, in steps.
-_TRIALS, _NARROW = 40, 1e-9
+_MAX_TRIALS, _TOLERANCE = 40, 1e-9
 # A minimum closer to an end of an interval than this share of it counts as at that end.
-_END = 1e-5
+_END_SHARE = 1e-5
 # A value beyond this multiple of its neighbours indicates a pole, not a zero.
-_POLE = 10.0
+_MIN_POLE_RATIO = 10.0
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ class WatchedSimulation(_Simulation):
             if function.direction != ('down' if rises else 'up'):
                 theta = _root(value, start, end)
                 # The sign also changes at a pole, such as that of 1 / x.
-                if theta == end[0] or abs(value(theta)) <= _POLE * max(
+                if theta == end[0] or abs(value(theta)) <= _MIN_POLE_RATIO * max(
                         abs(start[1]), abs(end[1])):
                     yield theta, rises
 
@@ -246,7 +246,7 @@ def _stretches(at: np.ndarray, values: np.ndarray, value: Callable[[float], floa
 
 def _edge(value: Callable[[float], float], inside: Place, outside: float) -> Place:
     """Return the last point with a finite value, from `inside` towards `outside`."""
-    while abs(inside[0] - outside) > _NARROW:
+    while abs(inside[0] - outside) > _TOLERANCE:
         middle = 0.5 * (inside[0] + outside)
         there = value(middle)
         inside, outside = ((middle, there), outside) if np.isfinite(there) else (inside, middle)
@@ -275,11 +275,12 @@ def _dips(thetas: np.ndarray, values: np.ndarray, k: int, seen: Callable,
 
     def lowest(function: Callable) -> tuple[float, float]:
         found = minimize_scalar(lambda x: sign * float(function(x)), bounds=(start, end),
-                                method='bounded', options={'xatol': _NARROW, 'maxiter': _TRIALS})
+                                method='bounded',
+                                options={'xatol': _TOLERANCE, 'maxiter': _MAX_TRIALS})
         return float(found.x), sign * float(found.fun)
 
     theta, expected = lowest(seen)
-    if min(theta - start, end - theta) <= _END * (end - start):
+    if min(theta - start, end - theta) <= _END_SHARE * (end - start):
         # There is no extremum inside the interval.
         return []
     actual = value(theta)

@@ -4,12 +4,12 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.integrators import copy_point, is_finite, NOT_FINITE, OK, Point, Step
+from hnn_vi_ros.integrators import copy_point, is_finite, NOT_FINITE, OK, PhasePoint, Step
 from hnn_vi_ros.kernels import bare, inlined, Kernel, Parameters
 import numpy as np
 
 
-class Law(NamedTuple):
+class CommandLaw(NamedTuple):
     """
     Linear feedback added to N commands, with limits on the sum.
 
@@ -30,19 +30,19 @@ class Law(NamedTuple):
     high: np.ndarray
 
     @classmethod
-    def none(cls, size: int) -> 'Law':
+    def none(cls, size: int) -> 'CommandLaw':
         """Return a law without feedback and without limits."""
         limit = np.full(size, np.inf)
         return cls(np.zeros((0, 0, 0, 0)), np.zeros((0, 0, 0)), -limit, limit)
 
-    def of(self, part: slice) -> 'Law':
+    def of(self, part: slice) -> 'CommandLaw':
         """Return the law of some of the trajectories."""
         return self._replace(gains=self.gains[part], about=self.about[part])
 
 
 def follow_each(step: Step, kernel: Kernel, h: float, options: Parameters, hold: int, count: int,
-                z: Point, z1: Point, memory: Parameters, arrays: tuple[np.ndarray, ...],
-                rows: np.ndarray, command: np.ndarray, places: np.ndarray, law: Law,
+                z: PhasePoint, z1: PhasePoint, memory: Parameters, arrays: tuple[np.ndarray, ...],
+                rows: np.ndarray, command: np.ndarray, places: np.ndarray, law: CommandLaw,
                 wanted: np.ndarray, path: np.ndarray, taken: np.ndarray) -> None:
     """
     Take steps from each row, with each command held in turn; see ``Simulation.follow``.
@@ -89,14 +89,14 @@ def follow_each(step: Step, kernel: Kernel, h: float, options: Parameters, hold:
 
 
 @inlined
-def _note(z: Point, state: np.ndarray, d: int) -> None:
+def _note(z: PhasePoint, state: np.ndarray, d: int) -> None:
     """Copy q and p without the channels of forces."""
     for k in range(d):
         state[k], state[d + k] = z.q[k], z.p[k]
 
 
 @inlined
-def _put(law: Law, m: int, n: int, z: Point, places: np.ndarray, wanted: np.ndarray,
+def _put(law: CommandLaw, m: int, n: int, z: PhasePoint, places: np.ndarray, wanted: np.ndarray,
          command: np.ndarray) -> None:
     """Add feedback to wanted commands, apply limits, and write them to the command array."""
     d = law.gains.shape[3] // 2

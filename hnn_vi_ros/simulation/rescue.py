@@ -8,11 +8,11 @@ import math
 import sys
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects import Layer, Wrapped
+from hnn_vi_ros.effects import StepLayer, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.integrators import (
     arrays_of, BEYOND, Composition, copy_point, forget, ImplicitMidpoint, Integrator, INTEGRATORS,
-    largest, LieIntegrator, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point, separate)
+    largest, LieIntegrator, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, PhasePoint, separate)
 from hnn_vi_ros.kernels import inlined, Kernel
 from hnn_vi_ros.simulation.assembly import advance, Loop, take_substeps
 from hnn_vi_ros.simulation.system import System
@@ -20,11 +20,11 @@ import numpy as np
 
 # A failed step is retried in up to 2^6 = 64 sub-steps. The limit of gradients of all tries is the
 # usual amount for twice as many sub-steps, since failing tries with fewer parts end early.
-_HALVINGS = 6
-_MOST_PARTS = 2 * 2 ** _HALVINGS
-# An explicit method resumes when h omega has been below _BACK times its limit for at least _CALM
-# steps, a number that doubles, since each change of method may change the energy.
-_BACK, _CALM = 0.9, 16.0
+_MAX_HALVINGS = 6
+_MAX_PARTS = 2 * 2 ** _MAX_HALVINGS
+# An explicit method resumes when h omega has been below _RESUME_SHARE times its limit for at least
+# _MIN_CALM_STEPS, a number that doubles, since each change of method may change the energy.
+_RESUME_SHARE, _MIN_CALM_STEPS = 0.9, 16.0
 # Values of h omega at which the stability of a method is evaluated.
 _FREQUENCIES = np.arange(0.05, 8.0, 0.05)
 
@@ -84,7 +84,7 @@ class Rescue:
             if limit < math.inf:
                 self.methods = [
                     Wrapped(system.integrator, StabilityWatch, (-math.inf, limit)),
-                    Wrapped(self._implicit, StabilityWatch, (_BACK * limit, math.inf))]
+                    Wrapped(self._implicit, StabilityWatch, (_RESUME_SHARE * limit, math.inf))]
 
     def memories(self, n: int) -> list[tuple]:
         """Return the memory of each method, for n coordinates; the watch is shared."""
@@ -98,7 +98,8 @@ class Rescue:
             separate(memory, n, d)
         return memory
 
-    def take_step(self, active: int, h: float, z: Point, z1: Point, memory: tuple) -> 'Taken':
+    def take_step(self, active: int, h: float, z: PhasePoint, z1: PhasePoint, memory: tuple
+                  ) -> 'Taken':
         """
         Retry a failed step from z with the fallbacks; z is unchanged if all of them fail.
 
@@ -120,7 +121,7 @@ class Rescue:
         spent, most = 0, sys.maxsize
         for method, attempt, parts in self._fallbacks(active, z.q.size):
             if parts > 1 and method.usual_gradients:
-                most = _MOST_PARTS * method.usual_gradients
+                most = _MAX_PARTS * method.usual_gradients
             loop = self._loop(take_substeps, active, method, attempt)
             ok, gradients = self._in_parts(loop, method, parts, most - spent, h, z, z1)
             spent += gradients
@@ -135,7 +136,7 @@ class Rescue:
 
     def compile(self, h: float, n: int) -> None:  # noqa: A003
         """Compile all fallbacks for n coordinates, or load them from disk, without a run."""
-        z, z1, memories = Point.empty(n), Point.empty(n), self.memories(n)
+        z, z1, memories = PhasePoint.empty(n), PhasePoint.empty(n), self.memories(n)
         for active, method in enumerate(self.methods):
             for attempt in method.attempts(n)[1:]:
                 self._loop(advance, active, method, attempt).compile(
@@ -145,7 +146,7 @@ class Rescue:
                 self._loop(take_substeps, active, fallback, attempt).compile(
                     h, 1, 1, z, z1, self._memory(fallback, n))
 
-    def _by_other_solvers(self, active: int, h: float, z: Point, z1: Point,
+    def _by_other_solvers(self, active: int, h: float, z: PhasePoint, z1: PhasePoint,
                           memory: tuple) -> 'Taken':
         """Retry the step with the later attempts of the method's own solvers."""
         method, spent, residual, outcome = self.methods[active], 0, math.nan, NO_CONVERGENCE
@@ -172,14 +173,14 @@ class Rescue:
             return [(self._implicit, attempt, 1) for attempt in self._implicit.attempts(n)]
         substep = _substep(self.methods[active]) if self._on_failure == 'substep' else None
         return [] if substep is None else [
-            (substep, 0, 2 ** k) for k in range(1, _HALVINGS + 1)]
+            (substep, 0, 2 ** k) for k in range(1, _MAX_HALVINGS + 1)]
 
     def _in_parts(self, loop: Loop, method: Integrator, parts: int, most: int, h: float,
-                  z: Point, z1: Point) -> tuple[bool, int]:
+                  z: PhasePoint, z1: PhasePoint) -> tuple[bool, int]:
         """Take the step in equal parts; z and the effects' state are unchanged if one fails."""
         state = [array for _, array in arrays_of('state', self._system.effect_state)]
         before = [array.copy() for array in state]
-        end = Point(*[array.copy() for array in z])
+        end = PhasePoint(*[array.copy() for array in z])
         ok, gradients = loop(h, parts, most, end, z1, self._memory(method, z.q.size))
         if ok:
             copy_point(end, z)
@@ -270,13 +271,13 @@ class WatchWork(NamedTuple):
     w_p: np.ndarray
 
 
-class StabilityWatch(Layer):
+class StabilityWatch(StepLayer):
     """
     Layer around a step that returns BEYOND if h omega leaves an interval.
 
     It does so at once if h omega reaches the upper bound, or after a number of consecutive calm
-    steps with h omega below the lower bound. This number is _CALM at first, and doubles each time
-    the upper bound is reached.
+    steps with h omega below the lower bound. This number is _MIN_CALM_STEPS at first, and doubles
+    each time the upper bound is reached.
 
     omega^2 = abs((J H'')^2 v) / abs(v), where v is stored and updated at each step: by the power
     method it converges to the fastest oscillation of the motion linearised at z.
@@ -293,7 +294,7 @@ class StabilityWatch(Layer):
     def wrap(step: Callable, keeps_gradient: bool) -> Callable:
         """Return the step with a watch; its options are those of the step and the interval."""
         @inlined
-        def watched(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+        def watched(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
                     memory: tuple) -> tuple[int, float, int]:
             """Take one step; see Integrator."""
             inner, low, high = options
@@ -302,7 +303,7 @@ class StabilityWatch(Layer):
             # NaN fails both comparisons; the step then returns a non-finite state.
             extent = abs(h) * _frequency(kernel, z, work)
             if extent >= high:
-                wanted[0] = max(_CALM, 2.0 * wanted[0])
+                wanted[0] = max(_MIN_CALM_STEPS, 2.0 * wanted[0])
                 return BEYOND, 0.0, 2
             calm[0] = calm[0] + 1 if extent < low else 0
             if calm[0] > wanted[0]:
@@ -313,7 +314,7 @@ class StabilityWatch(Layer):
 
 
 @inlined
-def _frequency(kernel: Kernel, z: Point, work: WatchWork) -> float:
+def _frequency(kernel: Kernel, z: PhasePoint, work: WatchWork) -> float:
     """Return omega at z, and update v."""
     v_q, v_p, w_q, w_p = work.kept.v_q, work.kept.v_p, work.w_q, work.w_p
     if max(largest(v_q), largest(v_p)) == 0.0:
@@ -368,7 +369,7 @@ def _spectral_radius(integrator: Integrator, frequency: float) -> float:
     kernel = Kernel(unused, gradient, unused, (), 1, (0.0, 0.0), compiled=False)
     columns = []
     for q, p in ((1.0, 0.0), (0.0, 1.0)):
-        z, z1 = Point.empty(1), Point.empty(1)
+        z, z1 = PhasePoint.empty(1), PhasePoint.empty(1)
         z.q[0], z.p[0] = q, p
         gradient((), z.q, z.p, z.dH_dq, z.dH_dp)
         integrator.step(kernel, 1.0, integrator.options(), z, z1, integrator.memory(1))

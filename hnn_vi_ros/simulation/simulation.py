@@ -10,16 +10,17 @@ import time
 from typing import Any, NoReturn
 import warnings
 
-from hnn_vi_ros.effects import Command, Effect, NUMBERS, Observation, whole_turns
+from hnn_vi_ros.effects import (
+    Command, Effect, LoopManifold, NUMBERS, Observation, whole_turns)
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import (
     arrays_of, BEYOND, DenseOutput, forget, IN_DOUBT, Integrator, is_finite, NO_SOLUTION,
-    NOT_FINITE, OK, Point, REASONS, step_failure, TaylorWork)
+    NOT_FINITE, OK, PhasePoint, REASONS, step_failure, TaylorWork)
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
-from hnn_vi_ros.simulation.following import follow_each, Law
+from hnn_vi_ros.simulation.following import CommandLaw, follow_each
 from hnn_vi_ros.simulation.processors import heed
 from hnn_vi_ros.simulation.rescue import Rescue
 from hnn_vi_ros.simulation.state import State
@@ -29,10 +30,10 @@ from numpy.typing import ArrayLike
 
 
 # Relative distance beyond which two solutions of a step count as different.
-_SAME, _FIRST = 1e-8, itemgetter(0)
+_MAX_DISTANCE, _FIRST = 1e-8, itemgetter(0)
 # Target wall time of one call of compiled code [s], and largest growth of its number of steps from
 # call to call. Signals are handled between calls, which cost some microseconds.
-_STRETCH, _GROWTH = 0.02, 16.0
+_CALL_TIME, _MAX_GROWTH = 0.02, 16.0
 
 
 class RescuePending(Exception):
@@ -128,7 +129,7 @@ class Simulation:
         timeout = min((getattr(effect, 'timeout', np.inf) for effect in effects
                        if NUMBERS in getattr(effect, 'takes', ())), default=np.inf)
         if timeout < self.step_size:
-            warnings.warn(f'external_force: a command acts in whole steps of {step_size:g} s, '
+            warnings.warn(f'external_force: a command acts for whole steps of {step_size:g} s, '
                           f'longer than its timeout of {timeout:g} s; use a smaller step_size',
                           stacklevel=2)
         self.usual_gradients = system.integrator.usual_gradients
@@ -136,20 +137,20 @@ class Simulation:
         self._most_followed = 1
         if not self._kernel.compiled:
             warnings.warn(
-                f'{type(hamiltonian).__name__} is not a tanh network of ours: its gradient comes '
-                'from plain Python or autograd in every step, which is slower', stacklevel=2)
+                f'{type(hamiltonian).__name__} is not compiled: plain Python or autograd computes '
+                'its gradient in every step, which is slower', stacklevel=2)
         self.restart(q, p)
 
     def __reduce__(self) -> NoReturn:
         """Raise TypeError: a simulation cannot be copied or pickled."""
         raise TypeError('a simulation cannot be copied: compiled code holds the addresses of its '
-                        'arrays; build another one, and give its restore() the snapshot() of this')
+                        'arrays; build a new one and pass snapshot() of this one to its restore()')
 
     def _begin(self, n: int, step: int) -> None:
         """Allocate a state of n unknowns, and reset the counters, starting at a step."""
         self.steps, self.gradients, self.residual = step, 0, 0.0
         self.rescued, self.several_solutions, self.costliest = 0, 0, (0, step)
-        self._z, self._z1 = Point.empty(n), Point.empty(n)
+        self._z, self._z1 = PhasePoint.empty(n), PhasePoint.empty(n)
         self._active, self._memories = 0, self._rescue.memories(n)
         self.state = State(self._arrays(), self._z)
         # Separate from the point's arrays: steps must not depend on when these are read.
@@ -171,7 +172,7 @@ class Simulation:
         self._evaluate_gradient()
         if not is_finite(self._z):
             raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0,
-                              'start elsewhere: H has no finite gradient there')
+                              'H has no finite gradient at the initial state; start elsewhere')
         self._update_gradient()
         self._energy0 = self.energy
 
@@ -227,6 +228,20 @@ class Simulation:
     def work(self) -> float:
         """Return the work of all effects [J]."""
         return float(self.system.effect_state.work.sum()) if self.system.labels else 0.0
+
+    @property
+    def loop_forces(self) -> np.ndarray:
+        """
+        Return the forces in the loops of a robot, shape (L, 6), in the mean over the last step.
+
+        They are forces [N] and moments [N m]; see LoopManifold.forces. ValueError without loops.
+        """
+        if not isinstance(self.system.constraints, LoopManifold):
+            raise ValueError('the scene has no loops, and so no forces in them')
+        kept = (workspace.kept for workspace in self._memories[self._active]
+                if hasattr(workspace, 'kept'))
+        means = next(own.means for own in kept if hasattr(own, 'means'))
+        return self.system.constraints.forces(self.q.ravel(), means)
 
     @property
     def energy_balance(self) -> float:
@@ -288,7 +303,7 @@ class Simulation:
         return float(rows[:, first:first + self.system.effect_state.work.size].sum())
 
     def follow(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,
-               law: Law | None = None) -> tuple[np.ndarray, np.ndarray]:
+               law: CommandLaw | None = None) -> tuple[np.ndarray, np.ndarray]:
         """
         Take steps of many states with individual commands, in one compiled loop.
 
@@ -304,7 +319,7 @@ class Simulation:
             in the rows continue.
         hold : int, optional
             Number of steps per command.
-        law : Law, optional
+        law : CommandLaw, optional
             Feedback and limits, which are applied to the commands in place.
 
         Returns
@@ -318,7 +333,7 @@ class Simulation:
         taken = np.empty(rows_in, dtype=np.int64)
         if self._follow is None:
             self._follow = Loop(follow_each, self._kernel, self._rescue.methods[0])
-        law, first, steps = law or Law.none(c), 0, max(1, hold * count)
+        law, first, steps = law or CommandLaw.none(c), 0, max(1, hold * count)
         while first < rows_in:
             part = slice(first, first + max(1, self._most_followed // steps))
             begin, first = time.perf_counter(), part.stop
@@ -329,7 +344,7 @@ class Simulation:
             if first < rows_in:
                 seconds = time.perf_counter() - begin
                 self._most_followed = max(1, int(
-                    self._most_followed * min(_GROWTH, _STRETCH / seconds)))
+                    self._most_followed * min(_MAX_GROWTH, _CALL_TIME / seconds)))
                 heed()
         return path, taken
 
@@ -436,6 +451,9 @@ class Simulation:
     def _elsewhere(self, row: np.ndarray) -> Iterator[Any]:
         """Restore a row, and the current state at the end; yield the internal steps' workspace."""
         h, now, costs = self.step_size, self.row, self._costs()
+        loops = self.system.constraints
+        sine = loops.constraints.sine if isinstance(loops, LoopManifold) else np.empty(0)
+        watched = sine.copy()
         self.put(row)
         begin = self.steps
         own = next((workspace for workspace in self._memories[self._active]
@@ -450,6 +468,7 @@ class Simulation:
                 own.own_step[0] = 0.0
             self.step_size = h
             self.put(now)
+            sine[:] = watched
             vars(self).update(costs)
 
     def advance(self, n: int, until: float = math.inf) -> int:
@@ -521,7 +540,7 @@ class Simulation:
             n = self._z.q.size
             for active, memory in enumerate(self._rescue.memories(n)):
                 self._loop(active).compile(
-                    self.step_size, 0, 1, Point.empty(n), Point.empty(n), memory,
+                    self.step_size, 0, 1, PhasePoint.empty(n), PhasePoint.empty(n), memory,
                     *np.empty((2, 1, n)), 1)
             self._rescue.compile(self.step_size, n)
         finally:
@@ -539,7 +558,7 @@ class Simulation:
             f'memory{active}.{k}': workspace.kept for active, memory in enumerate(self._memories)
             for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
         return {name: array for place, group in groups.items()
-                for name, array in arrays_of(place, group)}
+                for name, array in arrays_of(place, group) if name != 'live.step'}
 
     def _evaluate_gradient(self) -> None:
         self._kernel.gradient(
@@ -594,7 +613,7 @@ class Simulation:
             q_out, p_out, min(last, done + self._most))
         if now - done == self._most:
             seconds = time.perf_counter() - begin
-            self._most = max(1, int(self._most * min(_GROWTH, _STRETCH / seconds)))
+            self._most = max(1, int(self._most * min(_MAX_GROWTH, _CALL_TIME / seconds)))
         self.costliest = max(self.costliest, (most, self.steps + costliest + 1 - done), key=_FIRST)
         self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
         self.rescued += (now - done) * (self._active != 0)
@@ -627,7 +646,7 @@ class Simulation:
         if outcome == IN_DOUBT:
             outcome, residual = taken.outcome, taken.residual
             self.several_solutions += taken.ok and not (taken.rescued or np.allclose(
-                doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
+                doubtful, np.append(z.q, z.p), _MAX_DISTANCE, _MAX_DISTANCE * abs(doubtful).max()))
         self.gradients += taken.gradients
         self.rescued += taken.rescued or (taken.ok and self._active != 0)
         self.residual = self.residual if np.isnan(taken.residual) else taken.residual
@@ -636,7 +655,7 @@ class Simulation:
             outcome = taken.outcome if taken.outcome == NO_SOLUTION else outcome
             reason = self.system.reason(outcome)
             if taken.given_up:
-                reason += f', given up after {taken.given_up} gradients in sub-steps'
+                reason += f', abandoned after {taken.given_up} gradients in sub-steps'
             return step_failure(outcome, self.time, self.step_size, residual, spent, reason)
         self.steps += 1
         self.costliest = max(self.costliest, (spent, self.steps), key=_FIRST)

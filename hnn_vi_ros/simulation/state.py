@@ -4,7 +4,7 @@
 
 from collections.abc import Mapping
 
-from hnn_vi_ros.integrators import Point
+from hnn_vi_ros.integrators import PhasePoint
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -30,7 +30,7 @@ class State:
 
     """
 
-    def __init__(self, named: Mapping[str, np.ndarray], point: Point):
+    def __init__(self, named: Mapping[str, np.ndarray], point: PhasePoint):
         self.named = named
         # Views of the same memory.
         self.flat = tuple(array.reshape(-1).view(np.float64) for array in named.values())
@@ -41,6 +41,11 @@ class State:
         self._n = point.q.size
         # The clock follows the point.
         self._clock = HEAD + sum(array.size for array in point)
+
+    def column(self, name: str) -> int:
+        """Return the first column of an array in rows."""
+        before = list(self.named).index(name)
+        return HEAD + sum(part.size for part in self.flat[:before])
 
     def row(self, energy0: float, steps: int, active: int) -> np.ndarray:
         """Return the current row, shape (R,)."""

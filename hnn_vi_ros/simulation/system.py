@@ -10,20 +10,22 @@ from typing import Any, cast
 import warnings
 
 from hnn_vi_ros.effects import (
-    Account, add_forces, Aim, Command, Commanded, contents, Effect, effect_name, EffectError,
-    EFFECTS, EffectState, EFFORT, Force, join, Joined, JointCommand, JointPath, Layer, Manifold,
-    NUMBERS, OBSERVATION, Place, POSITION, Wrapped)
+    Account, add_forces, ClosedChains, Command, Commanded, contents, Effect, effect_name,
+    EffectError, EFFECTS, EffectState, EFFORT, Force, join, Joined,
+    JointCommand, JointPath, LoopManifold, Manifold, NUMBERS, OBSERVATION, Place, POSITION,
+    ServoTarget, StepLayer, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
-from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows
 from hnn_vi_ros.integrators import (
-    check_method, Integrator, method_name, methods_that, NO_SOLUTION, Point, REASONS, REDUNDANT)
+    check_method, Integrator, method_name, methods_that, NO_SOLUTION, PhasePoint, REASONS,
+    REDUNDANT)
 from hnn_vi_ros.kernels import Block, by_address, flat, Kernel, kind_of, original, provide, Target
-from hnn_vi_ros.phase_space import angle_columns, check_state
+from hnn_vi_ros.phase_space import angle_columns, check_state, Coordinate, leaders
 import numpy as np
 from numpy.typing import ArrayLike
 
 # Tolerance of limits for rounding, relative to the limit and to one unit.
-_ROUNDING = 1e-9
+_LIMIT_TOLERANCE = 1e-9
 
 
 class Motors:
@@ -34,6 +36,8 @@ class Motors:
     ----------
     effects : sequence of (Effect, tuple)
         All effects of a scene, each with the result of ``resolve``.
+    coordinates : sequence of Coordinate
+        Coordinates of the system.
 
     Attributes
     ----------
@@ -46,7 +50,8 @@ class Motors:
 
     """
 
-    def __init__(self, effects: Sequence[tuple[Effect, Any]]):
+    def __init__(self, effects: Sequence[tuple[Effect, Any]], coordinates: Sequence[Coordinate]):
+        self._leaders = leaders(coordinates)
         self._effects: list[tuple[Any, Any]] = [
             (effect, own) for effect, own in effects if isinstance(effect, Commanded)]
         self.takes = frozenset[str]().union(*(effect.takes for effect, _ in self._effects))
@@ -84,9 +89,15 @@ class Motors:
         """
         held = contents(command)
         for content in sorted(held - self.takes):
-            kind = 'an observer' if content == OBSERVATION else (
-                'an external_force' if content in (NUMBERS, EFFORT) else 'a servo')
-            raise ValueError(f'no effect of the scene is {kind} of joints: it takes no {content}')
+            kind = 'observer' if content == OBSERVATION else (
+                'external_force' if content in (NUMBERS, EFFORT) else 'servo')
+            raise ValueError(f'the scene accepts no {content}: it has no {kind} of joints')
+        if isinstance(command, JointCommand | JointPath):
+            for i, name in enumerate(command.names):
+                if name in self._leaders and (isinstance(command, JointPath) or not np.isnan(
+                        [values[i] for values in command[1:]]).all()):
+                    raise ValueError(f'joint {name!r} follows {self._leaders[name]!r} and takes '
+                                     'no commands; command only that one')
         prepared = [effect.prepare(command, own, q) for effect, own in self._effects
                     if effect.takes & held]
         if limited and isinstance(command, JointCommand):
@@ -104,12 +115,12 @@ class Motors:
             for name, wanted in zip(names, positions.T, strict=True):
                 mine = stops.columns == columns.get(name)
                 for limit, sign in zip(stops.positions[mine], stops.signs[mine], strict=True):
-                    beyond = sign * (wanted - limit) < -_ROUNDING * (1.0 + abs(limit))
+                    beyond = sign * (wanted - limit) < -_LIMIT_TOLERANCE * (1.0 + abs(limit))
                     if beyond.any():
                         raise ValueError(
                             f'position of {name} is {wanted[beyond.argmax()]:g}, beyond its '
-                            f'{"lower" if sign > 0 else "upper"} limit {limit:g}: give one within '
-                            'the joint_limits of the scene')
+                            f'{"lower" if sign > 0 else "upper"} limit {limit:g}; give a position '
+                            'within the joint_limits of the scene')
 
     def forces(self, t: float, q: np.ndarray, p: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Return the generalised forces of all motors at a state, shape (d,) [N] or [N m]."""
@@ -120,10 +131,10 @@ class Motors:
         return f_p
 
     @property
-    def aim(self) -> Aim | None:
+    def servo_target(self) -> ServoTarget | None:
         """Return the current target of a servo; None if there is none."""
-        aims = (effect.aim(own) for effect, own in self._effects)
-        return next((aim for aim in aims if aim is not None), None)
+        targets = (effect.servo_target(own) for effect, own in self._effects)
+        return next((target for target in targets if target is not None), None)
 
 
 def refill(kernel: Kernel, other: Kernel) -> bool:
@@ -233,6 +244,8 @@ class System:
         True if no effect does work, and if several trajectories can step together.
     motors : Motors
         Effects that take commands.
+    constraints : Manifold, LoopManifold or None
+        Holonomic constraints, or loops.
 
     Raises
     ------
@@ -245,6 +258,8 @@ class System:
 
     def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
                  integrator: Integrator, effect_state: EffectState | None = None):
+        if hamiltonian.loops is not None:
+            effects = [*effects, ClosedChains(hamiltonian.loops)]
         self._effects, self.method = list(effects), integrator
         self.effect_state = effect_state or EffectState.empty(
             len(effects), hamiltonian.dimension, sum(one.knots for one in effects))
@@ -263,14 +278,15 @@ class System:
         self._check_together()
         self._check(integrator, hamiltonian)
         self._parameters = [self._resolve(index, hamiltonian) for index in range(len(effects))]
-        self.motors = Motors(list(zip(effects, self._parameters, strict=True)))
+        self.motors = Motors(list(zip(effects, self._parameters, strict=True)),
+                             hamiltonian.coordinates)
         joined = [(cast(Joined, effects[i]), self._parameters[i]) for i in self._in(Place.ENERGY)]
         self.hamiltonian = JoinedHamiltonian(hamiltonian, joined) if joined else hamiltonian
         check_method(integrator, self.hamiltonian)
         if not hamiltonian.smooth:
             warnings.warn(
-                'the gradient of H jumps, as that of every relu network does: no method keeps its '
-                'order there, and implicit steps may find no solution; train with another '
+                'the gradient of H is discontinuous, as for every relu network: methods lose '
+                'their order there, and implicit steps may have no solution; train with another '
                 'activation', stacklevel=3)
         self._assemble(integrator)
 
@@ -306,6 +322,8 @@ class System:
         if other._places != self._places or not refill(self.kernel, other.kernel):
             return False
         other.kernel, other.integrator = self.kernel, self.integrator
+        if isinstance(self.constraints, LoopManifold):
+            other.constraints = self.constraints  # whose arrays the method refers to
         self.__dict__ = other.__dict__
         return True
 
@@ -327,7 +345,7 @@ class System:
         for k in np.flatnonzero(turning):
             there = q + 2.0 * math.pi * (np.arange(d) == k)
             turning[k] = np.allclose(np.concatenate(self.hamiltonian.gradient(there, p)), here,
-                                     rtol=0.0, atol=_ROUNDING * np.abs(here).max())
+                                     rtol=0.0, atol=_LIMIT_TOLERANCE * np.abs(here).max())
         return turning
 
     @cached_property
@@ -369,19 +387,38 @@ class System:
         except ValueError as problem:
             raise StateError(str(problem)) from problem
 
+    def closed(self, z: np.ndarray) -> np.ndarray:
+        """Return states, shape (m, 2 d), with loops closed; raise as ``check_state`` does."""
+        if isinstance(self.constraints, LoopManifold) or not self.lockstep:
+            return np.array([np.concatenate(self.check_state(*np.split(one, 2))) for one in z])
+        self.check_state(*np.split(z, 2, axis=1))
+        return z
+
     def _checked(self, q: ArrayLike, p: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         states = check_state(q, p, self.hamiltonian.dimension, self.hamiltonian.rotations)
         flat_q, flat_p = (part.ravel() for part in states)
         if not self.lockstep and flat_q.size > self.hamiltonian.dimension:
-            raise ValueError('q and p are several states, of which one at a time is taken by '
-                             f'{", ".join(self._single_file)}; use simulate_many')
+            raise ValueError(f'q and p contain several states, but {", ".join(self._single_file)} '
+                             'supports one at a time; use simulate_many')
         for effect, parameters in zip(self._effects, self._parameters, strict=True):
             effect.check_state(self.hamiltonian, parameters, flat_q)
-        if self._constraints is not None:
-            self._constraints.check_state(flat_q, flat_p)
+        if isinstance(self.constraints, LoopManifold):
+            q, p = self.constraints.check_state(flat_q, flat_p)
+            return q.reshape(states[0].shape), p.reshape(states[1].shape)
+        if self.constraints is not None:
+            self.constraints.check_state(flat_q, flat_p)
         return states
 
-    def energies(self, z: Point) -> list[float]:
+    def fastest_rate(self, q: np.ndarray) -> float:
+        """Return the fastest rate of stiff effects at q, shape (d,), 0 without any [rad/s]."""
+        stiff = [(effect, own) for effect, own in zip(
+            self._effects, self._parameters, strict=True) if effect.stiff]
+        if not stiff:
+            return 0.0
+        inverse_mass = self.hamiltonian.inverse_mass(q, np.zeros(q.size))
+        return max(effect.fastest_rate(own, inverse_mass) for effect, own in stiff)
+
+    def energies(self, z: PhasePoint) -> list[float]:
         """Return H of each trajectory of a point [J]."""
         return self.kernel.energies(z.q, z.p).tolist()
 
@@ -389,8 +426,8 @@ class System:
         """Return the reason of a failed step, given its outcome."""
         if outcome == NO_SOLUTION:
             return self.method.no_solution
-        if outcome == REDUNDANT and self._constraints is not None:
-            return f'{self._constraints.dependent}: {REASONS[outcome]}'
+        if outcome == REDUNDANT and self.constraints is not None:
+            return f'{self.constraints.dependent}: {REASONS[outcome]}'
         return REASONS[outcome]
 
     def _in(self, place: Place) -> list[int]:
@@ -403,26 +440,31 @@ class System:
         for index, effect in enumerate(self._effects):
             if effect.single and kinds[index] in kinds[:index]:
                 raise EffectError(
-                    index, f'a scene takes one {effect_name(effect)} only; join the two')
+                    index, f'a scene may contain only one {effect_name(effect)}; combine the two')
             if effect.by_motors is False and any(one.by_motors for one in self._effects):
                 motors = next(one for one in self._effects if one.by_motors)
                 raise EffectError(
-                    index, f'{self.labels[index]} takes the numbers of a command for forces on '
-                    f'coordinates, {effect_name(motors)} for those of the motors of its model; '
-                    'give both coordinates, or take learned_friction and external_force of one '
-                    'model')
+                    index, f'{self.labels[index]} applies commands to coordinates, but '
+                    f'{effect_name(motors)} to the motors of its model; give both coordinates, '
+                    'or use learned_friction and external_force with the same model')
+            try:
+                effect.check_beside(self._effects)
+            except ValueError as problem:
+                raise EffectError(index, str(problem)) from problem
             for place, reason in effect.excludes.items():
                 for other in self._in(place):
+                    if other == index:
+                        continue
                     raise EffectError(
                         index, f'{effect_name(effect)} does not combine with '
-                        f'{effect_name(self._effects[other])}, {reason}; leave one of them out')
+                        f'{effect_name(self._effects[other])}, {reason}; remove one of them')
 
     def _check(self, integrator: Integrator, hamiltonian: Hamiltonian) -> None:
         for effect, label in zip(self._effects, self.labels, strict=True):
             if not effect.accepts(integrator):
                 able = methods_that(effect.accepts, hamiltonian)
-                raise UnsupportedSystem(f'{method_name(integrator)} cannot take the effect '
-                                        f'{label}; methods that can: {able}')
+                raise UnsupportedSystem(f'{method_name(integrator)} does not support the effect '
+                                        f'{label}; valid methods: {able}')
 
     def _check_coordinates(self, hamiltonian: Hamiltonian, integrator: Integrator) -> None:
         check_method(integrator, hamiltonian)
@@ -430,13 +472,13 @@ class System:
         for index, (effect, label) in enumerate(zip(self._effects, self.labels, strict=True)):
             if hamiltonian.rotations and not effect.turns:
                 able = ', '.join(kind for kind, other in EFFECTS.items() if other.turns)
-                raise EffectError(index, f'{label} acts on scalar coordinates, which those of '
-                                         f'this H ({names}) are not all; leave it out; effects '
-                                         f'that can: {able}')
+                raise EffectError(index, f'{label} supports only scalar coordinates, but this H '
+                                         f'has others ({names}); remove it; valid effects: '
+                                         f'{able}')
         if self._effects and not hamiltonian.canonical:
-            raise EffectError(0, f'{self.labels[0]} acts on canonical momenta, which those of '
-                                 f'this model ({names}) have not; leave all effects out, or '
-                                 'simulate a model of another family')
+            raise EffectError(0, f'{self.labels[0]} needs canonical momenta, but this model '
+                                 f'({names}) has none; remove all effects, or simulate a '
+                                 'model of another family')
 
     def _resolve(self, index: int, hamiltonian: Hamiltonian) -> tuple:
         try:
@@ -456,8 +498,9 @@ class System:
         """
         for effect, label in zip(self._effects, self.labels, strict=True):
             if not effect.accepts(integrator):
-                raise UnsupportedSystem(f'on_failure: {type(integrator).__name__} cannot take the '
-                                        f'effect {label}; use on_failure: substep or stop')
+                raise UnsupportedSystem(
+                    f'on_failure: {type(integrator).__name__} does not support the effect '
+                    f'{label}; use on_failure: substep or stop')
         return self._wrapped(integrator)
 
     def _assemble(self, integrator: Integrator) -> None:
@@ -466,28 +509,36 @@ class System:
         if self._taken:
             self.kernel = add_forces(
                 self.kernel, [cast(Force, self._effects[i]) for i in self._taken],
-                [self._parameters[i] for i in self._taken], self.effect_state)
+                [self._parameters[i] for i in self._taken], self.effect_state, self._taken)
         if integrator.requirements.coordinates != 'other':
             # Methods for other coordinates read the parameters of their own model family.
             self.kernel = by_address(self.kernel)
         listed = [(i, self.labels[i], self._parameters[i]) for i in self._in(Place.MANIFOLD)]
-        self._constraints = Manifold(listed, self.kernel, len(self._effects)) if listed else None
+        self.constraints: Manifold | LoopManifold | None = None
+        if listed and isinstance(self._effects[-1], ClosedChains):
+            self.constraints = LoopManifold(
+                self._effects[-1].loops, cast(LoopRows, self._parameters[-1]), self.kernel,
+                len(self._effects))
+        elif listed:
+            self.constraints = Manifold(listed, self.kernel, len(self._effects))
         self.integrator = self._wrapped(integrator)
 
     def _wrapped(self, integrator: Integrator) -> Integrator:
         """Wrap a method in the effects around its nodes, place by place, and in Account."""
         around = sorted((place, i) for i, place in enumerate(self._places) if place > Place.NODES)
         for place, i in around:
-            kind = cast(type[Layer], type(self._effects[i]))
+            kind = cast(type[StepLayer], type(self._effects[i]))
             settings: Any = self._parameters[i]
-            if self._constraints is not None and place is Place.MANIFOLD:
+            if self.constraints is not None and place is Place.MANIFOLD:
                 if i != self._in(place)[0]:
                     continue  # the first constraint represents all
-                kind, settings = self._constraints.kind, self._constraints.constraints
+                kind, settings = self.constraints.kind, self.constraints.constraints
             integrator = Wrapped(integrator, kind, (settings, self.effect_state, i))
         if self._taken or around:
-            integrator = Wrapped(
-                integrator, Account, (self.effect_state, np.array(self._taken, dtype=np.int64)))
+            internal = [i for i in self._taken if self._effects[i].internal]
+            integrator = Wrapped(integrator, Account, (
+                self.effect_state, np.array(internal + self._taken, dtype=np.int64),
+                len(internal)))
         return integrator
 
 

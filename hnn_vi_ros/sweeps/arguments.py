@@ -7,41 +7,40 @@ from pathlib import Path
 from hnn_vi_ros.files import complete_by, Parser
 
 _DETAILS = """\
-A shard is a file that is made as a whole: part-00000.parquet and so on, with the same bytes
-whichever process or machine makes it, and in whatever order. Shards that are in the folder already
-are not made again, so the same command continues an interrupted sweep. Exit status: 0 if all
-shards are there, 130 if Ctrl-C stopped it."""
+A shard is a file that is written as a whole: part-000000.parquet and so on. Its bytes do not
+depend on the process, the machine or the order. Existing shards are not computed again, so the
+same command continues an interrupted sweep. Exit status: 0 if all shards exist, 130 if Ctrl-C
+stopped it."""
 
 
 def sweep() -> Parser:
     """Return the parser of ``sweep``."""
     parser = Parser('sweep', (
         'Simulate many parameters and initial states. The result is a Parquet dataset.'), [
-            'ros2 run hnn_vi_ros sweep pendulum_energies',
-            'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --jobs 8',
-            'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --ray local',
-            'ros2 run hnn_vi_ros sweep my_sweep.yaml --episodes mcap --select 0:1000:50'],
+            'hnn sweep pendulum_energies',
+            'hnn sweep my_sweep.yaml --out results --jobs 8',
+            'hnn sweep my_sweep.yaml --out results --ray local',
+            'hnn sweep my_sweep.yaml --episodes mcap --select 0:1000:50'],
         _DETAILS)
     what = parser.add_mutually_exclusive_group(required=True)
     complete_by(what.add_argument('sweep', nargs='?', metavar='SWEEP', help=(
-        'what varies: the name of a shipped sweep, or a YAML file')), 'sweep')
+        'name of a shipped sweep, or a YAML file')), 'sweep')
     what.add_argument('--schema', action='store_true', help=(
-        'print the JSON schema by which editors complete and check sweeps'))
+        'print the JSON schema with which editors complete and check sweeps'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
-        'folder of the results (default: sweeps/NAME; of episodes episodes/NAME)'))
+        'folder of the results (default: sweeps/NAME, or episodes/NAME with --episodes)'))
     where = parser.add_mutually_exclusive_group()
     where.add_argument('--jobs', type=int, metavar='N', help=(
-        'processes of this machine (default: one for each processor)'))
+        'number of processes on this machine (default: one per processor)'))
     where.add_argument('--ray', metavar='ADDRESS', help=(
-        'spread the shards over a Ray cluster: its address, auto for the one that this machine '
-        'belongs to, or local for one of this machine alone'))
+        'distribute the shards over a Ray cluster: its address, auto for the cluster of this '
+        'machine, or local for this machine alone'))
     parser.add_argument('--device', metavar='DEVICE', help=(
-        'take the steps in torch, thousands of trajectories together: on cuda, cuda:N or cpu; '
-        'for models that are networks, without effects (default: compiled loops on the '
-        'processor)'))
+        'compute the steps with torch on cuda, cuda:N or cpu, thousands of trajectories together; '
+        'for models that are networks, without effects (default: compiled loops on the CPU)'))
     parser.add_argument('--episodes', choices=('mcap',), help=(
-        'write trajectories one by one in place of shards: bags like those of the simulator'))
+        'write single trajectories instead of shards: bags like those of the simulator'))
     parser.add_argument('--select', metavar='INDICES', help=(
-        'with --episodes: which, as N, FIRST:END or FIRST:END:STEP, with commas between several '
+        'with --episodes: indices as N, FIRST:END or FIRST:END:STEP, separated by commas '
         '(default: all)'))
     return parser

@@ -16,16 +16,16 @@ from hnn_vi_ros.files import (
     in_plain_words, one_line, parse_json, plain_number, read_limited, sha256_of, text_lines)
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.sweeps.definition import (
-    AxisChoice, BoxChoice, FileChoice, GridChoice, MOST, PosteriorChoice, RepeatsChoice,
+    AxisChoice, BoxChoice, FileChoice, GridChoice, MAX_COUNT, PosteriorChoice, RepeatsChoice,
     SobolChoice, ValuesChoice)
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-_LARGEST_POSTERIOR = 2**25
+_MAX_POSTERIOR_SIZE = 2**25
 # Tolerance for rounding errors of a covariance, relative to the standard deviations: for its
 # asymmetry and for negative eigenvalues.
-_ROUNDING = 1e-8
-_REMEDY = 'give what identify writes with --posterior'
+_COVARIANCE_TOLERANCE = 1e-8
+_REMEDY = 'give a file that identify --posterior wrote'
 
 
 class Posterior(NamedTuple):
@@ -92,7 +92,7 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     """
     where = f'{place}: {path}'
     try:
-        raw = read_limited(path, _LARGEST_POSTERIOR)
+        raw = read_limited(path, _MAX_POSTERIOR_SIZE)
         found = _File.model_validate(parse_json(raw))
     except OSError as problem:
         raise DataError(f'{where}: {problem.strerror or problem}; {_REMEDY}') from problem
@@ -103,14 +103,14 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     names, n = found.covariance.names, len(found.covariance.names)
     if any(len(row) != n for row in found.covariance.matrix) or len(
             found.covariance.matrix) != n or len(set(names)) != n:
-        raise DataError(f'{where}: covariance: {n} names take as many rows and columns, and each '
-                        f'name once; {_REMEDY}')
+        raise DataError(f'{where}: covariance: {n} names need as many rows and columns, each name '
+                        f'once; {_REMEDY}')
     wanted = {name: name for name in names} if keys is None else dict(keys)
     for name in wanted:
         if name not in names or name not in found.parameters:
             raise DataError(one_line(
-                f'{where}: no {name!r} among its parameters and its covariance'
-                f'{did_you_mean(name, names)}; there are: {listed(names)}'))
+                f'{where}: no {name!r} in its parameters and '
+                f'covariance{did_you_mean(name, names)}; there are: {listed(names)}'))
     chosen = [names.index(name) for name in wanted]
     covariance = np.array(found.covariance.matrix)[np.ix_(chosen, chosen)]
     return Posterior([*wanted.values()],
@@ -123,10 +123,10 @@ def _root(covariance: np.ndarray, where: str) -> np.ndarray:
     spread = np.sqrt(np.abs(np.diag(covariance)))
     units = np.where(spread > 0.0, spread, 1.0)
     correlation = covariance / units / units[:, None]
-    if not np.abs(correlation - correlation.T).max() <= _ROUNDING:
+    if not np.abs(correlation - correlation.T).max() <= _COVARIANCE_TOLERANCE:
         raise DataError(f'{where}: covariance: the matrix is not symmetric; {_REMEDY}')
     squares, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
-    if not squares[0] >= -_ROUNDING * len(squares):
+    if not squares[0] >= -_COVARIANCE_TOLERANCE * len(squares):
         raise DataError(f'{where}: covariance: the matrix is not positive semidefinite; {_REMEDY}')
     # Eigenvectors are determined up to sign; fixing it makes draws the same everywhere.
     signs = np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(len(squares))])
@@ -179,13 +179,13 @@ def find_key(scene: Scene, key: str, names: Mapping[str, Sequence[str]], place: 
             parts.append(part)
         value = value[parts[-1]]
     if parts[0] in ('description', 'mechanism', 'uncertainty'):
-        raise DataError(f'{place}: {key!r} changes no trajectory')
+        raise DataError(f'{place}: {key!r} does not affect trajectories')
     return tuple(parts)
 
 
 # Number of positions that share a seed: one random state per position would be slow.
-_DRAWN = 32
-_LARGEST_FILE = 2**28
+_SEED_BLOCK = 32
+_MAX_TABLE_SIZE = 2**28
 # Values of a key.
 Column = Sequence[Any] | np.ndarray
 # Function that returns the seed sequence of some numbers, such as a position.
@@ -242,12 +242,12 @@ def _in_box(axis: BoxChoice | SobolChoice, shares: np.ndarray) -> list[Column]:
 
 def _drawn(places: np.ndarray, keys: int, seeds: _Seeds,
            draw: Callable[[np.random.Generator, tuple[int, int]], np.ndarray]) -> np.ndarray:
-    """Return a row of draws for each position; each block of _DRAWN rows has its own seed."""
+    """Return a row of draws for each position; each block of _SEED_BLOCK rows has its own seed."""
     rows = np.empty((len(places), keys))
-    for block in np.unique(places // _DRAWN):
-        own = places // _DRAWN == block
+    for block in np.unique(places // _SEED_BLOCK):
+        own = places // _SEED_BLOCK == block
         rng = np.random.default_rng(seeds(int(block)))
-        rows[own] = draw(rng, (_DRAWN, keys))[places[own] % _DRAWN]
+        rows[own] = draw(rng, (_SEED_BLOCK, keys))[places[own] % _SEED_BLOCK]
     return rows
 
 
@@ -300,23 +300,23 @@ def file_axis(path: Path, place: str) -> Axis:
     # Stored compactly as 8-byte numbers.
     numbers, keys, rows = array('d'), list[str](), 0
     try:
-        for line, text in text_lines(path, _LARGEST_FILE):
+        for line, text in text_lines(path, _MAX_TABLE_SIZE):
             if not keys:
                 keys = [name.strip() for name in text.split(',')]
             elif text.strip():
                 numbers.extend(_row(f'{path}:{line}', text, keys))
                 rows += 1
-        digest = sha256_of(path, _LARGEST_FILE)
+        digest = sha256_of(path, _MAX_TABLE_SIZE)
     except OSError as problem:
         raise DataError(f'{place}: {path}: {problem.strerror or problem}; give a table of '
-                        'numbers, or cut it into those of several sweeps') from problem
+                        'numbers, or split it into several sweeps') from problem
     except ValueError as problem:
         raise DataError(f'{place}: {path}:{problem}') from problem
     except DataError as problem:
         raise DataError(f'{place}: {problem}') from problem
     if not rows:
-        raise DataError(f'{place}: {path} has no row of numbers; its first line names keys '
-                        'of the scene, and each further one has a number for each')
+        raise DataError(f'{place}: {path} has no row of numbers; its first line must name keys of '
+                        'the scene, and each further line contain a number per key')
     table = np.array(numbers).reshape(rows, -1)
     return Axis(keys, rows, lambda places: list(table[places].T), digest=digest)
 
@@ -329,7 +329,7 @@ def _row(place: str, line: str, keys: Sequence[str]) -> list[float]:
     for key, word in zip(keys, words, strict=True):
         row.append(plain_number(word))
         if not math.isfinite(row[-1]):
-            raise DataError(f'{place}: {one_line(key)}: {word.strip()[:40]!r} is no finite '
+            raise DataError(f'{place}: {one_line(key)}: {word.strip()[:40]!r} is not a finite '
                             'number')
     return row
 
@@ -381,6 +381,6 @@ def make_axis(axis: AxisChoice, entropy: int, number: int, folder: Path, place: 
         case RepeatsChoice(key=str(key)):
             made = Axis([key], axis.count, lambda places: [[
                 int(seeds(int(k)).generate_state(1)[0]) for k in places]], int)
-    if made.count > MOST:
-        raise DataError(f'{place}: {made.count:.3g} points, more than {MOST}; take fewer')
+    if made.count > MAX_COUNT:
+        raise DataError(f'{place}: {made.count:.3g} points, more than {MAX_COUNT}; use fewer')
     return made

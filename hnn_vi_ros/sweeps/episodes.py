@@ -61,8 +61,8 @@ EpisodeWriter = Callable[[SweepPlan, Iterator[Episode], Path], None]
 
 def without_ros(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> None:
     """Raise an error: bags need ROS 2."""
-    raise DataError('--episodes mcap: bags are messages of ROS, which the executable sweep '
-                    'writes, and write_bags of hnn_vi_ros.ros.replay.episode_bags')
+    raise DataError('--episodes mcap: bags contain ROS messages; write them with the executable '
+                    'sweep, or with write_bags of hnn_vi_ros.ros.replay.episode_bags')
 
 
 def episodes(plan: SweepPlan, indices: list[int], failed: dict[int, str]) -> Iterator[Episode]:
@@ -129,10 +129,10 @@ def selected(text: str, count: int) -> list[int]:
             chosen: Sequence[int | None] = range(*slice(*numbers).indices(count)) \
                 if len(numbers) > 1 else numbers
         except ValueError:
-            raise DataError(f'--select {text}: {part!r} is none of N, FIRST:END and '
-                            'FIRST:END:STEP, with commas between several') from None
+            raise DataError(f'--select {text}: {part!r} is not N, FIRST:END or FIRST:END:STEP; '
+                            'separate several with commas') from None
         if not all(number is not None and number < count for number in chosen) or not chosen:
-            raise DataError(f'--select {text}: {part!r} names none of the {count} trajectories, '
+            raise DataError(f'--select {text}: {part!r} selects none of the {count} trajectories, '
                             f'0 to {count - 1}')
         found.update(number for number in chosen if number is not None)
     return sorted(found)

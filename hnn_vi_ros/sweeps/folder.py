@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The folder of a sweep: its record, its missing shards, and the atomic writing of files."""
 
-from contextlib import suppress
 import json
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,10 +9,10 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import one_line, parse_json, read_limited, replacing, write_new
 from hnn_vi_ros.sweeps.parquet import check_shard
-from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
+from hnn_vi_ros.sweeps.plan import canonical_json, SweepPlan
 
 _RECORD = 'sweep.json'
-_LARGEST = 2**26
+_MAX_RECORD_SIZE = 2**26
 
 
 class Survey(NamedTuple):
@@ -38,7 +37,7 @@ class Survey(NamedTuple):
 
 class SweepFolder:
     """
-    A folder that several processes fill; shards are renamed into place only when complete.
+    The folder of a sweep; shards are renamed into place only when complete.
 
     Parameters
     ----------
@@ -62,15 +61,15 @@ class SweepFolder:
         """
         file = self.path / _RECORD
         try:
-            found = parse_json(read_limited(file, _LARGEST))
+            found = parse_json(read_limited(file, _MAX_RECORD_SIZE))
             if not isinstance(found, dict) or not isinstance(found.get('scene'), dict):
-                raise ValueError('no record of a sweep')
+                raise ValueError('not the record of a sweep')
             return found
         except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError) as problem:
-            raise RecordingError(f'{file}: {one_line(problem)}; put it back as it was, remove it '
-                                 'if no shard is there, or give another --out') from problem
+            raise RecordingError(f'{file}: {one_line(problem)}; restore it, remove it if the '
+                                 'folder has no shards, or give another --out') from problem
 
     def begin(self, plan: SweepPlan) -> None:
         """
@@ -89,19 +88,16 @@ class SweepFolder:
                 strange = next((file.name for file in self.path.iterdir()
                                 if not file.name.startswith('.') and file.name != _RECORD), None)
                 if strange is not None:
-                    raise RecordingError(f'{self.path} holds {strange} and no {_RECORD}: no sweep '
-                                         'began there; give another --out')
-                with suppress(FileExistsError):
-                    write_new(self.path / _RECORD, as_json(plan.record).encode())
+                    raise RecordingError(f'{self.path} contains {strange} but no {_RECORD}: it is '
+                                         'not the folder of a sweep; give another --out')
+                write_new(self.path / _RECORD, canonical_json(plan.record).encode())
             except OSError as problem:
                 raise RecordingError(f'{self.path}: {problem.strerror}; give another --out'
                                      ) from problem
-            # Another process may have started another sweep in the meantime.
-            there = self.record()
-        if there != plan.record:
+        elif there != plan.record:
             raise RecordingError(
-                f'{self.path} holds another sweep: {_difference(there, plan.record)}; give '
-                'another --out, or take that sweep as it was')
+                f'{self.path} contains another sweep: {_difference(there, plan.record)}; give '
+                'another --out, or restore that sweep')
 
     def file(self, shard: int) -> Path:
         """Return the file of a shard."""
@@ -137,10 +133,8 @@ class SweepFolder:
             with replacing(file) as part:
                 part.write_bytes(content)
         except OSError as problem:
-            # Another process on this sweep may have written the same file, and cleaned up.
-            if not (isinstance(problem, FileNotFoundError) and file.is_file()):
-                raise RecordingError(f'{file}: {one_line(problem)}; what is whole stays: mend '
-                                     'that, and give the same command again') from problem
+            raise RecordingError(f'{file}: {one_line(problem)}; complete shards are kept: '
+                                 'correct this, and run the same command again') from problem
         # Temporary files of processes that were killed; the shard is complete now.
         for left in self.path.glob(f'.{file.stem}.*'):
             left.unlink(missing_ok=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import optional, RecordingError
 from hnn_vi_ros.files import one_line, read_limited
-from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
+from hnn_vi_ros.sweeps.plan import canonical_json, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Rows
 import numpy as np
 
@@ -24,9 +24,9 @@ with optional('pyarrow', 'a sweep'):
 _DIGEST, _SHARD = b'hnn_vi_ros.digest', b'hnn_vi_ros.shard'
 # Seal of a shard: its number and the SHA-256 of its file, computed with zeros in place of these
 # digits. Page checksums would not cover the footer, which locates the columns.
-_SEALED = re.compile(rb'(\d{1,10}) sha256:([0-9a-f]{64})')
-_OPEN = b'0' * 64
-_LARGEST = 2**31
+_SEAL = re.compile(rb'(\d{1,10}) sha256:([0-9a-f]{64})')
+_DIGEST_PLACEHOLDER = b'0' * 64
+_MAX_SHARD_SIZE = 2**31
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
 _LISTS = {'event_times': pa.list_(pa.float64()), 'events': pa.list_(pa.string())}
 
@@ -52,10 +52,10 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
     ]
     return pa.schema(columns, {
         _DIGEST: record['digest'],
-        b'hnn_vi_ros.sweep': as_json(record['sweep']),
-        b'hnn_vi_ros.scene': as_json(record['scene']),
-        b'hnn_vi_ros.models': as_json(record['models']),
-        b'hnn_vi_ros.versions': as_json(record['versions'])})
+        b'hnn_vi_ros.sweep': canonical_json(record['sweep']),
+        b'hnn_vi_ros.scene': canonical_json(record['scene']),
+        b'hnn_vi_ros.models': canonical_json(record['models']),
+        b'hnn_vi_ros.versions': canonical_json(record['versions'])})
 
 
 def _plain(value: Any, kind: pa.DataType) -> Any:
@@ -89,9 +89,9 @@ def write_shard(plan: SweepPlan, shard: int, blocks: Iterable[list[Rows]],
     stream = BytesIO()
     with pq.ParquetWriter(stream, schema, compression='zstd', version='2.6') as writer:
         writer.write_table(table, row_group_size=table.num_rows)
-        writer.add_key_value_metadata({_SHARD: b'%d sha256:%b' % (shard, _OPEN)})
+        writer.add_key_value_metadata({_SHARD: b'%d sha256:%b' % (shard, _DIGEST_PLACEHOLDER)})
     content = stream.getvalue()
-    before, _, after = content.rpartition(_OPEN)
+    before, _, after = content.rpartition(_DIGEST_PLACEHOLDER)
     return before + _digest_of(content) + after
 
 
@@ -146,17 +146,18 @@ def check_shard(path: Path, digest: str, shard: int) -> int:
 
     """
     try:
-        content = read_limited(path, _LARGEST)
-        seal = _SEALED.search(content, max(content.rfind(_SHARD), 0))
+        content = read_limited(path, _MAX_SHARD_SIZE)
+        seal = _SEAL.search(content, max(content.rfind(_SHARD), 0))
         if seal is None or seal[2] != _digest_of(
-                content[:seal.start(2)] + _OPEN + content[seal.end(2):]):
-            raise ValueError('its SHA-256 is not the one that it was written with')
-        table = pq.read_table(pa.BufferReader(content), columns=['failure'])
+                content[:seal.start(2)] + _DIGEST_PLACEHOLDER + content[seal.end(2):]):
+            raise ValueError('its SHA-256 differs from the recorded one')
+        # Without threads: one that still starts when the process ends would abort it.
+        table = pq.ParquetFile(pa.BufferReader(content)).read(['failure'], use_threads=False)
         failure = table['failure']
     except (OSError, ValueError, KeyError, pa.ArrowException) as problem:
         raise RecordingError(f'{path}: is damaged ({one_line(problem)})') from problem
     if (table.schema.metadata or {}).get(_DIGEST) != digest.encode():
-        raise RecordingError(f'{path}: is of another sweep')
+        raise RecordingError(f'{path}: belongs to another sweep')
     if int(seal[1]) != shard:
         raise RecordingError(f'{path}: is shard {int(seal[1])} of this sweep')
     # A failed trajectory has one row.

@@ -19,18 +19,18 @@ from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation import BLOCK, resolve, whole_steps
 from hnn_vi_ros.sweeps.axes import Axis, find_key, make_axis
-from hnn_vi_ros.sweeps.definition import load_sweep, MOST, Sweep
+from hnn_vi_ros.sweeps.definition import load_sweep, MAX_COUNT, Sweep
 from hnn_vi_ros.version import __version__
 import numpy as np
 
 # Maximum of numbers in the samples of a block (64 MiB) and of rows in a shard (20 MiB with about
 # ten columns); temporary arrays take several times as much.
-_MOST_NUMBERS, _MOST_ROWS = 2**23, 2**18
+_MAX_BLOCK_NUMBERS, _MAX_SHARD_ROWS = 2**23, 2**18
 # Default number of steps per shard, and its maximum number of trajectories: about ten seconds, so
 # that an interruption loses little and files cost little time.
-_STEPS, _MOST_TRAJECTORIES = 10**7, 2**13
+_SHARD_STEPS, _MAX_SHARD_TRAJECTORIES = 10**7, 2**13
 # Number of trajectories stepped together on a device.
-_ON_DEVICE = {'cpu': 3840, 'cuda': 2**17}
+_DEVICE_BLOCKS = {'cpu': 3840, 'cuda': 2**17}
 _PACKAGES = ('numba', 'numpy', 'pyarrow', 'scipy')
 
 
@@ -96,18 +96,18 @@ class SweepPlan:
     @cached_property
     def block(self) -> int:
         """Return the number of neighbours stepped together; the results depend on it."""
-        most = _MOST_NUMBERS // (2 * self.made.hamiltonian.dimension * self.samples)
+        most = _MAX_BLOCK_NUMBERS // (2 * self.made.hamiltonian.dimension * self.samples)
         if self.device is None:
             return min(BLOCK, most)
-        together = _ON_DEVICE[self.device.partition(':')[0]]
+        together = _DEVICE_BLOCKS[self.device.partition(':')[0]]
         return min(together, most, self.sweep.shard_size or together)
 
     @cached_property
     def shard_size(self) -> int:
         """Return the number of trajectories of a shard: a multiple of the block size."""
         rows = self.samples if self.sweep.keep == 'samples' else 1
-        most = min(max(_MOST_TRAJECTORIES, self.block), _STEPS // self.steps)
-        size = min(self.sweep.shard_size or max(most, 1), max(_MOST_ROWS // rows, 1))
+        most = min(max(_MAX_SHARD_TRAJECTORIES, self.block), _SHARD_STEPS // self.steps)
+        size = min(self.sweep.shard_size or max(most, 1), max(_MAX_SHARD_ROWS // rows, 1))
         return -(-size // self.block) * self.block
 
     @property
@@ -149,10 +149,10 @@ class SweepPlan:
             'trajectories': self.count, 'shards': self.shards, 'shard_size': self.shard_size,
             'block': self.block,
         }
-        return record | {'digest': sha256(as_json(record).encode()).hexdigest()}
+        return record | {'digest': sha256(canonical_json(record).encode()).hexdigest()}
 
 
-def as_json(data: object) -> str:
+def canonical_json(data: object) -> str:
     """Return plain data as JSON; equal data give equal text."""
     return json.dumps(data, indent=2, ensure_ascii=False)
 
@@ -213,22 +213,22 @@ def _check(plan: SweepPlan, where: str) -> None:
         for j, other in enumerate(plan.parts[:i]):
             if part[:len(other)] == other or other[:len(part)] == part:
                 raise DataError(f'{where}: vary: {keys[j]} and {keys[i]} both set the same value; '
-                                'leave one out')
-    if plan.count > MOST:
-        raise DataError(f'{where}: vary: makes {plan.count:.3g} trajectories, more than {MOST}; '
-                        'take fewer, or several sweeps')
+                                'remove one')
+    if plan.count > MAX_COUNT:
+        raise DataError(f'{where}: vary: gives {plan.count:.3g} trajectories, more than '
+                        f'{MAX_COUNT}; use fewer, or several sweeps')
     if plan.block == 0:
-        raise DataError(f'{where}: every: {plan.samples} samples of a trajectory are more than '
-                        'memory holds; take a larger every')
+        raise DataError(f'{where}: every: {plan.samples} samples per trajectory do not fit into '
+                        'memory; use a larger every')
     if 'out_of_box_time' in sweep.statistics and plan.made.hamiltonian.box is None:
-        raise DataError(f'{where}: statistics: out_of_box_time: {plan.scene.name} was not trained '
-                        'in a box; leave it out')
+        raise DataError(f'{where}: statistics: out_of_box_time: {plan.scene.name} has no training '
+                        'domain; remove it')
     if 'event_times' in sweep.statistics and not plan.scene.events:
         raise DataError(f'{where}: statistics: event_times: {plan.scene.name} has no events; add '
-                        'them to the scene, or leave it out')
+                        'them to the scene, or remove it')
     used = {'index', 't', 'energy', 'alarms', 'failure', 'events', *sweep.statistics, *(
         f'{half}_{name}' for half, names in plan.names.items() for name in names)}
     for name in (*keys, *(sweep.reduction.columns if sweep.reduction else ())):
         if name in used:
-            raise DataError(f'{where}: two columns would be named {name}; name one otherwise')
+            raise DataError(f'{where}: two columns would be named {name}; rename one')
         used.add(name)

@@ -46,14 +46,14 @@ def make_on_ray(job: ShardJob, folder: SweepFolder, shards: Sequence[int], addre
             ray.init(address, log_to_driver=False, logging_level=logging.WARNING)
         except (ConnectionError, ValueError, RuntimeError) as problem:
             raise HnnViRosError(
-                f'--ray {address}: {one_line(problem)}; begin a cluster with: ray start --head, '
-                'or take --ray local; with an address, a cluster that asks for a token needs '
+                f'--ray {address}: {one_line(problem)}; start a cluster with: ray start --head, '
+                'or use --ray local; a cluster at an address that requires a token needs '
                 'RAY_AUTH_MODE=token') from problem
     try:
         yield from _spread(job, folder, shards, address)
     except RayError as problem:
-        raise HnnViRosError(f'--ray {address}: {one_line(problem)}; what is whole stays: give the '
-                            'same command again') from problem
+        raise HnnViRosError(f'--ray {address}: {one_line(problem)}; complete shards are kept: run '
+                            'the same command again') from problem
     finally:
         if own:
             ray.shutdown()
@@ -66,7 +66,7 @@ def _spread(job: ShardJob, folder: SweepFolder, shards: Sequence[int], address: 
     makers = int(there.get('GPU', 0) if on_gpu else there.get('CPU', 1))
     if makers == 0:
         raise HnnViRosError(f'--ray {address} --device {job.device}: the cluster has no GPU; '
-                            'leave --device out, or begin it with ray start --num-gpus N')
+                            'remove --device, or start it with ray start --num-gpus N')
     actor = ray.remote(num_cpus=1, num_gpus=int(on_gpu), max_restarts=-1,
                        max_task_retries=_RETRIES)(ShardJob)
     # Two tasks per actor: while one shard is being made, the next one is already queued.

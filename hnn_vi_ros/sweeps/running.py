@@ -42,7 +42,7 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
     if options.episodes:
         return _write_episodes(options, write_bags)
     if options.select is not None:
-        raise ParameterError('--select chooses among episodes: give --episodes mcap')
+        raise ParameterError('--select needs --episodes mcap')
     out = options.out or Path('sweeps') / Path(options.sweep).stem
     begin = time.monotonic()
     jobs = _processes(options.device) if options.jobs is None else options.jobs
@@ -52,7 +52,7 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
         raise ParameterError(str(problem)) from problem
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f'stopped; what is whole is in {out}: the same command goes on') from None
+            f'stopped; complete shards are in {out}: the same command continues') from None
     found = folder.survey(plan)
     print(_summary(plan, folder, found, time.monotonic() - begin))
     return int(bool(found.missing))
@@ -66,8 +66,8 @@ def _processes(device: str | None) -> int:
 def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
     """Write the trajectories selected by the command line, and print their number."""
     if options.ray or options.jobs is not None or options.device:
-        raise ParameterError('--episodes writes one after another: remove --jobs, --ray and '
-                             '--device; give each of several processes a --select and an --out')
+        raise ParameterError('--episodes runs in one process: remove --jobs, --ray and --device; '
+                             'give each of several processes a --select and an --out')
     out = options.out or Path('episodes') / Path(options.sweep).stem
     plan, failed = make_plan(options.sweep), dict[int, str]()
     indices = selected(options.select or '', plan.count)
@@ -114,6 +114,13 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, jobs: 
     ValueError, TypeError
         An argument is invalid.
 
+    Examples
+    --------
+    >>> lengths = {'kind': 'values', 'key': 'hamiltonian.length', 'values': [0.5, 1.0]}
+    >>> folder = sweep({'scene': 'exact_pendulum', 'duration': 1.0, 'vary': [lengths]}, 'lengths')
+    >>> sorted(path.suffix for path in folder.iterdir())
+    ['.json', '.parquet']
+
     """
     return _make(definition, Path(out), jobs, ray, device, progress)[1].path
 
@@ -134,7 +141,7 @@ def _make(definition: str | Path | Mapping[str, Any], out: Path, jobs: int, ray:
     folder.begin(plan)
     shards, damaged, _ = folder.survey(plan)
     for text in damaged:
-        text += '; it is made again'
+        text += '; it is computed again'
         if progress:
             print(f'sweep: {text}', file=sys.stderr)
         else:
@@ -189,7 +196,7 @@ class _Progress:
         if made := self._made + self._ahead:
             pace, done = made / (time.monotonic() - self._start), self._total - self._left + made
             self._line.show(done / self._total, (
-                f'{done} of {self._total} trajectories, {pace:.3g} a second, '
+                f'{done} of {self._total} trajectories, {pace:.3g} per second, '
                 f'{(self._left - made) / pace:.0f} s left'))
 
     def close(self) -> None:

@@ -98,15 +98,15 @@ def reduce(reduction: Reduction, function: Callable[[Trajectory], Any], trajecto
     except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
         raise HnnViRosError(f'{name}: {type(problem).__name__}: {one_line(problem)}') from problem
     if more:
-        raise HnnViRosError(f'{name}: returned {listed(sorted(more))} beside its columns; name '
-                            'them in columns')
+        raise HnnViRosError(f'{name}: returned {listed(sorted(more))} in addition to its columns; '
+                            'add them to columns')
     return numbers
 
 
 # Errors that make a trajectory fail; any other is a bug in this package and ends the sweep.
 FAILURES = HnnViRosError, ValueError, ArithmeticError
 # Number of scenes cached; the least recently used one is dropped first.
-_KEPT = 4
+_MAX_CACHED_SCENES = 4
 _State = tuple[np.ndarray, np.ndarray]
 
 
@@ -221,7 +221,7 @@ class Runner:
         try:
             made = self._made.pop(key, None) or _Made(self._plan, rows[0])
             self._made[key] = made
-            while len(self._made) > _KEPT:
+            while len(self._made) > _MAX_CACHED_SCENES:
                 del self._made[next(iter(self._made))]
             if self._plan.device is not None:
                 return self._on_device(made, indices, rows)
@@ -294,15 +294,16 @@ class _Made:
             part: value for part, value in values.items() if part[0] != 'initial_state'})
         self.parts = plan.made if scene is plan.scene else scene.parts()
         _, hamiltonian, integrator, effects = self.parts
-        system = System(hamiltonian, effects, integrator)
+        with scene.placed('initial_state'):
+            system = System(hamiltonian, effects, integrator)
         self.joined = system.hamiltonian
         self.lockstep = system.lockstep and not scene.events
         self._state = {half: np.array(values) for half, values in scene.initial_state}
         steps, _ = whole_steps(plan.sweep.duration, scene.known_step_size)
         self._every = plan.sweep.every or max(steps, 1)
         if steps // self._every + 2 > 2 * plan.samples:
-            raise HnnViRosError(f'step_size = {scene.known_step_size:g} s makes more than twice '
-                                'the samples of the scene as it is, for which memory is')
+            raise HnnViRosError(f'step_size = {scene.known_step_size:g} s gives more than twice '
+                                'the samples of the unchanged scene, for which memory is reserved')
         self._simulations: dict[str, Any] = {}
         if plan.device is not None:
             self._ensemble = self._make_ensemble(plan.device)
@@ -325,10 +326,10 @@ class _Made:
         q, p = self.states(rows)
         schedule = Schedule.until(
             self._plan.sweep.duration, self._every, self.parts.scene.known_step_size, q.size)
-        q_all, p_all, told = record_block(
+        q_all, p_all, alarms_of = record_block(
             self._simulation('block', q, p), q, p, indices[0], schedule)
         return self._several(schedule.times(self.parts.scene.known_step_size), q_all, p_all,
-                             [[*told] for _ in rows])
+                             [[*alarms_of] for _ in rows])
 
     def _several(self, t: np.ndarray, q: np.ndarray, p: np.ndarray,
                  alarms: list[list[Alarm]]) -> Trajectory:
@@ -343,12 +344,12 @@ class _Made:
         from hnn_vi_ros.simulation import ensemble_on
         scene = self.parts.scene
         if scene.events:
-            raise HnnViRosError('trajectories step on a device without events; leave those of '
-                                f'{scene.name} out, or the device')
+            raise HnnViRosError('events are not supported on a device; remove the events of '
+                                f'{scene.name}, or run without --device')
         if whole_steps(self._plan.sweep.duration, scene.known_step_size)[1]:
             raise HnnViRosError(
-                f'duration = {self._plan.sweep.duration:g} s is no whole number of steps of '
-                f'{scene.known_step_size:g} s, as a device takes it; take another')
+                f'duration = {self._plan.sweep.duration:g} s is not a whole number of steps of '
+                f'{scene.known_step_size:g} s, which a device needs; change it')
         return ensemble_on(device, self.parts)
 
     def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[Trajectory, dict[int, StepFailure]]:
@@ -356,14 +357,14 @@ class _Made:
         from hnn_vi_ros.simulation import one_thread_each, record_on
         q, p = self.states(rows)
         device, h = self._plan.device, self.parts.scene.known_step_size
-        assert device is not None, 'it is asked for'
+        assert device is not None, 'a device is requested'
         steps, _ = whole_steps(self._plan.sweep.duration, h)
         samples = sorted({*range(0, steps + 1, self._every), steps})
         with one_thread_each(device):
-            found, told = record_on(
+            found, alarms_of = record_on(
                 self._ensemble, self._simulation('first', q[:1], p[:1]), q, p, samples)
         return (self._several(np.array(samples) * h, found.q, found.p,
-                              [told.get(k, []) for k in range(len(rows))]), found.failures)
+                              [alarms_of.get(k, []) for k in range(len(rows))]), found.failures)
 
     def alone(self, index: int, row: tuple[Any, ...]) -> Trajectory:
         """Return one trajectory with its own noise and events."""

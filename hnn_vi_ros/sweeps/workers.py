@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make shards in this process or in several on this machine; any of them may be killed."""
 
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,6 @@ from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
 
-# Number of consecutive worker losses, with no shard finished in between, that aborts the sweep.
-_MOST_LOSSES = 3
 # Cache of the plan and the runner of a sweep by digest: each shard brings a new copy of its job.
 _ready: dict[str, tuple[SweepPlan, Runner]] = {}
 
@@ -61,8 +58,8 @@ class ShardJob:
             plan = make_plan(self.definition, self.chosen, self.device)
             if plan.record['digest'] != self.digest:
                 raise HnnViRosError(
-                    'the sweep, its scene, its model or the versions of packages are others in a '
-                    'worker than in the process that began it; make them the same')
+                    'the sweep, its scene, its model or the versions of packages differ between a '
+                    'worker and the main process; make them the same')
             _ready[self.digest] = plan, Runner(plan)
         plan, runner = _ready[self.digest]
         return shard, write_shard(plan, shard, runner.shard(shard))
@@ -85,33 +82,21 @@ def make_in_processes(job: ShardJob, folder: SweepFolder, shards: Sequence[int],
     Raises
     ------
     HnnViRosError
-        A shard cannot be written, or processes die repeatedly.
+        A shard cannot be written, or a process was killed.
 
     """
-    pending, losses = deque(shards), 0
-    while pending:
-        with worker_processes(min(processes, len(pending))) as pool:
-            running: dict[Future[None], int] = {}
-            try:
-                while pending or running:
-                    # Submit only enough to keep them busy: a waiting shard cannot be lost.
-                    while pending and len(running) < 2 * processes:
-                        with ignore_sigint_in_children():
-                            future = pool.submit(_make, job, folder.path, pending[0])
-                        running[future] = pending[0]
-                        pending.popleft()
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        future.result()
-                        losses = 0
-                        yield running.pop(future)
-            except BrokenProcessPool as problem:
-                losses += 1
-                if losses > _MOST_LOSSES:
-                    raise HnnViRosError(
-                        f'worker processes were killed {losses} times in a row, as for lack of '
-                        'memory; take fewer --jobs, and give the same command again') from problem
-                pending.extendleft(sorted(running.values(), reverse=True))
+    try:
+        with worker_processes(min(processes, len(shards))) as pool:
+            with ignore_sigint_in_children():
+                made = [pool.submit(_make, job, folder.path, shard) for shard in shards]
+            for future in as_completed(made):
+                yield future.result()
+    except BrokenProcessPool as problem:
+        raise HnnViRosError('a worker process was killed, perhaps for lack of memory; complete '
+                            'shards are kept: run the same command again, with fewer --jobs'
+                            ) from problem
 
 
-def _make(job: ShardJob, path: Path, shard: int) -> None:
+def _make(job: ShardJob, path: Path, shard: int) -> int:
     SweepFolder(path).put(*job.make(shard))
+    return shard

@@ -22,6 +22,15 @@ def test_scene_of_the_parts_of_another_is_the_same(name):
     assert plain_data(built) == plain_data(loaded) and built.name == name
 
 
+def test_kind_alone_is_a_choice_in_yaml(tmp_path):
+    file = tmp_path / 'short.yaml'
+    file.write_text('hamiltonian: pendulum\nintegrator: rk4\nstep_size: 0.1\n'
+                    'initial_state: {q: [1.0], p: [0.0]}\n')
+    scene = load_scene(file)
+    assert scene.integrator.kind == 'rk4' and scene.hamiltonian.kind == 'pendulum'
+    assert load_scene(file).to_yaml() == scene.to_yaml()
+
+
 def test_scene_takes_arrays_tuples_and_kinds_by_their_names():
     built = Scene.build(
         hamiltonian='free_particle', integrator='gauss4', step_size=np.float64(0.5),

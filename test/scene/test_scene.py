@@ -8,7 +8,7 @@ from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError, Unsupported
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.construction import build
-from messages import refused
+from messages import assert_message, refused
 import pytest
 from python_process import run_code
 from scene_files import ACTED_ON
@@ -50,7 +50,7 @@ def test_step_size_that_auto_is_to_choose_is_refused_where_one_is_needed(write):
 
 @pytest.mark.parametrize('code', [
     'import hnn_vi_ros; hnn_vi_ros.load_scene({scene!r})',
-    "sys.argv[1:] = ['--list']; from hnn_vi_ros import cli; cli.scene()",
+    "sys.argv[1:] = ['list', 'scenes']; from hnn_vi_ros import cli; cli.main()",
     "sys.argv[1:] = ['--schema']; from hnn_vi_ros import cli; cli.scene()"])
 def test_scene_is_read_without_a_compiler(write, code):
     code = f"""import sys
@@ -69,7 +69,7 @@ print(sorted(sys.modules.keys() & {{'numba', 'llvmlite', 'scipy', 'torch'}}), fi
     ('p: [0]', 'p: [0]\neffects: [{kind: joint_limits, lower: {x: low}}]'), ('q: [1.0]', 'q: []'),
     ('p: [0]', 'p: [0]\ninvariants: [{name: "2x"}]'), ('1e-2', '.nan'), ('1e-2', '.inf'),
     ('1e-2', '"0.1"'), ('variational_euler', 'rk5'), ('harmonic_oscillator', 'x'),
-    ('kind: harmonic_oscillator, ', ''), ('{kind: variational_euler}', 'rk4'), ('mass', 'maß'),
+    ('kind: harmonic_oscillator, ', ''), ('{kind: variational_euler}', 'RK4'), ('mass', 'maß'),
     ('q: [1.0]', 'q: [1.0, two]'), ('  p: [0]', ''), ('step_size: 1e-2\n', ''),
     ('p: [0]', 'p: [0]\n  p: [1]'), ('q: [1.0]', 'q: &a [1.0]\n  r: *a'),
     ('p: [0]', 'p: ' + '[' * 33 + ']' * 33),
@@ -79,6 +79,15 @@ print(sorted(sys.modules.keys() & {{'numba', 'llvmlite', 'scipy', 'torch'}}), fi
 def test_scene_mistake_is_answered_with_file_line_key_and_remedy(write, old, new):
     with refused(SceneError):
         load_scene(write(GOOD.replace(old, new, 1)))
+
+
+def test_all_problems_of_a_scene_are_told_at_once_one_a_line(write):
+    with pytest.raises(SceneError) as caught:
+        load_scene(write(GOOD.replace('variational_euler', 'Gauss9').replace('1e-2', '1 ms')
+                         .replace('mass', 'mas').replace('q: [1.0]', 'q: [1.0, two]')))
+    for line in caught.value.lines:
+        assert_message(line)
+    assert len(caught.value.lines) == 4 and str(caught.value) == '; '.join(caught.value.lines)
 
 
 def test_scene_effects_are_built_in_their_order_from_whole_numbers_as_well(write):

@@ -151,7 +151,7 @@ def test_ctrl_c_ends_a_sweep_of_years(scene, tmp_path):
         run.send_signal(signal.SIGINT)
         _, errors = run.communicate()
     assert run.returncode == 128 + signal.SIGINT
-    assert errors.splitlines()[-1].startswith('sweep: stopped; what is whole')
+    assert errors.splitlines()[-1].startswith('hnn sweep: stopped; complete shards')
 
 
 def wall(on_failure: str) -> Simulation:
@@ -178,7 +178,7 @@ MADE = {
 
 @pytest.mark.parametrize('kind', MADE)
 def test_stretches_change_no_bit(kind, monkeypatch):
-    monkeypatch.setattr(stepping, '_STRETCH', 0.0)
+    monkeypatch.setattr(stepping, '_CALL_TIME', 0.0)
     pieces, whole = MADE[kind](), MADE[kind]()
     whole._most = 10**9
     assert np.array_equal(pieces.record(100, 3), whole.record(100, 3))
@@ -193,7 +193,7 @@ def test_stretches_change_no_bit(kind, monkeypatch):
 
 @pytest.mark.parametrize('events', ['', 'events: [{when: x = 0}]\n'], ids=['plain', 'watched'])
 def test_steps_end_when_it_is_time_and_go_on_from_there(events, scene, monkeypatch):
-    monkeypatch.setattr(stepping, '_STRETCH', 0.0)
+    monkeypatch.setattr(stepping, '_CALL_TIME', 0.0)
     scene.write_text(SCENE + events)
     whole, pieces = (watched(build(load_scene(scene)), load_scene(scene)) for _ in range(2))
     whole.advance(100)

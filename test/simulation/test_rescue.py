@@ -69,7 +69,7 @@ def test_stability_limit_is_that_of_the_literature(name, arguments, limit):
 def test_stop_takes_no_sub_steps():
     arguments = ('tao', 'variational_euler', 3.0, [2.0], [2.0])
     plain_run(*arguments).advance(1)
-    with pytest.raises(StepFailure, match=r'eq. \(6\) has no solution here'):
+    with pytest.raises(StepFailure, match=r'eq. \(6\) has no solution connected'):
         plain_run(*arguments, on_failure='stop').advance(1)
 
 
@@ -266,7 +266,7 @@ def test_sub_steps_are_given_up_at_a_limit_that_the_failure_names():
     most = 3000
     simulation = Simulation(H, INTEGRATORS['generalized_leapfrog'](max_iterations=most), 0.1,
                             [0.0], [1.0])
-    with pytest.raises(StepFailure, match='given up after 2560 gradients in sub-steps') as caught:
+    with pytest.raises(StepFailure, match='abandoned after 2560 gradients in sub-steps') as caught:
         simulation.advance(1)
     # The secant method once, Newton's, which takes some tens, and the sub-step that goes beyond.
     assert 2 * most < caught.value.evaluations < 2 * most + 100
@@ -368,22 +368,22 @@ def plumb_line(h: float) -> Simulation:
 @pytest.mark.parametrize('make, reason, advice', [
     (lambda: beyond('tao', 'variational_euler', 0.05, [1.0], [-1.0], solver='fixed_point',
                     max_iterations=3), 'no convergence', 'use a smaller step_size or another'),
-    (lambda: beyond('tao', 'variational_euler', 3.0, [2.0], [2.0]), 'has no solution here',
+    (lambda: beyond('tao', 'variational_euler', 3.0, [2.0], [2.0]), 'has no solution connected',
      'use a smaller step_size or another'),
     (lambda: beyond('kepler', 'stormer_verlet', 1e200, [1.0, 0.0], [0.0, 1.0]), 'not finite',
      'use a smaller step_size or another'),
     (lambda: beyond('kepler', 'stormer_verlet', 0.1, [0.0, 0.0], [0.0, 1.0]), 'not finite',
-     'start elsewhere: H has no finite gradient there'),
-    (lambda: plumb_line(1.0), 'no impulses hold the constraints', 'use a smaller step_size or'),
+     'H has no finite gradient at the initial state; start elsewhere'),
+    (lambda: plumb_line(1.0), 'no impulses satisfy the constraints', 'use a smaller step_size or'),
     (lambda: beyond('kepler', 'time_transformed', 0.5, [0.01, 0.0], [0.0, 14.0],
                     base='stormer_verlet', control='integrating', force=1e-3, exponent=2.0),
-     'steps of its own', 'start elsewhere, or .* larger force'),
+     'internal steps became', 'start elsewhere, or .* larger force'),
     (lambda: beyond('heavy_top', 'lie_leapfrog', 1.0, [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 60.0]),
-     'would turn by nearly pi', 'use a smaller step_size or another')])
+     'would rotate by almost pi', 'use a smaller step_size or another')])
 def test_failure_gives_a_residual_only_of_an_equation_that_was_not_solved(
         make, reason, advice, monkeypatch):
     """And advice that can help: of what no shorter step cures it speaks of none."""
-    monkeypatch.setattr(time_transformed, '_MOST_STEPS', 100)
+    monkeypatch.setattr(time_transformed, '_MAX_STEPS', 100)
     with pytest.raises(StepFailure, match=f'{reason}.*; {advice}') as failed:
         make().advance(20)
     message, residual = str(failed.value), failed.value.relative_residual

@@ -51,6 +51,12 @@ def test_simulate_takes_step_size_and_integrator_in_place_of_the_scenes(scene):
     assert coarse.energy[-1] / coarse.energy[0] == pytest.approx(1.01 ** 10, rel=1e-12)
 
 
+def test_simulate_takes_parts_as_yaml_writes_them_and_the_scenes_duration(scene):
+    own = scene.changed({'duration': 0.5})
+    run = simulate(own, integrator={'kind': 'gauss4'}, initial_state={'q': [2.0], 'p': [0.0]})
+    assert run.t[-1] == 0.5 and run.q[0, 0] == 2.0 and run.scene.integrator.kind == 'gauss4'
+
+
 def test_simulate_every_keeps_each_nth_state(scene):
     assert np.array_equal(simulate(scene, 1.0, every=10).q, simulate(scene, 1.0).q[::10])
 

@@ -33,7 +33,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-DOCS = Path(__file__).resolve().parents[2] / 'docs' / 'scale.md'
+DOCS = Path(__file__).resolve().parents[2] / 'docs' / 'how-to' / 'scale.md'
 STATE = ['initial_state.q.angle', 'initial_state.p.angle']
 BOX = {'kind': 'box', 'keys': STATE, 'low': [-2.0, -2.0], 'high': [2.0, 2.0]}
 # Three lengths of 70 states each, and 64 trajectories in a shard: blocks have two lengths in them.
@@ -184,7 +184,7 @@ def test_each_repeat_has_noise_of_its_own_by_index(tmp_path):
 
 def test_samples_are_rows_of_many_trajectories_bit_by_bit_and_shards_stay_small(
         tmp_path, monkeypatch):
-    monkeypatch.setattr('hnn_vi_ros.sweeps.plan._MOST_ROWS', 500)
+    monkeypatch.setattr('hnn_vi_ros.sweeps.plan._MAX_SHARD_ROWS', 500)
     definition = {'scene': 'exact_pendulum', 'duration': 0.2, 'every': 4, 'keep': 'samples',
                   'vary': [BOX | {'count': 200}]}
     folder = sweep(definition, tmp_path / 'out')
@@ -354,28 +354,6 @@ def test_killed_sweep_goes_on_where_it_stopped(whole, tmp_path, jobs):
     assert shards(out) == shards(whole)
 
 
-def test_two_sweeps_into_one_folder_at_once_do_not_corrupt_it(whole, tmp_path, monkeypatch):
-    folder, content = SweepFolder(tmp_path / 'out'), (whole / 'part-000001.parquet').read_bytes()
-    folder.begin(make_plan(LENGTHS))
-    # Another one that began in the moment after this looked is the one that the folder is of.
-    seen = iter([None, folder.record()])
-    with monkeypatch.context() as patch:
-        patch.setattr(SweepFolder, 'record', lambda self: next(seen))
-        with pytest.raises(RecordingError, match='another sweep: sweep.seed is 0 there, 7 here'):
-            folder.begin(make_plan(LENGTHS | {'seed': 7}))
-    assert folder.record() == make_plan(LENGTHS).record
-    # Another process puts the same shard there meanwhile, and removes what others left of it.
-    replace = Path.replace
-
-    def late(part, file):
-        monkeypatch.undo()
-        SweepFolder(folder.path).put(1, content)
-        return replace(part, file)
-    monkeypatch.setattr(Path, 'replace', late)
-    folder.put(1, content)
-    assert shards(folder.path) == {'part-000001.parquet': content}
-
-
 @pytest.fixture(scope='module')
 def deadly(tmp_path_factory):
     """Return a sweep that kills a process at its 100th trajectory, once, and its folder."""
@@ -395,11 +373,15 @@ def deadly(tmp_path_factory):
 
 @pytest.mark.parametrize('way', [
     {'jobs': 2}, pytest.param({'ray': 'local'}, marks=pytest.mark.long)], ids=['processes', 'ray'])
-def test_worker_that_is_killed_is_replaced(deadly, tmp_path, monkeypatch, way):
+def test_sweep_whose_worker_is_killed_is_completed(deadly, tmp_path, monkeypatch, way):
     if 'ray' in way:
         pytest.importorskip('ray', reason='ray is not installed')
         monkeypatch.setenv(*AT_ONCE)
     (deadly / 'done').unlink(missing_ok=True)
+    if 'jobs' in way:
+        # Those of Ray are replaced.
+        with pytest.raises(HnnViRosError, match='a worker process was killed'):
+            sweep(deadly / 'a.yaml', tmp_path / 'out', **way)
     sweep(deadly / 'a.yaml', tmp_path / 'out', **way)
     assert (deadly / 'done').exists()
     assert contents(tmp_path / 'out') == contents(deadly / 'whole')
@@ -429,14 +411,14 @@ def test_first_interrupt_ends_a_sweep_whose_reduction_hangs(tmp_path, jobs):
             with suppress(ProcessLookupError):
                 os.killpg(run.pid, signal.SIGKILL)
     assert run.returncode == 130 and 'Traceback' not in error
-    assert 'stopped; what is whole is in' in error
+    assert 'stopped; complete shards are in' in error
     for worker in workers:
         assert not Path('/proc', worker.name.removeprefix('pid'), 'exe').exists()
 
 
 @pytest.fixture
 def cluster(monkeypatch):
-    """Return the address of a Ray cluster of two workers, begun as docs/scale.md says."""
+    """Return the address of a Ray cluster of two workers, begun as docs/how-to/scale.md says."""
     pytest.importorskip('ray', reason='ray is not installed')
     command = re.search(r'^ray (start --head [^#\n]*)', DOCS.read_text(), re.MULTILINE)[1].split()
     address = f'127.0.0.1:{free_port()}'
@@ -474,7 +456,7 @@ def test_cluster_begun_by_the_documented_command_makes_the_same_bytes(deadly, tm
 @pytest.mark.long
 def test_ray_cluster_that_is_not_there_is_one_line(tmp_path):
     pytest.importorskip('ray', reason='ray is not installed')
-    with pytest.raises(HnnViRosError, match='--ray auto: .*begin a cluster with: ray start'):
+    with pytest.raises(HnnViRosError, match='--ray auto: .*start a cluster with: ray start'):
         sweep(LENGTHS, tmp_path / 'out', ray='auto')
 
 
@@ -489,7 +471,8 @@ def test_sweep_on_a_device_is_recorded_and_continued_to_the_same_bytes(tmp_path)
     assert json.loads((whole / 'sweep.json').read_text())['device'] == {
         'kind': 'cpu', 'torch': torch.__version__}
     compiled = sweep(definition, tmp_path / 'compiled')
-    with pytest.raises(RecordingError, match='holds another sweep: device is null there, {"kind"'):
+    with pytest.raises(RecordingError,
+                       match='contains another sweep: device is null there, {"kind"'):
         sweep(definition, compiled, device='cpu')
     found, plain = (table_of(folder).drop_columns(['energy_band', 'energy', 'alarms', 'failure'])
                     for folder in (whole, compiled))
@@ -507,8 +490,9 @@ def test_failure_of_one_trajectory_on_a_device_is_a_row(tmp_path):
     rows = table_of(sweep({'scene': 'pendulum', 'duration': 0.2, 'vary': vary}, tmp_path / 'out',
                           device='cpu')).to_pylist()
     assert [row['failure'] is None for row in rows] == [True] * 4 + [False] * 2
-    assert rows[5]['failure'].startswith('duration = 0.2 s is no whole number of steps of 0.03 s')
-    with pytest.raises(HnnViRosError, match='not an H of perceptrons'):
+    assert rows[5]['failure'].startswith(
+        'duration = 0.2 s is not a whole number of steps of 0.03 s')
+    with pytest.raises(HnnViRosError, match='not made of perceptrons'):
         sweep(LENGTHS, tmp_path / 'exact', device='cpu')
 
 
@@ -551,7 +535,8 @@ def test_every_change_of_a_shard_is_found_by_name(whole, tmp_path, count):
     for cut in (0, 4, 7, 8, 100, len(content) // 2, len(content) - 1):
         file.write_bytes(content[:cut])
         assert folder.survey(plan).missing == [1], cut
-    with pytest.warns(UserWarning, match='part-000001.parquet: is damaged .*; it is made again'):
+    with pytest.warns(UserWarning,
+                      match='part-000001.parquet: is damaged .*; it is computed again'):
         sweep(LENGTHS, out)
     assert contents(out) == contents(whole)
 
@@ -566,7 +551,7 @@ def test_shards_that_were_swapped_or_are_of_another_sweep_are_found(whole, tmp_p
         (out / f'part-{target}.parquet').write_bytes(source.read_bytes())
     assert main([path, '--out', str(out), '--jobs', '1']) == 0
     told, lines = capsys.readouterr(), ['000000.parquet: is shard 2 of', '000002.parquet: is '
-                                        'shard 0 of', '000003.parquet: is of another sweep']
+                                        'shard 0 of', '000003.parquet: belongs to another sweep']
     for line in lines:
         assert f'part-{line}' in told.err
     assert '4 of 4 shards of 210 trajectories, none failed' in told.out
@@ -577,8 +562,8 @@ def test_shards_that_were_swapped_or_are_of_another_sweep_are_found(whole, tmp_p
     ('"trajectories": 210', '"trajectories": 211', 'trajectories is 211 there, 210 here'),
     ('"step_size": 0.01', '"step_size": 0.02', 'scene.step_size is 0.02 there'),
     ('"digest": "', '"digest": "0', '[^.]digest is "0[0-9a-f]{64}" there, "[0-9a-f]{64}" here'),
-    ('{', '', 'sweep.json: .*; put it back as it was, remove it if'),
-    ('"scene": {', '"scene": [{', 'put it back as it was')])
+    ('{', '', 'sweep.json: .*; restore it, remove it if'),
+    ('"scene": {', '"scene": [{', 'restore it, remove it')])
 def test_record_that_was_edited_is_told(whole, tmp_path, old, new, message):
     shutil.copytree(whole, out := tmp_path / 'out')
     text = (out / 'sweep.json').read_text()

@@ -15,7 +15,7 @@ METADATA_VERSION = 9
 # Start time that rosbag2 gives to a bag without messages: the latest possible time.
 NEVER = 2**63 - 1
 # Maximum size of a metadata.yaml [bytes].
-_LARGEST = 2**20
+_MAX_METADATA_SIZE = 2**20
 
 
 @dataclass(frozen=True)
@@ -111,10 +111,10 @@ def bag_metadata(files: Sequence[Extent], topics: Sequence[Topic], counts: Seque
         ROS distribution of the recording.
 
     """
-    held = [file for file in files if file.messages]
+    nonempty = [file for file in files if file.messages]
     extent = Extent('', sum(file.messages for file in files),
-                    min((file.first for file in held), default=NEVER),
-                    max((file.last for file in held), default=0)).fields
+                    min((file.first for file in nonempty), default=NEVER),
+                    max((file.last for file in nonempty), default=0)).fields
     return {
         'version': METADATA_VERSION, 'storage_identifier': 'mcap', **extent,
         'topics_with_message_count': [
@@ -153,7 +153,7 @@ def read_bag_metadata(folder: Path) -> dict[str, Any]:
     path = folder / 'metadata.yaml'
     try:
         with open_file(path, path) as stream:
-            content = read_description(stream.read(_LARGEST))
+            content = read_description(stream.read(_MAX_METADATA_SIZE))
     except OSError:
         return {}
     described = content.get('rosbag2_bagfile_information')

@@ -14,7 +14,7 @@ MOMENTUM, RATE = 'p_', 'dp_dt_'
 _SCALARS = ('H', 'work')
 
 
-class State(NamedTuple):
+class StateMessage(NamedTuple):
     """
     A sample as published on ~/state.
 
@@ -44,15 +44,15 @@ def state_names(names: Sequence[str], momenta: Sequence[str] | None = None) -> l
             *_SCALARS]
 
 
-def decode_state(data: bytes) -> State:
+def decode_state(data: bytes) -> StateMessage:
     """Return the sample in a serialised message of ~/state; raise ValueError if it is invalid."""
     joints = decode_joint_state(data)
     names, count = list(joints.names), len(joints.names) - len(_SCALARS)
     d = _momenta(names, count)
     if d is None or len(joints.position) != len(names):
-        raise ValueError('it names other numbers than ~/state')
+        raise ValueError('its names are not those of ~/state')
     q, p, dp_dt = np.split(joints.position[:count], [count - 2 * d, count - d])
-    return State(joints.stamp, q, p, dp_dt, *joints.position[count:].tolist())
+    return StateMessage(joints.stamp, q, p, dp_dt, *joints.position[count:].tolist())
 
 
 def _momenta(names: list[str], count: int) -> int | None:
@@ -125,7 +125,7 @@ class _Cursor:
     def _take(self, size: int) -> bytes:
         part = self._data[self._place:self._place + size]
         if len(part) != size:
-            raise ValueError(f'it breaks off after {len(self._data)} bytes')
+            raise ValueError(f'it ends after {len(self._data)} bytes')
         self._place += size
         return part
 
@@ -155,7 +155,7 @@ def _count(cursor: _Cursor, data: bytes) -> int:
     """Return the length of a sequence with entries of at least four bytes each."""
     count = cursor.number('I')
     if 4 * count > len(data):
-        raise ValueError(f'it names {count} entries, more than it holds')
+        raise ValueError(f'it declares {count} entries, more than it contains')
     return count
 
 

@@ -43,10 +43,10 @@ _READERS: dict[int, type[Any]] = {
     opcode: getattr(records, opcode.name.title().replace('_', '')) for opcode in Opcode
     if opcode not in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX)}
 # Maximum size of a record and of its unpacked content [bytes].
-LARGEST = 2**28
+MAX_RECORD_SIZE = 2**28
 # Maximum size of a group of messages outside of chunks that is read together [bytes].
-_PIECE = 2**18
-_WINDOW = 2**20
+_MAX_GROUP_SIZE = 2**18
+_READ_SIZE = 2**20
 _COMPRESSIONS = ('', 'zstd', 'lz4')
 
 
@@ -108,16 +108,16 @@ def _decode(opcode: int, content: bytes) -> McapRecord | None:
 
 
 def _read_at(stream: BinaryIO, start: int, length: int) -> bytes:
-    """Return the bytes of a stream that exist; no bytes if more than LARGEST are requested."""
+    """Return the existing bytes of a stream; none if more than MAX_RECORD_SIZE are requested."""
     stream.seek(start)
-    return stream.read(length) if length <= LARGEST else b''
+    return stream.read(length) if length <= MAX_RECORD_SIZE else b''
 
 
 def crc_of(stream: BinaryIO, start: int, end: int) -> int:
     """Return the CRC of a range of a stream."""
     stream.seek(start)
     found, left = 0, end - start
-    while left > 0 and (block := stream.read(min(left, _WINDOW))):
+    while left > 0 and (block := stream.read(min(left, _READ_SIZE))):
         found, left = zlib.crc32(block, found), left - len(block)
     return found
 
@@ -142,7 +142,7 @@ def unpack_zstd(data: bytes, most: int) -> bytes:
 def _unpack(content: bytes) -> bytes | None:
     """Return the records of a chunk, at most the declared size; None if it is damaged."""
     head = _chunk_head(content)
-    if head is None or head.unpacked > LARGEST:
+    if head is None or head.unpacked > MAX_RECORD_SIZE:
         return None
     data, most = content[head.start:], head.unpacked + 1
     try:
@@ -199,7 +199,7 @@ class McapFile:
         have been opened.
     incomplete : int
         Size of the truncated record at the end of the file [bytes].
-    held : int
+    message_count : int
         Number of messages, as far as known before they are read.
     counted : int or None
         Number of messages counted by the recorder; None if unknown.
@@ -223,7 +223,7 @@ class McapFile:
         self.schemas: dict[int, Schema] = {}
         self.pieces: list[Piece] = []
         self.unread: dict[int, int] = {}
-        self.incomplete, self.held, self._listed = 0, 0, 0
+        self.incomplete, self.message_count, self._listed = 0, 0, 0
         self.counted: int | None = None
         self.header: Header | None = None
         self.data_end: tuple[int, int] | None = None  # end of the data section, and its CRC
@@ -236,8 +236,9 @@ class McapFile:
             size = os.fstat(stream.fileno()).st_size
             if (begin := _read_at(stream, 0, len(MAGIC))) != MAGIC:
                 refuse_pointer(_read_at(stream, 0, 32), name, RecordingError)
-                reason = 'it does not begin like one' if begin else 'it is empty'
-                raise RecordingError(f'{name}: no MCAP file: {reason}; give a bag or its file')
+                reason = 'its first bytes are wrong' if begin else 'it is empty'
+                raise RecordingError(f'{name}: is not an MCAP file: {reason}; give a bag or its '
+                                     'file')
             end = self._scan(stream, size)
             if self.unread or self.incomplete:
                 self._refuse_second(stream, size)
@@ -304,8 +305,8 @@ class McapFile:
         """Index a message outside of chunks; join it to the piece before it if possible."""
         _, _, time, _ = _MESSAGE.unpack(_read_at(stream, start, _MESSAGE.size))
         begin, before = start - PREFIX.size, self.pieces[-1] if self.pieces else None
-        self.held += 1
-        if before and before.start + before.length == begin and before.length < _PIECE \
+        self.message_count += 1
+        if before and before.start + before.length == begin and before.length < _MAX_GROUP_SIZE \
                 and not before.packed:
             self.pieces[-1] = Piece(min(before.first, time), max(before.last, time), before.start,
                                     start + length - before.start)
@@ -319,8 +320,8 @@ class McapFile:
         for place in _found(stream, re.compile(re.escape(begin)), 1, size, len(begin)):
             if not any(start <= place < start + length for start, length in self._attachments):
                 raise RecordingError(
-                    f'{self.name}: a second file begins within it: cut it out with '
-                    f'`tail -c +{place + 1} {self.name}`, and the first with `head -c {place}`')
+                    f'{self.name}: a second file begins inside it: extract it with `tail -c '
+                    f'+{place + 1} {self.name}`, and the first with `head -c {place}`')
 
     def _finish(self, stream: BinaryIO, end: int, size: int, thorough: bool) -> None:
         """Use the summary if it is intact; otherwise open all chunks for their definitions."""
@@ -332,18 +333,18 @@ class McapFile:
             if isinstance(record, Schema | Channel):
                 self._define(record)
         known = self.finished and len(self.channels) == counts[0].channel_count
-        if self._chunks and self.held:
+        if self._chunks and self.message_count:
             # In a file with chunks, messages outside of them are damaged records.
             loose = [piece for piece in self.pieces if not piece.packed]
             self.unread |= {piece.start: piece.length for piece in loose}
             self.pieces = [piece for piece in self.pieces if piece.packed]
-            self.held = 0
+            self.message_count = 0
         if self._chunks:
-            self.held = self._listed
+            self.message_count = self._listed
         if self._chunks and (thorough or not known):
-            self.held = self._open_all(stream)
+            self.message_count = self._open_all(stream)
             self.pieces = [piece for piece in self.pieces if piece.start not in self.unread]
-            if self._listed > self.held and self.counted is None:
+            if self._listed > self.message_count and self.counted is None:
                 self.counted = self._listed
 
     def _is_finished(self, stream: BinaryIO, count: Statistics, end: int, size: int) -> bool:
@@ -359,7 +360,7 @@ class McapFile:
 
     def _open_all(self, stream: BinaryIO) -> int:
         """Read definitions and message times from all chunks; return the number of messages."""
-        held, contradicted = 0, False
+        count, contradicted = 0, False
         for number, piece in enumerate(self.pieces):
             times, sound = array('Q'), not contradicted
             for record in self._records(stream, piece) if sound else ():
@@ -375,8 +376,8 @@ class McapFile:
                 self.unread[piece.start] = piece.length
             elif times:
                 self.pieces[number] = piece._replace(first=min(times), last=max(times))
-                held += len(times)
-        return held
+                count += len(times)
+        return count
 
     def _records(self, stream: BinaryIO, piece: Piece) -> Iterable[McapRecord | None]:
         content = _read_at(stream, piece.start, piece.length)
@@ -445,6 +446,6 @@ def _next_chunk(stream: BinaryIO, place: int, size: int) -> int:
 def _found(stream: BinaryIO, pattern: re.Pattern[bytes], place: int, size: int, longest: int
            ) -> Iterator[int]:
     """Yield the positions of a pattern whose matches have at most `longest` bytes."""
-    for begin in range(place, size, _WINDOW):
-        window = _read_at(stream, begin, min(_WINDOW + longest - 1, size - begin))
+    for begin in range(place, size, _READ_SIZE):
+        window = _read_at(stream, begin, min(_READ_SIZE + longest - 1, size - begin))
         yield from (begin + match.start() for match in pattern.finditer(window))

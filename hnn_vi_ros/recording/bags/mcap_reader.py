@@ -11,14 +11,14 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import in_bytes
 from hnn_vi_ros.recording.bags.bag_files import bag_files, ForeignBag, open_sources
 from hnn_vi_ros.recording.bags.bag_metadata import counted_messages
-from hnn_vi_ros.recording.bags.mcap_file import LARGEST, McapFile, Piece
+from hnn_vi_ros.recording.bags.mcap_file import MAX_RECORD_SIZE, McapFile, Piece
 from mcap.records import Channel, Schema
 import zstandard
 
 _ZSTD = b'\x28\xb5\x2f\xfd'
 # Maximum size of messages buffered for sorting, equal to a few of the largest chunks; and overhead
 # per message [bytes].
-_HELD, _BESIDES = 2**30, 160
+_MAX_BUFFERED, _MESSAGE_OVERHEAD = 2**30, 160
 
 
 class Recorded(NamedTuple):
@@ -107,16 +107,16 @@ class BagReader:
             size = sum(source.unread[start] for source, start in places)
             source, start = places[0]
             found.append(f'{source.name}: {len(places)} damaged parts, {size} bytes, cannot be '
-                         f'read, the first at {start}: what they held is missing')
-        found += [f'{source.name}: holds {source.held} messages, and its summary or indexes count '
-                  f'{source.counted}' for source in self._sources
-                  if source.counted not in (None, source.held)]
-        held = sum(source.held for source in self._sources)
+                         f'read, the first at byte {start}: their content is missing')
+        found += [f'{source.name}: contains {source.message_count} messages, but its summary or '
+                  f'indexes count {source.counted}' for source in self._sources
+                  if source.counted not in (None, source.message_count)]
+        message_count = sum(source.message_count for source in self._sources)
         counted = counted_messages(self._files[0].parent, [path.name for path in self._files])
         # Recorders write the counts only at the end.
-        if counted and counted != held and not found:
-            found.append(f'{self.path}: holds {held} messages, and its metadata.yaml counts '
-                         f'{counted}')
+        if counted and counted != message_count and not found:
+            found.append(f'{self.path}: contains {message_count} messages, but its metadata.yaml '
+                         f'counts {counted}')
         return '; '.join(found)
 
     def digest(self) -> str:
@@ -153,27 +153,27 @@ class BagReader:
         wanted = self.channels.keys() if channels is None else frozenset(channels)
         parts = [part for part in self._parts
                  if part.piece.last >= first and part.piece.first <= last]
-        held: list[Recorded] = []
+        buffered: list[Recorded] = []
         size = 0
         for i, part in enumerate(parts):
             for message in self._read(part, wanted):
                 if first <= message.time <= last:
-                    held.append(message)
-                    size += len(message.data) + _BESIDES
-                if size > _HELD:
+                    buffered.append(message)
+                    size += len(message.data) + _MESSAGE_OVERHEAD
+                if size > _MAX_BUFFERED:
                     raise RecordingError(
-                        f'{self.path}: its messages are too many in one place or too far out of '
-                        f'order: to sort them needs more than {in_bytes(_HELD)}; sort it with '
-                        '`mcap sort`')
-            held.sort(key=lambda message: message.time)
+                        f'{self.path}: too many of its messages are in one place or too far out '
+                        f'of order: sorting needs more than {in_bytes(_MAX_BUFFERED)}; sort it '
+                        'with `mcap sort`')
+            buffered.sort(key=lambda message: message.time)
             # Hold messages back that a later piece may precede.
             until = parts[i + 1].piece.first if i + 1 < len(parts) else 2**64
             place = 0
-            while place < len(held) and held[place].time < until:
-                size -= len(held[place].data) + _BESIDES
-                yield held[place]
+            while place < len(buffered) and buffered[place].time < until:
+                size -= len(buffered[place].data) + _MESSAGE_OVERHEAD
+                yield buffered[place]
                 place += 1
-            del held[:place]
+            del buffered[:place]
 
     def _read(self, part: _Part, wanted: Collection[int]) -> Iterator[Recorded]:
         """Yield the decompressed messages of a piece."""
@@ -218,8 +218,8 @@ def _unpacked(data: bytes) -> bytes | None:
     """Decompress a single message; None if it is damaged or too large."""
     try:
         size = zstandard.get_frame_parameters(data).content_size
-        if size > LARGEST and size != zstandard.CONTENTSIZE_UNKNOWN:
+        if size > MAX_RECORD_SIZE and size != zstandard.CONTENTSIZE_UNKNOWN:
             return None
-        return zstandard.ZstdDecompressor().decompress(data, max_output_size=LARGEST)
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=MAX_RECORD_SIZE)
     except zstandard.ZstdError:
         return None

@@ -120,9 +120,8 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
             return recovery
     except OSError as problem:
         raise RecordingError(
-            f'{path}: cannot be made whole ({problem.strerror or problem}); it is left as it is; '
-            'give a file that exists, in a folder that can be written, with room for a second '
-            'one') from problem
+            f'{path}: cannot be repaired ({problem.strerror or problem}); it is unchanged; give '
+            'an existing file, in a writable folder with space for a second one') from problem
 
 
 class _Content:
@@ -159,7 +158,8 @@ def _not_being_recorded(stream: BinaryIO, path: Path) -> Iterator[None]:
     try:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as problem:
-        raise RecordingError(f'{path}: is still being recorded; stop that first') from problem
+        raise RecordingError(f'{path}: is still being recorded; stop the recorder '
+                             'first') from problem
     except OSError:
         # The file system has no locks, so a recorder has none either.
         pass
@@ -182,7 +182,7 @@ def _compared(file: McapFile, content: _Content, stream: BinaryIO) -> Recovery:
     if not messages and (recovery.lost or not file.all_metadata):
         raise RecordingError(
             f'{file.name}: nothing can be recovered: no message in {file.path.stat().st_size} '
-            'bytes can be read; it is left as it is')
+            'bytes can be read; it is unchanged')
     return recovery
 
 
@@ -237,8 +237,8 @@ def _read_back(path: Path, messages: int) -> None:
     with open_file(path, path) as stream:
         found = _compared(copy, _Content(copy), stream)
     if found.messages != messages or found.changed:
-        raise RecordingError(f'{path}: what was written reads back with {found.messages} of '
-                             f'{messages} messages; the bag is left as it is; look at the disk')
+        raise RecordingError(f'{path}: the repaired file reads back with {found.messages} of '
+                             f'{messages} messages; the bag is unchanged; check the disk')
 
 
 def _keep(path: Path) -> Path:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Record serialised messages as a rosbag2 folder with one MCAP file."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 import fcntl
@@ -13,7 +14,7 @@ import time
 from typing import Any, BinaryIO, final
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import command, dump_yaml
+from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.recording.bags.bag_metadata import (
     bag_metadata, Extent, NEVER, Topic, write_bag_metadata)
@@ -44,7 +45,7 @@ class _Records(list[Any]):
 
 def compact_index(writer: Writer) -> None:
     """
-    Make a writer without chunks store its chunk index in serialised form.
+    Make a new writer keep its chunk indices as bytes, before its first chunk.
 
     There are two chunks per second of wall time; by default each keeps an object with a dictionary
     until the file is closed, which takes 6 MB an hour.
@@ -57,7 +58,7 @@ CHUNK_SIZE = 256 * 1024
 # Interval of flushes [s]: a quarter of the second that an interruption may cost.
 FLUSH_INTERVAL = 0.25
 # Size of the buffer, which must hold everything before the first message [bytes].
-_BUFFER = 2**20
+_BUFFER_SIZE = 2**20
 
 
 @final
@@ -90,7 +91,7 @@ class McapSink:
     def __init__(self, folder: Path, topics: Sequence[Topic], attachments: Mapping[str, bytes],
                  ros_distro: str = 'jazzy'):
         self._topics, self._ros_distro = tuple(topics), ros_distro
-        self._ticks = 0
+        self._ticks, self._counts = 0, Counter[Topic]()
         # Topics without a message at each tick: channel, and number of messages.
         self._others: dict[Topic, list[int]] = {}
         self._schemas: dict[str, int] = {}
@@ -117,7 +118,7 @@ class McapSink:
             os.rename(hidden, self._path)
         Thread(target=self._flush_by_the_clock, daemon=True).start()
 
-    def write(self, stamp_ns: int, payloads: Sequence[bytes]) -> None:
+    def write(self, stamp_ns: int, payloads: Sequence[bytes | None]) -> None:
         """
         Record the messages of one tick.
 
@@ -125,8 +126,8 @@ class McapSink:
         ----------
         stamp_ns : int
             Common time of the messages [ns], not negative.
-        payloads : sequence of bytes
-            Serialised message of each topic, in order.
+        payloads : sequence of bytes or None
+            Serialised message of each topic, in order; None if it has none at this tick.
 
         Raises
         ------
@@ -137,8 +138,11 @@ class McapSink:
         # The format has 32 bits for the sequence number.
         sequence = self._ticks & 0xFFFFFFFF
         with self._abandoning():
-            for channel, payload in zip(self._channels, payloads, strict=True):
-                self._writer.add_message(channel, stamp_ns, payload, stamp_ns, sequence)
+            for topic, channel, payload in zip(
+                    self._topics, self._channels, payloads, strict=True):
+                if payload is not None:
+                    self._writer.add_message(channel, stamp_ns, payload, stamp_ns, sequence)
+                    self._counts[topic] += 1
             self._ticks += 1
             self._extend_to(stamp_ns)
             if self._ticks == 1:
@@ -182,8 +186,7 @@ class McapSink:
             The file cannot be written any more; the recording is closed.
 
         """
-        if self._stream is None:
-            self._raise_problem()
+        if self._is_closed():
             return
         with self._abandoning():
             self._flush()
@@ -198,8 +201,7 @@ class McapSink:
             The end of the recording cannot be written.
 
         """
-        if self._stream is None:
-            self._raise_problem()
+        if self._is_closed():
             return
         with self._abandoning():
             self._flush()
@@ -229,7 +231,8 @@ class McapSink:
         self._unflushed = True
 
     def _metadata(self) -> dict[str, Any]:
-        counts = [self._ticks] * len(self._topics) + [count for _, count in self._others.values()]
+        counts = [self._counts[topic] for topic in self._topics] + [
+            count for _, count in self._others.values()]
         file = Extent(self._path.name, sum(counts), self._first, self._last)
         return bag_metadata([file], [*self._topics, *self._others], counts, self._ros_distro)
 
@@ -252,6 +255,14 @@ class McapSink:
                     except RecordingError as problem:
                         # The next call raises the error.
                         self._problem = problem
+
+    def _is_closed(self) -> bool:
+        """Return True if the file is closed; raise the error of a flush by the clock."""
+        # The lock is held until the error of a flush that closed the file is known.
+        with self._lock:
+            if self._stream is None:
+                self._raise_problem()
+            return self._stream is None
 
     def _raise_problem(self) -> None:
         problem, self._problem = self._problem, None
@@ -282,8 +293,8 @@ class McapSink:
             self._end()
         kept = 'the file was removed'
         if self._path.exists():
-            kept = ('what was written before is kept: free some space, then make it whole '
-                    f'with: {command("recover_bag")} {shlex.quote(str(self._path.parent))}')
+            kept = ('earlier messages are kept: free some space, then repair the bag with: '
+                    f'hnn recover_bag {shlex.quote(str(self._path.parent))}')
         return RecordingError(
             f'{self._path}: the recording stopped ({_reason(problem)}); {kept}')
 
@@ -295,21 +306,21 @@ def _create(path: Path) -> BinaryIO:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir()
     except FileExistsError as problem:
-        raise RecordingError(f'{problem.filename}: exists already and is not overwritten; '
-                             'record to a folder that does not exist') from problem
+        raise RecordingError(f'{problem.filename}: exists already and is not overwritten; record '
+                             'to a new folder') from problem
     except OSError as problem:
-        raise RecordingError(f'{folder}: cannot be created ({_reason(problem)}); '
-                             'record to a folder that can be written') from problem
+        raise RecordingError(f'{folder}: cannot be created ({_reason(problem)}); record to a '
+                             'writable folder') from problem
     try:
-        stream = path.open('xb', buffering=_BUFFER)
+        stream = path.open('xb', buffering=_BUFFER_SIZE)
         # Lock the file until it is closed or the process ends: it must not be recovered meanwhile.
         with suppress(OSError):
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return stream
     except OSError as problem:
         folder.rmdir()
-        raise RecordingError(f'{path}: cannot be created ({_reason(problem)}); '
-                             'record to a folder that can be written') from problem
+        raise RecordingError(f'{path}: cannot be created ({_reason(problem)}); record to a '
+                             'writable folder') from problem
 
 
 def _reason(problem: OSError) -> str:

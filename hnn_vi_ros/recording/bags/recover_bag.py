@@ -6,7 +6,6 @@ from pathlib import Path
 import sys
 
 from hnn_vi_ros.errors import printable, RecordingError
-from hnn_vi_ros.files import called
 from hnn_vi_ros.recording import arguments
 from hnn_vi_ros.recording.bags.mcap_recovery import recover, Recovery
 
@@ -22,28 +21,28 @@ def _recover(bag: Path, replace: bool) -> int:
     try:
         recovery = recover(bag, replace)
     except RecordingError as problem:
-        print(f'{called("recover_bag")}: {problem}', file=sys.stderr, flush=True)
-        return 2
+        print(f'hnn recover_bag: {problem}', file=sys.stderr, flush=True)
+        return 1
     print(printable(_summary(recovery)), flush=True)
     return int(recovery.lost)
 
 
 def _summary(recovery: Recovery) -> str:
-    done = 'recovered' if recovery.changed else 'whole already'
+    done = 'recovered' if recovery.changed else 'already complete'
     if recovery.described and not recovery.changed:
-        done = 'whole already, metadata.yaml written'
+        done = 'already complete, metadata.yaml written'
     parts = [f'{recovery.path}: {done}: {recovery.messages} messages, {recovery.seconds:.2f} s']
     if recovery.incomplete:
-        parts.append(f'it breaks off in a record of which {recovery.incomplete} bytes are there')
+        parts.append(f'it ends in a record of which {recovery.incomplete} bytes exist')
     losses = []
     if recovery.damaged:
-        losses.append(f'{recovery.damaged} damaged parts, {recovery.unread} bytes not understood')
+        losses.append(f'{recovery.damaged} damaged parts, {recovery.unread} unreadable bytes')
     if recovery.fewer:
-        losses.append(f'{recovery.fewer} messages that had been counted')
+        losses.append(f'{recovery.fewer} messages that were counted')
     if recovery.altered:
-        losses.append('a checksum: the header or metadata are not as they were recorded')
+        losses.append('a checksum: the header or metadata differ from the recorded ones')
     if losses:
         parts.append(f'LOST: {", ".join(losses)}')
     if recovery.original:
-        parts.append(f'as it was: {recovery.original.name}')
+        parts.append(f'original: {recovery.original.name}')
     return '; '.join(parts)

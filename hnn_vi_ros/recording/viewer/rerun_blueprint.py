@@ -197,6 +197,8 @@ def log_plan_style(stream: rr.RecordingStream, radius: float) -> None:
 
 
 TRAIL_SAMPLES = 300
+# Maximum number of phase portraits next to a mechanism.
+MOST_BESIDE = 2
 # Sizes in points: column of mechanism and portraits in a window of 1400 x 900, bar above each
 # view, and margins for a portrait's labels on the left, right, top and bottom.
 COLUMN, BAR, MARGINS = (588.0, 830.0), 28.0, (58.0, 18.0, 46.0, 60.0)
@@ -209,14 +211,15 @@ INVARIANTS = '/invariants'
 _LEGEND_ROOM, _END_ROOM = 0.25, 0.04
 # In points: widths of a plot, of a letter and of the edges of a legend, heights of a legend's line
 # and of the rest of a plot below its bar, and minimum height of a view.
-_PLOT, _LETTER, _LEGEND_EDGES, _LINE, _MARGIN, _LEAST_HEIGHT = 775.0, 7.6, 42.0, 23.0, 40.0, 120.0
+_PLOT_WIDTH, _LETTER_WIDTH, _LEGEND_EDGES = 775.0, 7.6, 42.0
+_LEGEND_LINE, _PLOT_MARGIN, _MIN_HEIGHT = 23.0, 46.0, 120.0
 # Minimum share of a run with known duration that a trail shows.
 _TRAIL_SHARE = 0.2
 # Maximum number of gaps between ticks over the height of a plot.
-_MOST_GAPS = 5.0
+_MAX_TICK_GAPS = 5.0
 
 
-class Extent(NamedTuple):
+class SeriesExtent(NamedTuple):
     """
     Ranges of times and values covered by series.
 
@@ -241,7 +244,7 @@ class Arrangement:
     Parameters
     ----------
     portraits : int
-        Number of phase portraits.
+        Number of phase portraits; at most MOST_BESIDE next to a mechanism.
     bounds : np.ndarray, shape (2, 3), or None
         Minimum and maximum corner of the mechanism's reach [m]; None without a mechanism.
     hidden : str, optional
@@ -266,23 +269,15 @@ class Arrangement:
         return 1 if self.portraits == 2 and self.bounds is None else 2
 
     @property
-    def quarters(self) -> bool:
-        """Return whether the mechanism shares a row with the first of three portraits."""
-        return self.bounds is not None and self.portraits == 3
-
-    @property
     def world_share(self) -> float:
         """Share of the height reserved for the mechanism."""
-        if self.bounds is None or self.quarters:
-            return 0.0
-        # Two portraits in a row are half as high as one; four fill two such rows.
-        return {0: 1.0, 1: 0.32, 2: 0.55, 4: 0.25}.get(self.portraits, 0.5)
+        # Two portraits in a row are half as high as one.
+        return 0.0 if self.bounds is None else (1.0, 0.32, 0.55)[self.portraits]
 
     @property
     def world_aspect(self) -> float:
         """Width of the view of the mechanism over its height."""
-        width, height = (0.5, 0.5) if self.quarters else (1.0, self.world_share)
-        return width * COLUMN[0] / (height * COLUMN[1] - BAR)
+        return COLUMN[0] / (self.world_share * COLUMN[1] - BAR)
 
     @property
     def side(self) -> float:
@@ -297,7 +292,7 @@ class Arrangement:
 
 def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Sequence[str]],
                    arrangement: Arrangement, interval: int, pace: float | None = None,
-                   trails: Sequence[str] = (), extent: Extent | None = None
+                   trails: Sequence[str] = (), extent: SeriesExtent | None = None
                    ) -> rrb.Blueprint:
     """
     Return the layout of the views for a window of about 1400 x 900 points.
@@ -336,10 +331,13 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
                         for path, band in zip(('/state/q', '/state/p'), BANDS, strict=True))
     plots = [('Coordinates', q_paths), ('Momenta', p_paths), ('Energy', energies),
              ('Energy error', ['/energy/error']), *invariants]
-    heights = [height_for(names_of(paths, labels)[0]) for _, paths in plots]
+    names = [names_of(paths, labels)[0] for _, paths in plots]
+    # All time axes end together, after the longest legend.
+    room = max(map(room_after, names))
     motion = rrb.Vertical(
-        *(_series_view(title, paths, labels, extent) for title, paths in plots), _events_view(),
-        row_shares=[*heights, 0.6 * _LEAST_HEIGHT], name='Motion')
+        *(_series_view(title, paths, labels, extent, room) for title, paths in plots),
+        _events_view(), row_shares=[*map(height_for, names), 0.75 * _MIN_HEIGHT],
+        name='Motion')
     right = rrb.Tabs(motion, _timing_views(pace, extent))
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.42, 0.58])
@@ -354,8 +352,6 @@ def _left_column(world: rrb.View | None, views: Sequence[rrb.View], arrangement:
     """Arrange the existing mechanism and portraits in a column without gaps."""
     if not views:
         return world
-    if arrangement.quarters:
-        return rrb.Grid(*views if world is None else (world, *views), grid_columns=2)
     portraits = rrb.Tabs(*views) if arrangement.tabbed else rrb.Grid(
         *views, grid_columns=arrangement.columns)
     if world is None:
@@ -365,8 +361,8 @@ def _left_column(world: rrb.View | None, views: Sequence[rrb.View], arrangement:
 
 
 def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence[str]],
-                 extent: Extent | None, least: tuple[float, float] | None = None
-                 ) -> rrb.TimeSeriesView:
+                 extent: SeriesExtent | None, room: float,
+                 least: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
     """Plot some series; a single one is named in the title, where no legend hides data."""
     axis_y = None if least is None else rrb.ScalarAxis(range=least)
     names, unit = names_of(paths, labels)
@@ -376,7 +372,7 @@ def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence
     if extent is not None:
         # The legend is placed after the last sample.
         begin, end = extent.times
-        last = end + round(room_after(names) * max(end - begin, 1))
+        last = end + round(room * max(end - begin, 1))
         axis_x = rrb.TimeAxis(view_range=rr.TimeRange(
             start=rrb.TimeRangeBoundary.absolute(seconds=begin * 1e-9),
             end=rrb.TimeRangeBoundary.absolute(seconds=last * 1e-9)))
@@ -399,13 +395,13 @@ def room_after(names: Sequence[str]) -> float:
     """Return the share of the time axis to leave free for a legend of these names."""
     if len(names) < 2:
         return _END_ROOM
-    share = min((_LEGEND_EDGES + _LETTER * max(map(len, names))) / _PLOT, 0.5)
+    share = min((_LEGEND_EDGES + _LETTER_WIDTH * max(map(len, names))) / _PLOT_WIDTH, 0.5)
     return max(_LEGEND_ROOM, share / (1.0 - share))
 
 
 def height_for(names: Sequence[str]) -> float:
     """Return the height of a view, in points, for a legend of up to eight names."""
-    return max(_LEAST_HEIGHT, BAR + _MARGIN + _LINE * min(len(names), len(PALETTE)))
+    return max(_MIN_HEIGHT, BAR + _PLOT_MARGIN + _LEGEND_LINE * min(len(names), len(PALETTE)))
 
 
 def with_ticks(low: float, high: float) -> tuple[float, float]:
@@ -413,8 +409,8 @@ def with_ticks(low: float, high: float) -> tuple[float, float]:
     Return a range with the values, a margin, and two ticks with their labels.
 
     The viewer labels multiples of a power of ten that are at least some 25 points apart: in a plot
-    of 130 points, multiples of the smallest power of ten that fits at most _MOST_GAPS times into
-    the range.
+    of 130 points, multiples of the smallest power of ten that fits at most _MAX_TICK_GAPS times
+    into the range.
     """
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         # A constant: show zero as well, or one of its digits.
@@ -424,7 +420,7 @@ def with_ticks(low: float, high: float) -> tuple[float, float]:
     width = 1.12 * (high - low)
     middle = 0.5 * (low + high)
     low, high = middle - 0.5 * width, middle + 0.5 * width
-    gap = 10.0 ** np.ceil(np.log10(width / _MOST_GAPS) - 1e-9)
+    gap = 10.0 ** np.ceil(np.log10(width / _MAX_TICK_GAPS) - 1e-9)
     first, last = np.ceil(low / gap), np.floor(high / gap)
     # Extend the range to the nearest ticks until there are two, with room for their labels.
     while last - first < 1.0:
@@ -436,12 +432,14 @@ def with_ticks(low: float, high: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _timing_views(pace: float | None, extent: Extent | None) -> rrb.Vertical:
+def _timing_views(pace: float | None, extent: SeriesExtent | None) -> rrb.Vertical:
     # Start the axis at zero; otherwise jitter of a percent would fill the plot.
     least = None if pace is None else (0.0, 1.25 * pace)
     step_time, factor = TIMING
-    return rrb.Vertical(_series_view('Step time', [step_time], TIMING, extent),
-                        _series_view('Pace', [factor], TIMING, extent, least), name='Timing')
+    room = room_after(TIMING[step_time])
+    return rrb.Vertical(_series_view('Step time', [step_time], TIMING, extent, room),
+                        _series_view('Pace', [factor], TIMING, extent, room, least),
+                        name='Timing')
 
 
 def _events_view() -> rrb.TextLogView:

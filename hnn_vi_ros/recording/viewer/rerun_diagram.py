@@ -12,7 +12,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-_LEAST = np.finfo(np.float64).tiny
+_MIN_LOSS = np.finfo(np.float64).tiny
 
 
 def write_curves(path: Path, name: str,
@@ -38,7 +38,7 @@ def write_curves(path: Path, name: str,
     for (label, (steps, values)), color in zip(curves.items(), PALETTE, strict=False):
         _send(recording, f'/log10/{rr.escape_entity_path_part(label)}',
               rr.TimeColumn('step', sequence=np.asarray(steps, dtype=np.int64)),
-              np.log10(np.maximum(values, _LEAST)), rr.SeriesLines(names=label, colors=color))
+              np.log10(np.maximum(values, _MIN_LOSS)), rr.SeriesLines(names=label, colors=color))
     recording.flush()
     recording.disconnect()
 

@@ -11,8 +11,9 @@ from hnn_vi_ros.effects import Effect, EFFECTS, EffectState, Force, Potential
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import one_line
 from hnn_vi_ros.hamiltonians import (
-    Ball, bones, Box, Hamiltonian, Joint, Mechanism, moved, Robot, shapes_of, SILVER, SLIDING,
+    Ball, bones, Cuboid, Hamiltonian, Joint, Mechanism, moved, Robot, shapes_of, SILVER, SLIDING,
     tip_of)
+from hnn_vi_ros.phase_space import rotor_name
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer import rerun_blueprint as layout
 from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, fitted, frame_of
@@ -27,7 +28,8 @@ _WORLD, _JOINTS, _ROOT = '/world', '/joints', '/joints/root'
 _EFFORTS, _SKELETON = '/world/efforts', '/world/skeleton'
 # Length of an arrow at the effort limit relative to the reach; its colours (red, green, blue) at
 # zero effort and at the limit.
-_ARROW, _IDLE, _FULL = 0.4, np.array([60.0, 200.0, 255.0]), np.array([235.0, 20.0, 60.0])
+_EFFORT_ARROW = 0.4
+_IDLE_COLOR, _LIMIT_COLOR = np.array([60.0, 200.0, 255.0]), np.array([235.0, 20.0, 60.0])
 _GRAVITY = 9.81
 
 
@@ -72,14 +74,18 @@ class RobotPicture:
         recording.log(_ROOT, rr.Transform3D(
             translation=[0.0, 0.0, 0.0], parent_frame=f'tf#{_WORLD}',
             child_frame=tree.root_link().name), static=True)
-        own = {joint.name: joint for link in robot.links.values() for joint in link.joints}
-        # Path of each joint, and the index of its coordinate or its fixed value.
+        own = robot.joints
+        names = [name for name in dict.fromkeys([*coordinates, *robot.followers, *robot.locked])
+                 if name in own]
+        # Path of each joint, and its value: a row of factors of q, and a constant.
         self._joints = [
-            (own[name], f'{_JOINTS}/{rr.escape_entity_path_part(name)}',
-             list(coordinates).index(name) if name in coordinates else None,
-             robot.locked.get(name, 0.0))
-            for name in {**dict.fromkeys(coordinates), **robot.locked} if name in own]
-        self._moving = [own[name] for name in coordinates if name in own]
+            (own[name], f'{_JOINTS}/{rr.escape_entity_path_part(name)}', *values)
+            for name, *values in zip(names, *robot.driven(names, coordinates), strict=True)]
+        # Joints that move, and the columns of their motors, which may be rotors.
+        columns = {name: i for i, name in enumerate(coordinates)}
+        rotors = {name: i for name, i in columns.items() if name not in own}
+        self._moving = [(own[name], rotors.get(rotor_name(name), i))
+                        for name, i in columns.items() if name in own]
         self._reach, self._usual = _reach_of(robot), _usual_effort(robot)
         if self.problem:
             self._draw_skeleton(robot)
@@ -112,8 +118,8 @@ class RobotPicture:
             reference is the moment of the robot's weight at its reach, or the weight.
 
         """
-        for joint, path, column, held in self._joints:
-            values = np.full(len(q), held) if column is None else q[:, column]
+        for joint, path, factors, constant in self._joints:
+            values = q @ factors + constant
             # Computed here, because the SDK does not normalise axes.
             places, turns = moved(joint, values)
             self._recording.send_columns(path, times, rr.Transform3D.columns(
@@ -121,8 +127,8 @@ class RobotPicture:
                 parent_frame=[joint.parent] * len(values),
                 child_frame=[joint.child] * len(values)), strict=True)
         if efforts is not None:
-            for joint, effort in zip(self._moving, efforts.T, strict=True):
-                self._send_effort(times, joint, effort)
+            for joint, column in self._moving:
+                self._send_effort(times, joint, efforts[:, column])
 
     def _send_effort(self, times: list[rr.TimeColumn], joint: Joint, effort: np.ndarray) -> None:
         path = f'{_EFFORTS}/{rr.escape_entity_path_part(joint.name)}'
@@ -130,8 +136,8 @@ class RobotPicture:
         self._recording.log(path, rr.CoordinateFrame(joint.child), static=True)
         usual = self._usual / (self._reach if joint.kind == SLIDING else 1.0)
         share = np.clip(effort / (joint.limits.effort or usual), -1.0, 1.0)
-        vectors = (_ARROW * self._reach * share)[:, None] * joint.axis
-        colors = _IDLE + np.abs(share)[:, None] * (_FULL - _IDLE)
+        vectors = (_EFFORT_ARROW * self._reach * share)[:, None] * joint.axis
+        colors = _IDLE_COLOR + np.abs(share)[:, None] * (_LIMIT_COLOR - _IDLE_COLOR)
         self._recording.send_columns(path, times, rr.Arrows3D.columns(
             vectors=vectors, colors=colors.astype(np.uint8),
             radii=np.full(len(share), 0.012 * self._reach)), strict=True)
@@ -202,9 +208,9 @@ def _usual_effort(robot: Robot) -> float:
 MOTORS = 'motors'
 # Length of the largest arrow among the first samples, at most, and radius of an arrow, relative to
 # half of the mechanism's extent.
-_SHARE, _RADIUS = 1.0, 0.03
+_FORCE_ARROW, _FORCE_ARROW_RADIUS = 1.0, 0.03
 # Step of finite differences, relative to the range of q, for derivatives of positions.
-_STEP = 1e-6
+_DIFFERENCE_STEP = 1e-6
 # Colours of the palette from the third on: mechanisms use the first two.
 _COLORS = ('green', 'pink', 'turquoise', 'red', 'violet', 'yellow')
 
@@ -280,12 +286,12 @@ class ForceArrows:
     def style(self, name: str) -> rr.Arrows3D:
         """Return the style of a force's arrows, without labels, which would hide them."""
         return rr.Arrows3D.from_fields(
-            colors=[PALETTE[2 + self._color(name)]], radii=[_RADIUS * self._size])
+            colors=[PALETTE[2 + self._color(name)]], radii=[_FORCE_ARROW_RADIUS * self._size])
 
     def legend(self, names: Sequence[str]) -> str:
         """Return a legend of the arrows for the user."""
         colors = ', '.join(f'{name} {_COLORS[self._color(name)]}' for name in names)
-        return f'arrows of forces, 1 N is {self.scale:g} m long: {colors}'
+        return f'force arrows, 1 N is {self.scale:g} m long: {colors}'
 
     def _color(self, name: str) -> int:
         names = [*(other for other, _, _ in self._effects), MOTORS]
@@ -299,14 +305,14 @@ class ForceArrows:
         if isinstance(effect, Potential):
             effect.add_gradient(own, sample.q, f_p)
             return -f_p
-        assert isinstance(effect, Force), 'no others are drawn'
+        assert isinstance(effect, Force), 'other effects are not drawn'
         effect.add_force(own, sample.step * self._step_size, sample.q, sample.p, sample.dH_dp,
                          f_q, f_p)
         return f_p
 
     def _bodies(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions of m bodies, shape (n, m, 3), and their derivatives, (n, 3 m, d)."""
-        step = _STEP * max(self._reach, 1.0)
+        step = _DIFFERENCE_STEP * max(self._reach, 1.0)
         columns = [(self._places(q + shift) - self._places(q - shift)) / (2.0 * step)
                    for shift in step * np.eye(q.shape[1])]
         jacobian = np.stack([column.reshape(len(q), -1) for column in columns], axis=-1)
@@ -315,7 +321,7 @@ class ForceArrows:
     def _places(self, q: np.ndarray) -> np.ndarray:
         parts = self._mechanism(q, self._reach).values()
         return np.stack([part.center for part in parts
-                         if isinstance(part, Ball | Box) and part.moves], axis=1)
+                         if isinstance(part, Ball | Cuboid) and part.moves], axis=1)
 
     def _scale_of(self, arrows: np.ndarray) -> float:
         """Return a length for 1 N that shows the largest force: 1, 2 or 5 times a power of ten."""
@@ -323,7 +329,7 @@ class ForceArrows:
             arrows).all(axis=-1)))
         if largest == 0.0:
             return math.nan
-        longest = _SHARE * self._size / largest
+        longest = _FORCE_ARROW * self._size / largest
         power = 10.0 ** math.floor(math.log10(longest))
         return max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= longest)
 

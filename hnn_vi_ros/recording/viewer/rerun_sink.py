@@ -13,11 +13,11 @@ import warnings
 from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians import (
-    Ball, bounds_of, Box, Hamiltonian, Line, Mechanism, Part, Robot, Trail)
+    Ball, bounds_of, Cuboid, Hamiltonian, Line, Mechanism, Part, Robot, Trail)
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer import rerun_blueprint as layout
 from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, ends_of, reach_of
-from hnn_vi_ros.recording.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint
+from hnn_vi_ros.recording.viewer.rerun_blueprint import Arrangement, make_blueprint, SeriesExtent
 from hnn_vi_ros.recording.viewer.rerun_entities import (
     bounds_of_path, bounds_of_robot, collisions_of, ForceArrows, Portraits, RobotPicture)
 from hnn_vi_ros.recording.viewer.rerun_stream import RerunStream, Target
@@ -44,7 +44,8 @@ class RerunSink:
 
     A robot from a URDF is drawn by the SDK, with an arrow at each joint with an active motor.
     Arrows on the bodies of a mechanism show the forces of effects; see ForceArrows. The first
-    MOST_PORTRAITS coordinates have phase portraits. There are three timelines: ``sim_time``
+    MOST_PORTRAITS coordinates have phase portraits, next to a mechanism only of systems of at most
+    MOST_BESIDE coordinates. There are three timelines: ``sim_time``
     (simulated time), ``step`` and ``ros_time``. Samples are thinned out in simulated time and sent
     in batches.
 
@@ -94,8 +95,12 @@ class RerunSink:
                  modified: bool = True, band: bool = False, interval: int = 33_333_333,
                  pace: float | None = None, begin: tuple[int, int] = (0, 0)):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
-        # For a rotating body, coordinates and momenta do not pair up in planes.
-        self._portrayed = () if hamiltonian.rotations else self._coordinates[:MOST_PORTRAITS]
+        # For a rotating body, coordinates and momenta do not pair up in planes. A plane of more
+        # than two coordinates shows little of the motion, and leaves a mechanism little room.
+        most = 0 if hamiltonian.rotations else MOST_PORTRAITS
+        if mechanism is not None or hamiltonian.robot is not None:
+            most = most if len(self._coordinates) <= layout.MOST_BESIDE else 0
+        self._portrayed = self._coordinates[:most]
         self._invariants = hamiltonian.invariants
         self._robot = hamiltonian.robot
         self._picture: RobotPicture | None = None
@@ -173,7 +178,7 @@ class RerunSink:
         if self._mechanism is None:
             return
         tips = [part.center for part in self._mechanism(q, self._reach).values()
-                if isinstance(part, Ball | Box) and part.moves] if len(q) else []
+                if isinstance(part, Ball | Cuboid) and part.moves] if len(q) else []
         if tips and not self._planned:
             self._planned = True
             layout.log_plan_style(self._stream.recording, _PLAN_RADIUS * self._reach)
@@ -214,7 +219,7 @@ class RerunSink:
                 self._stream.send_blueprint(self._blueprint(
                     self._arrangement if self._bounds_shown is None else
                     replace(self._arrangement, bounds=self._bounds_shown),
-                    extent=Extent(self._times_shown, self._values_shown)))
+                    extent=SeriesExtent(self._times_shown, self._values_shown)))
         finally:
             self._stream.close()
 
@@ -388,7 +393,7 @@ def _around(one: np.ndarray, other: np.ndarray | None) -> np.ndarray:
     return np.array([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
 
 
-def _moved(part: Line | Box | Ball) -> rr.ComponentColumnList:
+def _moved(part: Line | Cuboid | Ball) -> rr.ComponentColumnList:
     if isinstance(part, Line):
         return rr.LineStrips3D.columns(strips=part.points)
     kind = rr.Ellipsoids3D if isinstance(part, Ball) else rr.Boxes3D

@@ -110,7 +110,7 @@ class RerunStream:
             self.recording.flush(timeout_sec=FLUSH)
         except RuntimeError as problem:
             self._hang_up(HANG_UP)
-            why = 'the viewer is gone' if self.live else 'the disk is full'
+            why = 'the viewer was closed' if self.live else 'the disk is full'
             raise RecordingError(f'{self._target}: the end of the rerun recording is lost '
                                  f'({_reason(problem)}): perhaps {why}') from problem
         self._hang_up(HANG_UP if isinstance(self._target, str) else FINISH)
@@ -158,7 +158,8 @@ def _open(application: str, target: Target) -> rr.RecordingStream:
         raise RecordingError(f'{target}: exists and is not overwritten; choose another '
                              'rerun_path') from problem
     except (OSError, RuntimeError, ValueError, OverflowError) as problem:
-        raise RecordingError(f'{target}: cannot record for rerun there: {problem}') from problem
+        raise RecordingError(f'{target}: a rerun recording cannot be written there: '
+                             f'{problem}') from problem
 
 
 def _connect(application: str, target: Target) -> rr.RecordingStream:
@@ -181,7 +182,7 @@ def _check_viewer(url: str) -> None:
     """Check that a viewer listens: connecting to a missing one takes the SDK five seconds."""
     parts = urlsplit(url)
     if parts.scheme not in ('rerun', 'rerun+http', 'rerun+https') or not parts.hostname:
-        raise RecordingError(f'{url}: no address of a rerun viewer; it looks like '
+        raise RecordingError(f'{url}: is not the address of a rerun viewer, such as '
                              'rerun+http://127.0.0.1:9876/proxy')
     port = parts.port or {'rerun+http': 80}.get(parts.scheme, 443)
     try:

@@ -126,14 +126,14 @@ def ensemble_card(parts: Parts) -> EnsembleCard:
     """
     scene, hamiltonian, *_ = parts
     if isinstance(hamiltonian, ConfinedHamiltonian):
-        raise SceneError(f'{scene.place("hamiltonian")}: confined to its training domain, by '
-                         'walls of its own for each member, so that their spread means nothing; '
-                         'write confine: false')
+        raise SceneError(f'{scene.place("hamiltonian")}: each member is confined to its training '
+                         'domain by its own walls, so that the spread is meaningless; set '
+                         'confine: false')
     card = getattr(getattr(hamiltonian, 'checkpoint', None), 'card', None)
     if card is None or card.ensemble is None or getattr(scene.hamiltonian, 'member', None):
-        raise SceneError(f'{scene.place("hamiltonian")}: no mean of an ensemble, whose members '
-                         'could come apart; name the file of one, made by train --ensemble N, '
-                         'without member')
+        raise SceneError(f'{scene.place("hamiltonian")}: is not the mean of an ensemble, whose '
+                         'members could diverge; name the file of an ensemble, from train '
+                         '--ensemble N, without member')
     found: EnsembleCard = card.ensemble
     return found
 

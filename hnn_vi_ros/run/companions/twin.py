@@ -21,9 +21,9 @@ import numpy as np
 VALID = 0.01
 # Time after which a still valid prediction is ended [s], and number of ended predictions from
 # which the median is taken.
-_LONGEST, _KEPT = 2.0, 1000
+_MAX_PREDICTION, _MEDIAN_OF = 2.0, 1000
 # Times that differ by at most this are equal [s].
-_SAME = 1e-9
+_TIME_TOLERANCE = 1e-9
 
 
 class Report(NamedTuple):
@@ -52,7 +52,7 @@ class Report(NamedTuple):
     running: float
 
 
-class Prediction:
+class TwinPrediction:
     """A simulation without an observer, which starts from an observation."""
 
     def __init__(self, simulation: Simulation):
@@ -117,18 +117,18 @@ class Twin:
         with warnings.catch_warnings():
             # The simulation has already raised the warnings about the scene.
             warnings.simplefilter('ignore')
-            self._predictions = [Prediction(build(alone.copy()))
+            self._predictions = [TwinPrediction(build(alone.copy()))
                                  for _ in range(observer.predictions)]
             first = self._predictions[0].simulation
         first.compile()
         first.compile_rescue()
         first.hamiltonian.compile()
-        self._every = _LONGEST / observer.predictions
+        self._every = _MAX_PREDICTION / observer.predictions
         self.heard: Callable[[Report], None] = lambda report: None
         self._simulation, self._domain = simulation, domain_of(simulation.hamiltonian)
         with scene.placed('effects', place):
             if problem := self.unstable:
-                raise ValueError(f'{problem}; lower it, or step_size')
+                raise ValueError(f'{problem}; reduce it, or step_size')
         self._forget()
 
     def _forget(self) -> None:
@@ -136,10 +136,11 @@ class Twin:
         self.newest: Report | None = None
         self.failed = 0
         self._before: tuple[float, np.ndarray] | None = None
-        self.times: deque[float] = deque(maxlen=_KEPT)
+        self.times: deque[float] = deque(maxlen=_MEDIAN_OF)
         self._due = -np.inf
         self._outside, self._last_outside, self._furthest, self.beyond = 0, -np.inf, 0.0, ''
-        self._times: dict[bool, deque[float]] = {out: deque(maxlen=_KEPT) for out in (False, True)}
+        self._times: dict[bool, deque[float]] = {
+            out: deque(maxlen=_MEDIAN_OF) for out in (False, True)}
         self._count, self._mean, self._square = 0, np.zeros(len(self.names)), np.zeros(
             len(self.names))
         for prediction in self._predictions:
@@ -154,7 +155,7 @@ class Twin:
         """See Companion."""
         for prediction in self._active():
             if prediction.began is not None and (
-                    self._now - prediction.began > _LONGEST + self.timeout):
+                    self._now - prediction.began > _MAX_PREDICTION + self.timeout):
                 # Without observations, its valid time is unknown.
                 prediction.began = None
                 continue
@@ -183,8 +184,8 @@ class Twin:
         lightest = float(np.linalg.eigvalsh(0.5 * (inverse + inverse.T))[-1])
         most = largest_gain(1.0 / lightest, self._damping, h) if lightest > 0.0 else np.inf
         return '' if self._gain <= most else (
-            f'gain = {self._gain:g} is not stable at step_size = {h:g} s: at most {most:.3g} is '
-            'for the masses here')
+            f'gain = {self._gain:g} is not stable at step_size = {h:g} s: the limit for these '
+            f'masses is {most:.3g}')
 
     @property
     def running(self) -> list[float]:
@@ -222,7 +223,7 @@ class Twin:
     def _now(self) -> float:
         return float(self._simulation.steps * self._simulation.step_size)
 
-    def _active(self) -> list[Prediction]:
+    def _active(self) -> list[TwinPrediction]:
         """Return the running predictions, the oldest first."""
         return [one for _, one in sorted(
             ((one.began, one) for one in self._predictions if one.began is not None),
@@ -245,7 +246,7 @@ class Twin:
             np.full(len(self.names), np.nan), np.nan, 0.0)
         now = self._now + seen.delay
         # A prediction needs the velocity.
-        if now >= self._due - _SAME and np.isfinite(velocity).all():
+        if now >= self._due - _TIME_TOLERANCE and np.isfinite(velocity).all():
             self._predict(position, velocity, seen.delay)
             # At regular times, independent of the rate of the observations.
             late = self._due <= now - self._every
@@ -254,16 +255,16 @@ class Twin:
                              error, normalised, age)
         self.heard(self.newest)
 
-    def _judge(self, prediction: Prediction, error: np.ndarray, delay: float
+    def _judge(self, prediction: TwinPrediction, error: np.ndarray, delay: float
                ) -> tuple[float, float]:
         """Return normalised error and age of a prediction; end it if it is invalid or old."""
-        assert prediction.began is not None, 'it runs'
+        assert prediction.began is not None, 'the prediction runs'
         age = max(0.0, self._now + delay - prediction.began)
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
             normalised = float(np.where(error == 0.0, 0.0, error**2 / self._variance).sum())
-        if not normalised < VALID or age >= _LONGEST - _SAME:
-            self.times.append(min(age, _LONGEST))
-            self._times[self._last_outside >= prediction.began].append(min(age, _LONGEST))
+        if not normalised < VALID or age >= _MAX_PREDICTION - _TIME_TOLERANCE:
+            self.times.append(min(age, _MAX_PREDICTION))
+            self._times[self._last_outside >= prediction.began].append(min(age, _MAX_PREDICTION))
             prediction.began = None
         return normalised, age
 

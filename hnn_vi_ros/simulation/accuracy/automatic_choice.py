@@ -18,7 +18,7 @@ from hnn_vi_ros.errors import CalibrationError
 from hnn_vi_ros.files import cache_folder
 from hnn_vi_ros.scene import AutoChoice, Scene
 from hnn_vi_ros.simulation.accuracy.cost import (
-    Cost, CostStudy, fastest, ladder, measure, refusal, TOO_MUCH, try_between)
+    CostStudy, fastest, ladder, measure, MethodCost, refusal, TOO_EXPENSIVE, try_between)
 from hnn_vi_ros.simulation.accuracy.path_reference import find_reference, Instants, PathReference
 from hnn_vi_ros.simulation.accuracy.trials import (
     InitialValueProblem, Method, parts_between, PathSurvey, survey, Tolerance)
@@ -31,18 +31,18 @@ from pydantic import ValidationError
 # of a limited run extrapolate to a longer one. All Gauss methods share one compiled kernel.
 CANDIDATES = (*(f'gauss{order}' for order in range(16, 2, -2)), 'stormer_verlet',
               'generalized_leapfrog', 'variational_euler', 'time_transformed')
-# time_transformed is tried first if the ratio of strongest to median force is at least _CLOSE,
-# with each of these bases and thresholds of its argument `force`, in units of the median force.
-_CLOSE, _BASES, _FORCES = 6.0, ('gauss8', 'gauss6', 'gauss4'), (1.0, 0.25)
+# time_transformed is tried first if the ratio of strongest to median force is at least this, with
+# each of these bases and thresholds of its argument `force`, in units of the median force.
+_MIN_FORCE_RATIO, _BASES, _FORCES = 6.0, ('gauss8', 'gauss6', 'gauss4'), (1.0, 0.25)
 # Once a method has reached its round-off floor above the tolerance, others are tried up to this
 # multiple of its cost.
-_BEYOND_FLOOR = 10.0
+_MAX_COST_BEYOND_FLOOR = 10.0
 # Share of a run used to measure the reported computing time.
-_TIMED = 0.01
+_TIMED_SHARE = 0.01
 # Format version of cached choices; changing it invalidates the cache.
 _FORMAT = 4
 # Tolerances tried for the integrator taylor, as shares of the path error.
-_SERIES = 10.0 ** -np.arange(0.0, 8.0)
+_TAYLOR_TOLERANCES = 10.0 ** -np.arange(0.0, 8.0)
 
 
 @dataclass(frozen=True)
@@ -86,15 +86,15 @@ class Choice:
     def explain(self, tolerance: Tolerance) -> str:
         """Return the choice and its reason on one line."""
         extent = '' if self.checked >= 0.999 * tolerance.horizon else (
-            f', seen over {self.checked:.3g} s and carried on to {tolerance.horizon:g} s')
+            f', measured over {self.checked:.3g} s and extrapolated to {tolerance.horizon:g} s')
         relative = f' of {self.energy_scale:.3g} J' if tolerance.kind == 'energy_error' else ''
         limit = '' if self.largest_step is None else (
-            f'; h is no longer than the {self.largest_step:g} s between two samples: a lower '
-            'publish rate may allow a cheaper choice')
+            f'; h is at most the sampling interval of {self.largest_step:g} s: a lower publish '
+            'rate may allow a cheaper choice')
         return (f'chose {Method(self.method, self.arguments)} with h = {self.step_size:g} s for '
                 f'{tolerance.kind} {tolerance.error:g}{relative} up to {tolerance.horizon:g} s: '
-                f'the cheapest that holds it, with {self.error:.2g}{extent}, at '
-                f'the work of {self.work_per_simulated_second:.3g} gradients and '
+                f'the cheapest within the tolerance, with error {self.error:.2g}{extent}, '
+                f'{self.work_per_simulated_second:.3g} gradients and '
                 f'{1e6 * self.seconds_per_simulated_second:.3g} us per simulated second{limit}')
 
 
@@ -136,7 +136,7 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
         raise CalibrationError(_refusal(study, tolerance))
     simulation = problem.simulation(best.method, best.step_size)
     simulation.advance(1)
-    steps = math.ceil(_TIMED * best.checked / best.step_size)
+    steps = math.ceil(_TIMED_SHARE * best.checked / best.step_size)
     return Choice(best.method.kind, best.step_size, study.error(best), best.checked,
                   fastest(problem, simulation, steps) / (steps * best.step_size), best.work,
                   dict(best.method.arguments), study.known.energy_scale,
@@ -158,14 +158,14 @@ def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) 
     known, by_path = survey(problem, tolerance.horizon, base), tolerance.kind == 'path_error'
     reference = find_reference(problem, tolerance, base, known) if by_path else PathReference(
         Instants.of(tolerance.horizon, base), np.empty((0, 0)), math.inf, '')
-    study = CostStudy(problem, known, reference, '' if by_path else 'energies are wanted',
+    study = CostStudy(problem, known, reference, '' if by_path else 'the tolerance is on energies',
                       tolerance=tolerance)
     bound = math.inf
 
-    def enough(costs: list[Cost]) -> bool:
+    def enough(costs: list[MethodCost]) -> bool:
         # The cost of a diverged run is unknown; and shorter steps can cost less than steps so
         # long that their equations are hard to solve.
-        last = [cost for cost in costs[-2:] if cost.failure in ('', TOO_MUCH)]
+        last = [cost for cost in costs[-2:] if cost.failure in ('', TOO_EXPENSIVE)]
         return len(last) == 2 and last[0].work <= last[1].work and (
             last[0].failure != '' or last[0].work >= bound
             or study.holds(last[1], tolerance.error))
@@ -174,7 +174,8 @@ def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) 
         if not refusal(study, method):
             costs = ladder(study, method, bound, enough)
             # Longer steps are tried as well if the longest of the ladder is not too long.
-            while (costs[0].failure == TOO_MUCH or study.holds(costs[0], tolerance.error)) and (
+            while (costs[0].failure == TOO_EXPENSIVE
+                   or study.holds(costs[0], tolerance.error)) and (
                     longer := parts_between(0, round(base / costs[0].step_size))):
                 costs.insert(0, measure(study, method, longer[-1], bound))
             study.costs += costs
@@ -183,7 +184,7 @@ def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) 
                 bound = best.work
             elif method in study.at_floor:
                 # The round-off floors of different methods are similar.
-                bound = min([bound, *(_BEYOND_FLOOR * cost.work for cost in costs
+                bound = min([bound, *(_MAX_COST_BEYOND_FLOOR * cost.work for cost in costs
                                       if not cost.failure)])
     if by_path:
         _measure_series(study, tolerance.error, bound)
@@ -192,7 +193,7 @@ def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) 
 
 
 def _candidates(known: PathSurvey) -> Iterator[Method]:
-    if known.strongest >= _CLOSE * known.force > 0.0:
+    if known.strongest >= _MIN_FORCE_RATIO * known.force > 0.0:
         for base in _BASES:
             for share in _FORCES:
                 yield Method('time_transformed',
@@ -202,7 +203,7 @@ def _candidates(known: PathSurvey) -> Iterator[Method]:
 
 def _measure_series(study: CostStudy, error: float, bound: float) -> None:
     """Add Taylor series, loosest first, until one meets a path error or costs too much."""
-    for share in np.clip(_SERIES * error, 1e-16, 1e-3):
+    for share in np.clip(_TAYLOR_TOLERANCES * error, 1e-16, 1e-3):
         method = Method('taylor', {'tolerance': float(f'{share:.3g}')})
         if refusal(study, method):
             return
@@ -213,16 +214,15 @@ def _measure_series(study: CostStudy, error: float, bound: float) -> None:
 
 def _refusal(study: CostStudy, tolerance: Tolerance) -> str:
     """Return a message: no method meets the tolerance, the nearest miss and its limitation."""
-    wanted = f'no method holds {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s'
+    wanted = f'no method meets {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s'
     nearest = min(study.costs, key=study.error, default=None)
     if nearest is None or nearest.failure:
-        return (f'{wanted}: every step that is short enough costs more gradients than are '
-                'affordable; allow a larger error or a shorter horizon')
-    reason = ('smaller steps do not help, for round-off' if nearest.method in study.at_floor else
-              'smaller steps cost more gradients than are affordable')
-    return (f'{wanted}; the nearest is {nearest.method} with h = {nearest.step_size:g} s, which '
-            f'errs by {study.error(nearest):.2g}: {reason}; allow a larger error or a shorter '
-            'horizon')
+        return (f'{wanted}: every small enough step_size exceeds the limit of gradients; '
+                'allow a larger error or a shorter horizon')
+    reason = ('smaller steps do not help because of round-off' if nearest.method in study.at_floor
+              else 'smaller steps exceed the limit of gradients')
+    return (f'{wanted}; the best is {nearest.method} with h = {nearest.step_size:g} s and error '
+            f'{study.error(nearest):.2g}: {reason}; allow a larger error or a shorter horizon')
 
 
 def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step: float | None,
@@ -270,7 +270,7 @@ def tolerance_of(choice: AutoChoice) -> Tolerance:
     """Return the tolerance requested of `integrator: auto`."""
     if choice.energy_error is not None:
         return Tolerance('energy_error', choice.energy_error, choice.horizon)
-    assert choice.path_error is not None, 'its schema asks for one of them'
+    assert choice.path_error is not None, 'the schema requires one of them'
     return Tolerance('path_error', choice.path_error, choice.horizon)
 
 

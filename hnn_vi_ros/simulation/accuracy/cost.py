@@ -30,36 +30,36 @@ _NEXT = ('stormer_verlet', 'generalized_leapfrog', 'lie_stormer_verlet', 'lie_le
 _BASES = ('stormer_verlet', 'lie_stormer_verlet', 'generalized_leapfrog', 'lie_leapfrog',
           'implicit_midpoint')
 # The method that shortens its steps where forces are strong: useful if the strongest force is at
-# least _CLOSE times the median. It is measured last, since it takes the longest to compile.
-_CLOSE_ENCOUNTERS, _CLOSE = 'time_transformed', 6.0
+# least _MIN_FORCE_RATIO times the median. It is measured last, since compiling it takes longest.
+_CLOSE_ENCOUNTERS, _MIN_FORCE_RATIO = 'time_transformed', 6.0
 # Approximate number of states at which energies are compared, and number of checks at which a
 # run may end early; the same with a tolerance; number of checks if effects do work, since their
 # sum is evaluated only at checks.
-_ENERGIES, _LOOKS, _HELD_ENERGIES, _HELD_LOOKS, _LOOKS_OF_WORK = 1000, 20, 20_000, 100, 2000
+_SAMPLES, _CHECKS, _JUDGED_SAMPLES, _JUDGED_CHECKS, _WORK_CHECKS = 1000, 20, 20_000, 100, 2000
 # Ratio of the first step size to the one that resolves the path: the larger of this and the
 # order, since a run that diverges at once is cheap. Strides through the list of subdivisions,
 # by upper bound of the order: smaller for higher orders, whose error falls faster.
-_LONGEST, _STRIDES = 2.0, ((4, 3), (8, 2), (math.inf, 1))
+_FIRST_STEP_RATIO, _STRIDES = 2.0, ((4, 3), (8, 2), (math.inf, 1))
 # A method this many times as expensive as another one at the same error is abandoned.
-_HOPELESS = 100.0
+_MAX_COST_RATIO = 100.0
 # Minimum number of step sizes measured per method, even beyond its share of the time.
-_LEAST = 3
+_MIN_STEP_SIZES = 3
 # A run counts as diverged beyond this share of the path's size or of the energy scale; with a
 # tolerance, beyond this multiple of it.
-_LOST, _ENOUGH = 0.1, 1e3
+_LOST_SHARE, _LOST_MULTIPLE = 0.1, 1e3
 # Detection of the round-off floor: number of consecutive flat step sizes; slopes of log error
 # over log step size, as shares of the order, that count as flat and as resolving the path;
 # error below which the path is resolved in any case.
-_STUCK, _FLAT, _RESOLVED, _SMALL = 2, 0.25, 0.5, 1e-7
+_MIN_FLAT_STEP_SIZES, _MAX_FLAT_SLOPE, _MIN_RESOLVED_SLOPE, _RESOLVED_ERROR = 2, 0.25, 0.5, 1e-7
 # Minimum total time of timed repetitions [s], and their maximum number.
-_TIMED, _REPEATS = 0.02, 7
+_MIN_TIMED_SECONDS, _MAX_REPEATS = 0.02, 7
 # Failure reason of a run that exceeds its limit of work.
-TOO_MUCH = 'costs too much'
+TOO_EXPENSIVE = 'too expensive'
 # No method is started in this last share of the time, since it may need compiling.
-_BEGUN = 0.05
+_LAST_START_SHARE = 0.05
 # Safety factors of recommendations, since errors may be larger between instants of comparison:
 # for errors measured up to the horizon, and for errors extrapolated to it.
-_SEEN, _CARRIED = 0.95, 0.5
+_SAFETY, _EXTRAPOLATION_SAFETY = 0.95, 0.5
 
 
 class RunErrors(NamedTuple):
@@ -83,7 +83,7 @@ class RunErrors(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Cost:
+class MethodCost:
     """
     Cost of a method at one step size; unknown figures are NaN.
 
@@ -154,7 +154,7 @@ class CostStudy:
     known: PathSurvey
     reference: PathReference
     no_path: str
-    costs: list[Cost] = field(default_factory=list)
+    costs: list[MethodCost] = field(default_factory=list)
     left_out: dict[str, list[str]] = field(default_factory=dict)
     unreached: list[str] = field(default_factory=list)
     tolerance: Tolerance | None = None
@@ -169,31 +169,33 @@ class CostStudy:
     def lost(self) -> float:
         """Return the error beyond which a run counts as diverged."""
         if self.tolerance is not None:
-            return _ENOUGH * self.tolerance.error
-        return _LOST if self.no_path else _LOST * float(np.abs(self.reference.states).max())
+            return _LOST_MULTIPLE * self.tolerance.error
+        return _LOST_SHARE * (
+            1.0 if self.no_path else float(np.abs(self.reference.states).max()))
 
-    def error(self, cost: Cost) -> float:
+    def error(self, cost: MethodCost) -> float:
         """Return the path error, or the energy error if there is no reference path."""
         if cost.failure:
             return math.inf
         return cost.energy_error if self.no_path else cost.path_error
 
-    def price(self, cost: Cost) -> float:
+    def price(self, cost: MethodCost) -> float:
         """Return the quantity to minimise: the time, or the work if there is a tolerance."""
         return cost.seconds if self.tolerance is None else cost.work
 
-    def cheapest(self, error: float, method: str | None = None) -> Cost | None:
+    def cheapest(self, error: float, method: str | None = None) -> MethodCost | None:
         """Return the cheapest cost with at most this error, of all methods or of one."""
         good = [cost for cost in self.costs
                 if method in (None, str(cost.method)) and self.error(cost) <= error]
         return min(good, key=self.price, default=None)
 
-    def holds(self, cost: Cost, error: float) -> bool:
+    def holds(self, cost: MethodCost, error: float) -> bool:
         """Return whether a cost meets an error, with a safety margin."""
         seen = self.tolerance is None or cost.checked >= self.tolerance.horizon * (1.0 - 1e-9)
-        return self.error(cost) <= (_SEEN if seen else _CARRIED) * error - self.floor
+        safety = _SAFETY if seen else _EXTRAPOLATION_SAFETY
+        return self.error(cost) <= safety * error - self.floor
 
-    def recommended(self, error: float, method: str | None = None) -> Cost | None:
+    def recommended(self, error: float, method: str | None = None) -> MethodCost | None:
         """Return the cheapest cost that meets an error with margin, of all methods or of one."""
         good = [cost for cost in self.costs
                 if method in (None, str(cost.method)) and self.holds(cost, error)]
@@ -241,7 +243,7 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
         methods = list(_fitting(study, own))
         for k, method in enumerate(methods):
             left = end - time.process_time()
-            if left < _BEGUN * seconds and k > 0:
+            if left < _LAST_START_SHARE * seconds and k > 0:
                 study.unreached = [other.kind for other in methods[k:]]
                 break
             show((1 + k) / (2 + len(methods)), str(method))
@@ -249,7 +251,7 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
             last = end if k > 0 else math.inf
             _measure_for(study, method, left / (len(methods) - k), last)
         if error is not None:
-            show(1.0, f'more steps near {error:g}')
+            show(1.0, f'more step sizes near error {error:g}')
             try_between(study, error)
     return study
 
@@ -278,7 +280,7 @@ def run_errors(simulation: Simulation, reference: PathReference, enough: float =
     """
     path = reference.states if reference.verified else None
     worst = np.array([math.nan if path is None else 0.0, 0.0])
-    for errors in _errors_along(simulation, reference, path, _ENERGIES, _LOOKS, hamiltonian):
+    for errors in _errors_along(simulation, reference, path, _SAMPLES, _CHECKS, hamiltonian):
         worst = np.maximum(worst, errors)
         if worst[0] > enough:
             break
@@ -313,13 +315,13 @@ def _why_no_path(problem: InitialValueProblem, reference: PathReference, method:
     """Return the reason why paths cannot be compared with a reference; '' if they can."""
     for effect in problem.effects:
         if effect.random:
-            return f'{type(effect).__name__} draws other numbers at each step size'
+            return f'{type(effect).__name__} draws different random numbers at each step size'
     if reference.verified:
         return ''
     if not len(reference.states):
-        return f'no two runs of {method} came to their end'
-    return (f'two references differ by {reference.accuracy:.2g} at best, as they do in chaos; a '
-            'shorter --duration may have one')
+        return f'no two runs of {method} finished'
+    return (f'two reference runs differ by at least {reference.accuracy:.2g}, as in chaotic '
+            'motions; try a shorter --duration')
 
 
 def _fitting(study: CostStudy, own: Method | None) -> Iterator[Method]:
@@ -334,7 +336,7 @@ def _fitting(study: CostStudy, own: Method | None) -> Iterator[Method]:
                 yield method
                 break
         else:
-            reasons.append('is for close encounters, of which this path has none')
+            reasons.append('is for close encounters, but this path has none')
             study.left_out.setdefault(reasons[0], []).append(kind)
 
 
@@ -356,7 +358,7 @@ def refusal(study: CostStudy, method: Method) -> str:
 def _variants(kind: str, known: PathSurvey) -> list[Method]:
     """Return the variants of a method, by arguments; the first supported one is used."""
     if kind == _CLOSE_ENCOUNTERS:
-        close = known.strongest >= _CLOSE * known.force > 0.0
+        close = known.strongest >= _MIN_FORCE_RATIO * known.force > 0.0
         return [Method(kind, {'base': 'gauss8', 'force': float(f'{known.force:.3g}')})] * close
     if issubclass(INTEGRATORS[kind], Composition):
         return [Method(kind, {'base': base}) for base in _BASES]
@@ -364,7 +366,7 @@ def _variants(kind: str, known: PathSurvey) -> list[Method]:
 
 
 def ladder(study: CostStudy, method: Method, bound: float,
-           enough: Callable[[list[Cost]], bool]) -> list[Cost]:
+           enough: Callable[[list[MethodCost]], bool]) -> list[MethodCost]:
     """
     Return the costs at decreasing step sizes, until round-off or the stopping criterion.
 
@@ -382,13 +384,13 @@ def ladder(study: CostStudy, method: Method, bound: float,
     """
     order = method.create().order
     stride = next(stride for below, stride in _STRIDES if order < below)
-    longest = max(_LONGEST, order) * study.known.step_size
+    longest = max(_FIRST_STEP_RATIO, order) * study.known.step_size
     if study.tolerance is not None:
         # Runs up to a long horizon are expensive: use fewer, around the usual step size.
         stride, longest = max(stride, 2), order ** 0.5 * study.known.step_size
     if method.kind == _CLOSE_ENCOUNTERS:
         longest *= (study.known.strongest / method.arguments.get('force', 1.0)) ** 0.75
-    base, costs, flat, resolved = study.reference.instants.base, list[Cost](), 0, False
+    base, costs, flat, resolved = study.reference.instants.base, list[MethodCost](), 0, False
     shorter = parts_between(parts_for(base / min(longest, base)) - 1,
                             PATIENCE * study.problem.gradients)[::stride]
     last = None
@@ -399,10 +401,10 @@ def ladder(study: CostStudy, method: Method, bound: float,
             if last is not None:
                 slope = math.log(max(last[1], 1e-300) / max(error, 1e-300)) / math.log(
                     parts / last[0])
-                flat = flat + 1 if slope < _FLAT * order else 0
-                resolved = resolved or slope >= _RESOLVED * order
-            last, resolved = (parts, error), resolved or error <= _SMALL
-        if resolved and flat >= _STUCK:
+                flat = flat + 1 if slope < _MAX_FLAT_SLOPE * order else 0
+                resolved = resolved or slope >= _MIN_RESOLVED_SLOPE * order
+            last, resolved = (parts, error), resolved or error <= _RESOLVED_ERROR
+        if resolved and flat >= _MIN_FLAT_STEP_SIZES:
             study.at_floor.append(method)
             break
         if enough(costs):
@@ -416,18 +418,18 @@ def _measure_for(study: CostStudy, method: Method, seconds: float, last: float) 
     end = time.process_time() + seconds
     before = [time.process_time()]
 
-    def enough(costs: list[Cost]) -> bool:
+    def enough(costs: list[MethodCost]) -> bool:
         good = [cost for cost in costs if study.error(cost) <= study.lost]
         if costs[-1] in good:
             error = study.error(costs[-1])
             other = study.cheapest(error)
             if error <= study.floor or (
-                    other is not None and costs[-1].seconds > _HOPELESS * other.seconds):
+                    other is not None and costs[-1].seconds > _MAX_COST_RATIO * other.seconds):
                 return True
         before.append(time.process_time())
         # The next run takes about twice as long; the first few may use all the remaining time.
         longer = before[-1] - before[-2]
-        return before[-1] + 2.0 * longer > (end if len(good) >= _LEAST else last)
+        return before[-1] + 2.0 * longer > (end if len(good) >= _MIN_STEP_SIZES else last)
 
     costs = ladder(study, method, math.inf, enough)
     lost = [k for k, cost in enumerate(costs) if study.error(cost) > study.lost]
@@ -443,7 +445,7 @@ def _warm_up(study: CostStudy, method: Method) -> None:
         simulation.energy_balance  # noqa: B018  compiles it
 
 
-def measure(study: CostStudy, method: Method, parts: int, bound: float = math.inf) -> Cost:
+def measure(study: CostStudy, method: Method, parts: int, bound: float = math.inf) -> MethodCost:
     """
     Run a method with the base divided into `parts` steps, up to the horizon.
 
@@ -470,26 +472,26 @@ def measure(study: CostStudy, method: Method, parts: int, bound: float = math.in
                 return _timed(study, method, simulation)
             return _judged(study, study.tolerance, method, simulation, bound)
     except StepFailure as failure:
-        return Cost(method, h, failure=f'{failure.reason} at t = {failure.t:.4g} s')
+        return MethodCost(method, h, failure=f'{failure.reason} at t = {failure.t:.4g} s')
 
 
-def _timed(study: CostStudy, method: Method, simulation: Simulation) -> Cost:
+def _timed(study: CostStudy, method: Method, simulation: Simulation) -> MethodCost:
     """Return the errors and the computing time of a run."""
     start = time.process_time()
     errors = run_errors(simulation, study.reference, study.lost)
     first, extent = time.process_time() - start, simulation.time
-    lost = 'the path is lost' if errors.path > study.lost else ''
+    lost = 'the path error is too large' if errors.path > study.lost else ''
     seconds = first if lost else fastest(study.problem, simulation, simulation.steps, first)
-    return Cost(method, simulation.step_size, max(errors.path, study.floor),
-                errors.energy / study.known.energy_scale, seconds / extent,
-                errors.gradients / extent, lost)
+    return MethodCost(method, simulation.step_size, max(errors.path, study.floor),
+                      errors.energy / study.known.energy_scale, seconds / extent,
+                      errors.gradients / extent, lost)
 
 
 def fastest(problem: InitialValueProblem, simulation: Simulation, steps: int, *times: float
             ) -> float:
     """Return the minimum processor time of `steps` from the start [s], given earlier `times`."""
     found = [*times]
-    while not found or (sum(found) < _TIMED and len(found) < _REPEATS):
+    while not found or (sum(found) < _MIN_TIMED_SECONDS and len(found) < _MAX_REPEATS):
         simulation.restart(problem.q, problem.p)
         start = time.process_time()
         simulation.advance(steps)
@@ -498,29 +500,29 @@ def fastest(problem: InitialValueProblem, simulation: Simulation, steps: int, *t
 
 
 def _judged(study: CostStudy, tolerance: Tolerance, method: Method, simulation: Simulation,
-            bound: float) -> Cost:
+            bound: float) -> MethodCost:
     """Return the error of a run, extrapolated to the horizon, and its work."""
     by_path, limit = not study.no_path, study.problem.gradients
     extent = study.reference.horizon if by_path else study.known.extent
     most = 4.0 * limit * (PATIENCE if by_path else 1)
-    looks = _HELD_LOOKS if simulation.conservative or by_path else _LOOKS_OF_WORK
+    looks = _JUDGED_CHECKS if simulation.conservative or by_path else _WORK_CHECKS
     seen, failure = list[float](), ''
     for errors in _errors_along(simulation, study.reference, study.reference.states if by_path
-                                else None, _HELD_ENERGIES if not by_path else 1, looks):
+                                else None, _JUDGED_SAMPLES if not by_path else 1, looks):
         seen.append(errors[0] if by_path else errors[1] / study.known.energy_scale)
         # Tolerate rounding of the time: the run is complete at the last instant.
         t, spent = simulation.time, work(simulation)
         over = t >= extent * (1.0 - 1e-12)
         if seen[-1] > study.lost:
-            failure = 'the error is far too large'
+            failure = 'the error is too large'
         elif not over and (simulation.gradients > most or spent > bound * extent):
-            failure = TOO_MUCH
+            failure = TOO_EXPENSIVE
         if failure or (over and not by_path and simulation.gradients > limit):
             break
     error = carried(seen, t, tolerance.horizon, 1.0 if by_path else 0.0)
-    return Cost(method, simulation.step_size, error if by_path else math.nan,
-                math.nan if by_path else error, math.nan, simulation.gradients / t, failure,
-                spent / t, t)
+    return MethodCost(method, simulation.step_size, error if by_path else math.nan,
+                      math.nan if by_path else error, math.nan, simulation.gradients / t, failure,
+                      spent / t, t)
 
 
 def try_between(study: CostStudy, error: float) -> None:

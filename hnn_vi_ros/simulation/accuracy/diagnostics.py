@@ -54,7 +54,7 @@ def local_error(simulation: Simulation) -> float:
 # errors are both about 1e-6.
 _SCALE_SPACING = 1e-5
 # Minimum number of samples for a representative mean; fewer may all lie at a turning point.
-_MEAN = 8
+_MIN_MEAN_SAMPLES = 8
 # Length of the record of a path: integral of the virial, time, largest virial, number of samples,
 # initial scale, flag that energy has been exchanged once.
 RECORD = 6
@@ -73,7 +73,7 @@ def follow(record: np.ndarray, potential: float, virial: float, weight: float
         if 0.5 * (potential + virial) > record[4]:
             record[4] = 0.5 * (potential + virial)
         mean = record[0] / record[1]
-        if record[3] >= _MEAN and record[2] - virial >= mean > 0.0:
+        if record[3] >= _MIN_MEAN_SAMPLES and record[2] - virial >= mean > 0.0:
             record[5] = 1.0
     turned = record[5] > 0.0
     return (record[0] / record[1] if turned else record[4]), turned

@@ -18,12 +18,12 @@ from hnn_vi_ros.simulation.system import System
 import numpy as np
 
 # Number of steps between renormalisations, and number of steps up to the first horizon.
-_EVERY, _FIRST = 32, 1024
+_RENORMALISATION_STEPS, _FIRST_HORIZON_STEPS = 32, 1024
 # Distance of the neighbour: far above round-off, and well within the linear regime.
-_DISTANCE = 1e-7
+_NEIGHBOUR_DISTANCE = 1e-7
 # Threshold of the growth in the second half of a run. Regular motions diverge in proportion to
 # time, or to its square, which gives a growth of at most 2 log 2 = 1.4.
-_CHAOTIC = 10.0
+_MIN_CHAOTIC_GROWTH = 10.0
 
 
 def lyapunov_time(scene: Scene | str | Path, duration: float | None = None) -> float:
@@ -54,7 +54,7 @@ def lyapunov_time(scene: Scene | str | Path, duration: float | None = None) -> f
         The scene cannot be built, a step fails, or the motion escapes to very large values.
     ValueError
         The duration is negative or not finite, or the scene supports only one motion at a time:
-        thermostat, impact, joint_limits, holonomic_constraint, time_transformed.
+        thermostat, impact, joint_limits, holonomic_constraint, loops, time_transformed.
     TypeError
         The duration is not a number.
 
@@ -67,7 +67,7 @@ def lyapunov_time(scene: Scene | str | Path, duration: float | None = None) -> f
         check_seconds('duration', duration)
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
     steps = 2 ** 17 if duration is None else max(
-        _FIRST, duration / scene.known_step_size)
+        _FIRST_HORIZON_STEPS, duration / scene.known_step_size)
     state = scene.initial_state
     _, hamiltonian, integrator, effects = scene.parts()
     return time_between_motions(
@@ -91,17 +91,17 @@ def time_between_motions(hamiltonian: Hamiltonian, effects: Sequence[Effect],
     """
     pair = _Pair(hamiltonian, effects, integrator, h, q, p, on_failure)
     taken, half, seen = 0, 0.0, 0.0
-    horizon = _FIRST
+    horizon = _FIRST_HORIZON_STEPS
     while horizon <= steps:
         while taken < horizon:
             pair.advance()
-            taken += _EVERY
+            taken += _RENORMALISATION_STEPS
             if taken == horizon // 2:
                 half = pair.growth
         growth = pair.growth - half
         # Require growth in two successive halves: the growth from a close encounter is reversed
         # afterwards.
-        if growth > _CHAOTIC and growth > seen > 0.25 * growth:
+        if growth > _MIN_CHAOTIC_GROWTH and growth > seen > 0.25 * growth:
             return (horizon // 2) * h / growth
         seen, half, horizon = growth, pair.growth, 2 * horizon
     return math.inf
@@ -114,29 +114,29 @@ class _Pair:
                  integrator: Integrator, h: float, q: np.ndarray, p: np.ndarray,
                  on_failure: str):
         if not System(hamiltonian, effects, integrator).lockstep:
-            raise ValueError('thermostat, impact, joint_limits, holonomic_constraint and '
-                             'time_transformed take one motion at a time: their Lyapunov time '
-                             'cannot be measured')
+            raise ValueError('thermostat, impact, joint_limits, holonomic_constraint, loops '
+                             'and time_transformed support one motion at a time: the Lyapunov '
+                             'time cannot be measured')
         self.growth, self._scale = 0.0, state_scales(hamiltonian, q, p)
         direction = np.random.default_rng(0).normal(size=q.size + p.size)
-        self._offset = _DISTANCE * direction / np.linalg.norm(direction)
+        self._offset = _NEIGHBOUR_DISTANCE * direction / np.linalg.norm(direction)
         self._simulation = Simulation(
             hamiltonian, integrator, h, *self._states(q, p), effects, on_failure)
 
     def advance(self) -> None:
         """Advance both motions, and rescale their distance to its initial value."""
         simulation = self._simulation
-        simulation.advance(_EVERY)
+        simulation.advance(_RENORMALISATION_STEPS)
         q, p = simulation.q, simulation.p
         offset = np.concatenate([q[1] - q[0], p[1] - p[0]]) / self._scale
         size = float(np.linalg.norm(offset))
         if not size > 0.0:
             raise HnnViRosError(
-                f'the motion has run so far away, to {max(np.abs(q).max(), np.abs(p).max()):.2g}, '
-                f'that a neighbour is lost in rounding at t = {simulation.time:.3g} s: no '
-                'Lyapunov time can be measured; use a smaller step_size, or a shorter duration')
-        self.growth += math.log(size / _DISTANCE)
-        self._offset = _DISTANCE / size * offset
+                f'the motion diverged to {max(np.abs(q).max(), np.abs(p).max()):.2g}, where '
+                f'rounding hides a neighbour, at t = {simulation.time:.3g} s: the Lyapunov time '
+                'cannot be measured; use a smaller step_size, or a shorter duration')
+        self.growth += math.log(size / _NEIGHBOUR_DISTANCE)
+        self._offset = _NEIGHBOUR_DISTANCE / size * offset
         simulation.restart(*self._states(q[0].copy(), p[0].copy()), step=simulation.steps)
 
     def _states(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

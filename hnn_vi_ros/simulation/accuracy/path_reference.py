@@ -12,22 +12,22 @@ from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, PathSurve
 import numpy as np
 
 # Number of instants at which paths are compared: minimum, maximum, and minimum for a slow H.
-_LEAST, _MOST, _FEW = 320, 2000, 40
-_SLOW = 1_000_000
+_MIN_INSTANTS, _MAX_INSTANTS, _MIN_SLOW_INSTANTS = 320, 2000, 40
+_SLOW_LIMIT = 1_000_000
 # Limit of the gradients of a reference, as a multiple of that of a trial.
 PATIENCE = 6
 # Target accuracy of a reference as a share of the tolerance, and the largest usable share.
-_KNOWN, _USABLE = 0.02, 0.5
+_REFERENCE_ERROR_SHARE, _MAX_REFERENCE_ERROR_SHARE = 0.02, 0.5
 # Number of refinements without progress after which round-off or chaos is assumed.
-_STUCK = 3
+_MAX_ROUNDS_WITHOUT_PROGRESS = 3
 # Largest relative error of a path that counts as verified.
-_VERIFIED = 1e-4
+_MAX_VERIFIED_ERROR = 1e-4
 _EPS = float(np.finfo(np.float64).eps)
 # Ratio of the numbers of steps of successive refinements.
-_RATIO = 1.5
-_CHUNK = 20
+_REFINEMENT_RATIO = 1.5
+_CHUNK_SIZE = 20
 # Minimum number of steps of the search for chaos.
-_CHAOS_STEPS = 2 ** 14
+_MIN_CHAOS_STEPS = 2 ** 14
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,11 @@ class Instants:
     count: int
 
     @classmethod
-    def of(cls, horizon: float, base: float, least: int = _LEAST) -> 'Instants':
+    def of(cls, horizon: float, base: float, least: int = _MIN_INSTANTS) -> 'Instants':
         """Return instants that steps of base / 4, / 5, / 6, / 8, ... meet; see parts_for."""
         bases = max(1, round(horizon / base))
         if bases >= least:
-            stride = math.ceil(bases / _MOST)
+            stride = math.ceil(bases / _MAX_INSTANTS)
             return cls(base, stride, 1, bases // stride)
         doublings = math.ceil(math.log2(least / bases))
         density = 15 * 2 ** doublings
@@ -108,7 +108,7 @@ class PathReference:
     @property
     def verified(self) -> bool:
         """Return whether the path is accurate enough to measure errors against it."""
-        return self.accuracy <= _VERIFIED * np.abs(self.states).max(initial=1e-300)
+        return self.accuracy <= _MAX_VERIFIED_ERROR * np.abs(self.states).max(initial=1e-300)
 
 
 def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: float,
@@ -134,9 +134,10 @@ def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: flo
 
     """
     limit = PATIENCE * problem.gradients
-    instants = Instants.of(tolerance.horizon, base, _LEAST if limit >= _SLOW else _FEW)
-    best = refined_path(problem, instants, known, limit, _KNOWN * tolerance.error)
-    if best is None or best.accuracy > _USABLE * tolerance.error:
+    instants = Instants.of(tolerance.horizon, base,
+                           _MIN_INSTANTS if limit >= _SLOW_LIMIT else _MIN_SLOW_INSTANTS)
+    best = refined_path(problem, instants, known, limit, _REFERENCE_ERROR_SHARE * tolerance.error)
+    if best is None or best.accuracy > _MAX_REFERENCE_ERROR_SHARE * tolerance.error:
         raise CalibrationError(_refusal(problem, tolerance, known, best))
     return best
 
@@ -163,7 +164,7 @@ def best_reference(problem: InitialValueProblem, horizon: float, known: PathSurv
         The path; without states if none can be determined.
 
     """
-    instants = Instants.of(horizon, horizon, _FEW)
+    instants = Instants.of(horizon, horizon, _MIN_SLOW_INSTANTS)
     found = None
     # Random effects draw different numbers at each step size.
     if not any(effect.random for effect in problem.effects):
@@ -219,7 +220,7 @@ def refined_path(problem: InitialValueProblem, instants: Instants, known: PathSu
     """
     steps = max(1, math.ceil(instants.gap / known.step_size))
     before, best, last, stuck = None, None, math.inf, 0
-    while stuck < _STUCK:
+    while stuck < _MAX_ROUNDS_WITHOUT_PROGRESS:
         states = _path(problem, known.method, instants, steps, limit)
         if states is None:
             stuck += 1
@@ -232,10 +233,10 @@ def refined_path(problem: InitialValueProblem, instants: Instants, known: PathSu
             last = min(last, distance)
             if best is None or distance < best.accuracy:
                 best = PathReference(instants, states[:n], distance, (
-                    f'{known.method}, h = {instants.gap / steps:.3g} s, checked by refining'))
-            if distance <= wanted or n < min(instants.count, _FEW):
+                    f'{known.method}, h = {instants.gap / steps:.3g} s, verified by refinement'))
+            if distance <= wanted or n < min(instants.count, _MIN_SLOW_INSTANTS):
                 break
-        before, steps = states, math.ceil(_RATIO * steps)
+        before, steps = states, math.ceil(_REFINEMENT_RATIO * steps)
     return best
 
 
@@ -247,7 +248,8 @@ def _path(problem: InitialValueProblem, method: str, instants: Instants, steps: 
     count = 0
     try:
         while count < instants.count and simulation.gradients < limit:
-            rows.append(np.hstack(simulation.record(min(_CHUNK, instants.count - count), steps)))
+            rows.append(np.hstack(simulation.record(
+                min(_CHUNK_SIZE, instants.count - count), steps)))
             count += len(rows[-1])
     except StepFailure:
         return None
@@ -259,22 +261,22 @@ def _refusal(problem: InitialValueProblem, tolerance: Tolerance, known: PathSurv
     """Return the reason why the path cannot be determined with the accuracy needed."""
     wanted = f'path_error {tolerance.error:g} up to {tolerance.horizon:g} s: '
     if best is None:
-        return f'{wanted}no path can be computed; take a shorter horizon'
-    near = (f'two references differ by {best.accuracy:.2g} at best up to '
+        return f'{wanted}no reference path can be computed; use a shorter horizon'
+    near = (f'two reference runs differ by at least {best.accuracy:.2g} up to '
             f'{len(best.states) * best.instants.gap:.3g} s')
     try:
         time = time_between_motions(
             problem.hamiltonian, problem.effects, INTEGRATORS[known.method](), known.step_size,
-            problem.q, problem.p, max(_CHAOS_STEPS, 2.0 * tolerance.horizon / known.step_size))
+            problem.q, problem.p, max(_MIN_CHAOS_STEPS, 2.0 * tolerance.horizon / known.step_size))
     except (HnnViRosError, ValueError) as problem_of_measure:
-        return f'{wanted}{near} (Lyapunov time not measured: {problem_of_measure}); take ' \
+        return f'{wanted}{near} (Lyapunov time not measured: {problem_of_measure}); use ' \
                'energy_error, a shorter horizon or a larger error'
     if math.isinf(time):
-        return (f'{wanted}{near}, which is round-off: the motion is regular, but in double '
-                'precision its path is not known better; take a larger error or a shorter '
+        return (f'{wanted}{near}, because of round-off: the motion is regular, but double '
+                'precision does not determine its path better; use a larger error or a shorter '
                 'horizon')
     size = float(np.abs(best.states).max())
     reach = time * math.log(max(tolerance.error / (np.finfo(float).eps * size), 1.0))
-    return (f'{wanted}{near}: the motion is chaotic, with a Lyapunov time of {time:.3g} s, so '
-            f'that round-off alone reaches this error after some {reach:.2g} s; take '
+    return (f'{wanted}{near}: the motion is chaotic with a Lyapunov time of {time:.3g} s; '
+            f'round-off alone reaches this error after about {reach:.2g} s; use '
             'energy_error, a shorter horizon or a larger error')

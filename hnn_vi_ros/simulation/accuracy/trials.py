@@ -105,8 +105,8 @@ class InitialValueProblem:
         """Return the maximum number of gradients of a run; machine-independent."""
         kernel = self.hamiltonian.kernel
         if not kernel.compiled:
-            return _PLAIN
-        return round(_GRADIENTS / (1.0 + _numbers(kernel) / _WEIGHTS))
+            return _MAX_PYTHON_GRADIENTS
+        return round(_MAX_GRADIENTS / (1.0 + _numbers(kernel) / _HALVING_SIZE))
 
 
 def _numbers(kernel: Kernel) -> int:
@@ -127,7 +127,8 @@ def work(simulation: Simulation) -> float:
     A gradient of nanoseconds is cheaper than the rest of an implicit step.
     """
     kernel = simulation.hamiltonian.kernel
-    gradient = _GRADIENT * (1.0 + _numbers(kernel) / _EACH) if kernel.compiled else _IN_PYTHON
+    gradient = _PYTHON_TIME if not kernel.compiled else (
+        _GRADIENT_TIME * (1.0 + _numbers(kernel) / _DOUBLING_SIZE))
     fixed, more = simulation.integrator.own_times(kernel)
     return simulation.gradients * (1.0 + more / gradient) + simulation.steps * fixed / gradient
 
@@ -181,8 +182,8 @@ SURVEYORS = ('gauss16', 'gauss4', 'generalized_leapfrog', 'stormer_verlet', 'var
 EVERY_SURVEYOR = (*SURVEYORS, 'lie_gauss16', 'lie_leapfrog', 'rk4')
 # A path is resolved if halving the step changes each figure by at most this share and, for
 # conserved energy, if the energy error is at most this share of its scale.
-_AGREED = 0.1
-_HALVINGS, _SURVEY_CHUNK = 24, 512
+_MAX_DISAGREEMENT = 0.1
+_MAX_HALVINGS, _SURVEY_CHUNK = 24, 512
 # Approximate number of states used for the energy scale.
 _SURVEY_SAMPLES = 4000
 
@@ -242,17 +243,17 @@ def survey(problem: InitialValueProblem, horizon: float, base: float,
     method = _surveyor(problem, base, surveyors)
     parts = parts_for(base / min(base, time_scale(problem)))
     before, failure = None, None
-    for _ in range(_HALVINGS):
+    for _ in range(_MAX_HALVINGS):
         try:
             found, error = _follow(problem, method, base / parts, horizon)
         except StepFailure as problem_of_step:
             found, failure = None, problem_of_step
-        if found and before and error <= _AGREED and _agree(found, before):
+        if found and before and error <= _MAX_DISAGREEMENT and _agree(found, before):
             return found
         before, parts = found, 2 * parts
-    reason = failure or 'its figures change with each shorter step'
-    raise CalibrationError(f'no step of {method} down to {2.0 * base / parts:.2g} s resolves the '
-                           f'path: {reason}')
+    reason = failure or 'the results change with each smaller step_size'
+    raise CalibrationError(f'no step_size of {method} down to {2.0 * base / parts:.2g} s resolves '
+                           f'the path: {reason}')
 
 
 def _surveyor(problem: InitialValueProblem, base: float, surveyors: Sequence[str]) -> str:
@@ -266,7 +267,7 @@ def _surveyor(problem: InitialValueProblem, base: float, surveyors: Sequence[str
             raise CalibrationError(str(failure)) from failure
         else:
             return method
-    raise refusal or UnsupportedSystem('no method can follow the path')
+    raise refusal or UnsupportedSystem('no method supports this problem')
 
 
 def _follow(problem: InitialValueProblem, method: str, h: float, horizon: float
@@ -301,12 +302,12 @@ def _states(problem: InitialValueProblem, simulation: Simulation, horizon: float
 def _agree(one: PathSurvey, other: PathSurvey) -> bool:
     pairs = [(one.energy_scale, other.energy_scale), (one.force, other.force),
              (one.strongest, other.strongest)]
-    return all(abs(a - b) <= _AGREED * max(a, b) for a, b in pairs)
+    return all(abs(a - b) <= _MAX_DISAGREEMENT * max(a, b) for a, b in pairs)
 
 
 # Maximum number of gradients of a run for a kernel with few parameters; number of parameters
 # that halves it, since a network's gradient time is proportional to its weights; and maximum
 # number for gradients in plain Python.
-_GRADIENTS, _WEIGHTS, _PLAIN = 3_000_000, 2000, 20_000
+_MAX_GRADIENTS, _HALVING_SIZE, _MAX_PYTHON_GRADIENTS = 3_000_000, 2000, 20_000
 # Time of a compiled gradient [s], number of parameters that doubles it, and time in Python [s].
-_GRADIENT, _EACH, _IN_PYTHON = 1e-8, 40, 2e-5
+_GRADIENT_TIME, _DOUBLING_SIZE, _PYTHON_TIME = 1e-8, 40, 2e-5

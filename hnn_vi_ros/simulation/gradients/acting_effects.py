@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.simulation.gradients.stages import Acting
+from hnn_vi_ros.simulation.state import State
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
@@ -41,32 +42,40 @@ class ActingEffects:
         self.rates = flow_rates(hamiltonian, system.method, effects)
         if system.effect_state.gauge.any() and self.rates.any():
             raise UnsupportedSystem('the effect damping is not differentiable yet in magnetic '
-                                    'fields; leave one of them out')
+                                    'fields; remove one of them')
         self._system, self._h, self._channels = system, h, system.kernel.channels
+        self.internal = system.kernel.internal
+        # Channels of internal variables keep these; all others are reset.
+        kept = np.arange(self._channels) < self.internal
         self._flow = np.concatenate([
-            np.ones(len(self.rates)), np.zeros(self._channels),
+            np.ones(len(self.rates)), kept,
             np.exp(-0.5 * h * self.rates), np.zeros(self._channels)])
+        # Channels with the absolute time: the others count from the start of the step.
+        self.timed = np.concatenate([
+            ~kept[:self.internal], [not effect.internal for effect in effects
+                                    if effect.place(system.method) is Place.NODES]])
         self.any = self._channels > 0 or bool(self.rates.any())
         # True if commands do more than add forces on coordinates.
         self.feels = any(getattr(effect, 'feels_command', False) for effect in effects)
         timeouts = [effect.timeout for effect in effects if hasattr(effect, 'timeout')]
-        self._timeout = min(timeouts, default=np.inf)
+        self._timeout, self._effects = min(timeouts, default=np.inf), effects
 
     def check_commands(self, commands: np.ndarray, every: int) -> None:
         """Check that `commands`, shape (..., c), fit the effects and can hold `every` steps."""
         if NUMBERS not in self._system.motors.takes:
-            raise UnsupportedSystem('no effect of the scene takes commands; add external_force, '
+            raise UnsupportedSystem('no effect of the scene accepts commands; add external_force '
                                     'with its coordinates')
         if commands.shape[-1] != self._system.motors.size:
-            raise ValueError(f'commands have {commands.shape[-1]} numbers, expected '
+            raise ValueError(f'commands have {commands.shape[-1]} numbers per row, expected '
                              f'{self._system.motors.size}')
         if every * self._h > self._timeout * (1.0 + 1e-9):
-            raise ValueError(f'each command holds for {every * self._h:g} s, but external_force '
-                             f'for timeout = {self._timeout:g} s; give a longer one')
+            raise ValueError(f'each command is held for {every * self._h:g} s, but timeout = '
+                             f'{self._timeout:g} s of external_force is shorter; increase it')
 
     def acting(self, times: np.ndarray, commands: np.ndarray) -> Acting:
         """Return the inputs of effects in steps at times, (K, m), under commands, (K, m, c)."""
         state = self._system.effect_state
+        state.step[:] = self._h
         rows = np.zeros((*times.shape, state.command.size))
         if commands.shape[-1]:
             rows[..., :-1], rows[..., -1] = commands @ self._system.places, np.inf
@@ -74,15 +83,28 @@ class ActingEffects:
             state.command[:] = 0.0
             self._system.motors.begin()
             rows[:] = state.command
-        return Acting(state.clock, state.command, times, rows, self._flow)
+        none = np.zeros((0, *times.shape[1:], self._flow.size, self._flow.size))
+        return Acting(state.clock, state.command, times, rows, self._flow, none, none)
 
-    def padded(self, states: np.ndarray) -> np.ndarray:
-        """Return states, shape (..., 2 d), extended by the channels of forces to (..., 2 D)."""
+    def padded(self, states: np.ndarray, internal: np.ndarray | None = None) -> np.ndarray:
+        """
+        Return states, shape (..., 2 d), extended by the channels of forces to (..., 2 D).
+
+        Internal variables, shape (m, number of them), belong to the first of states (K, m, 2 d).
+        """
         if not self._channels:
             return states
         q, p = np.split(states, 2, axis=-1)
         channels = np.zeros((*states.shape[:-1], self._channels))
-        return np.concatenate([q, channels, p, channels], axis=-1)
+        both = np.concatenate([q, channels, p, channels], axis=-1)
+        if internal is not None:
+            both[0, :, q.shape[-1]:q.shape[-1] + self.internal] = internal
+        return both
+
+    def internal_of(self, rows: np.ndarray, state: State) -> np.ndarray:
+        """Return the internal variables in rows, (m, R), of a simulation's state."""
+        effects = [i for i, effect in enumerate(self._effects) if effect.internal]
+        return rows[:, state.column('live.resting') + np.array(effects, dtype=int)]
 
     def cut(self, states: np.ndarray) -> np.ndarray:
         """Return states without channels."""
@@ -128,7 +150,7 @@ def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
             able = ', '.join(name for name, kind in EFFECTS.items()
                              if issubclass(kind, Joined) or _is_known(kind))
             raise UnsupportedSystem(f'the effect {effect_name(effect)} is not differentiable yet; '
-                                    f'effects that are: {able}; leave others out')
+                                    f'effects that are: {able}; remove others')
 
 
 def _is_known(kind: type) -> bool:

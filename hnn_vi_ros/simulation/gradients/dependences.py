@@ -22,13 +22,13 @@ _ABOVE = dict(enumerate((
 _BELOW = {-offset: (-weight, -lower) for offset, (weight, lower) in _ABOVE.items()}
 # If both orders agree to this share, the truncation error of order 6 is at most 1e-13 for a sine.
 # They disagree for derivatives with respect to a frequency after many turns.
-_AGREEMENT = 1e-9
-_NARROWER, _TRIALS = 1.0 / 8.0, 7
+_MAX_DISAGREEMENT = 1e-9
+_SPACING_RATIO, _MAX_TRIALS = 1.0 / 8.0, 7
 # Rounding error of the difference of both orders, relative to H' over the spacing.
-_ROUNDING = 1e-14
+_DIFFERENCE_ROUNDING = 1e-14
 
 
-class States(NamedTuple):
+class StateSequence(NamedTuple):
     """
     Concatenated states of consecutive steps, at which H' is evaluated.
 
@@ -46,7 +46,7 @@ class States(NamedTuple):
     gradient: Callable[[Kernel], np.ndarray]
 
     @classmethod
-    def at(cls, q: np.ndarray, p: np.ndarray) -> 'States':
+    def at(cls, q: np.ndarray, p: np.ndarray) -> 'StateSequence':
         """Return states for kernels that do not depend on commands."""
         return cls(q, p, lambda kernel: kernel.slopes(q, p))
 
@@ -54,10 +54,10 @@ class States(NamedTuple):
 class Dependence(Protocol):
     """Dependence of H' on a parameter, a number or an array."""
 
-    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
+    def contracted(self, at: StateSequence, weights: np.ndarray) -> np.ndarray:
         """Return the gradient of the sum of weights, shape (2, N), times (H_q, H_p)."""
 
-    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
+    def changed(self, at: StateSequence, change: np.ndarray) -> np.ndarray:
         """Return the change of (H_q, H_p), shape (2, N), for a change of the parameter."""
 
 
@@ -74,15 +74,15 @@ class OnNumber:
 
     """
 
-    def __init__(self, slope: Callable[[States], np.ndarray],
+    def __init__(self, slope: Callable[[StateSequence], np.ndarray],
                  rates: np.ndarray | None = None):
         self._slope, self.rates = slope, rates
 
-    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
+    def contracted(self, at: StateSequence, weights: np.ndarray) -> np.ndarray:
         """Return a number, shape (); see Dependence."""
         return np.array((weights * self._slope(at)).sum())
 
-    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
+    def changed(self, at: StateSequence, change: np.ndarray) -> np.ndarray:
         """Return the change; see Dependence."""
         return change * self._slope(at)
 
@@ -112,7 +112,7 @@ class OnDifferences(OnNumber):
 
     def __init__(self, changed: Callable[[float, int], tuple[Kernel, np.ndarray | None]],
                  value: float):
-        self._changed, self._value, self._rounding = changed, value, _ROUNDING
+        self._changed, self._value, self._rounding = changed, value, _DIFFERENCE_ROUNDING
         rates = self._take(_SPACING * (abs(value) or 1.0))
         super().__init__(self._derivative, sum(rates, np.zeros(())) if rates else None)
 
@@ -133,16 +133,16 @@ class OnDifferences(OnNumber):
         assert problem is not None
         raise problem
 
-    def _derivative(self, at: States) -> np.ndarray:
+    def _derivative(self, at: StateSequence) -> np.ndarray:
         """Return the derivative of (H_q, H_p) at concatenated states, shape (2, N)."""
         slope, apart, rounding = self._differences(at)
-        if apart <= max(_AGREEMENT, rounding):
+        if apart <= max(_MAX_DISAGREEMENT, rounding):
             return slope
         tried, first = [(apart, self._spacing)], self._spacing
-        for k in range(1, _TRIALS):
-            self._take(first * _NARROWER**k)
+        for k in range(1, _MAX_TRIALS):
+            self._take(first * _SPACING_RATIO**k)
             slope, apart, rounding = self._differences(at)
-            if apart <= max(_AGREEMENT, rounding):
+            if apart <= max(_MAX_DISAGREEMENT, rounding):
                 return slope
             tried.append((apart, self._spacing))
         # The orders differ by rounding, which is larger than estimated: raise the estimate.
@@ -151,7 +151,7 @@ class OnDifferences(OnNumber):
         self._rounding *= 10.0 * apart / self._differences(at)[2]
         return self._differences(at)[0]
 
-    def _differences(self, at: States) -> tuple[np.ndarray, float, float]:
+    def _differences(self, at: StateSequence) -> tuple[np.ndarray, float, float]:
         """Return the derivative of order 6, its relative difference to order 4, and rounding."""
         slope, other, size = np.zeros((2, at.q.size)), np.zeros((2, at.q.size)), 0.0
         for (weight, lower), kernel in self._kernels:
@@ -167,18 +167,18 @@ class OnDifferences(OnNumber):
 def derivative(function: Callable[[float], np.ndarray], size: float) -> np.ndarray:
     """Return the derivative of a function at 0, by differences narrower than `size`."""
     found = []
-    for k in range(_TRIALS):
-        spacing = _SPACING * size * _NARROWER**k
+    for k in range(_MAX_TRIALS):
+        spacing = _SPACING * size * _SPACING_RATIO**k
         values = [(weights, function(offset * spacing)) for offset, weights in MIDDLE.items()]
         high, low = (np.sum([weights[i] * value for weights, value in values], axis=0) / spacing
                      for i in (0, 1))
         found.append((np.abs(high - low).max(initial=0.0), high))
-        if found[-1][0] <= _AGREEMENT * np.abs(high).max(initial=0.0):
+        if found[-1][0] <= _MAX_DISAGREEMENT * np.abs(high).max(initial=0.0):
             break
     return min(found, key=operator.itemgetter(0))[1]
 
 
-def sum_of(kernels: Sequence[tuple[float, Kernel]], at: States) -> np.ndarray:
+def sum_of(kernels: Sequence[tuple[float, Kernel]], at: StateSequence) -> np.ndarray:
     """Return the weighted sum of (H_q, H_p) of kernels, shape (2, N)."""
     total = np.zeros((2, at.q.size))
     for weight, kernel in kernels:

@@ -6,16 +6,17 @@ from collections.abc import Callable, Sequence
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.effects import Effect, EffectState
+from hnn_vi_ros.effects import Effect, EffectState, LoopManifold
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import (
     Integrator, LARGEST_MATRIX, method_name, methods_that, PartitionedTableau)
 from hnn_vi_ros.kernels import compiled_loop, entry_point, Kernel
 from hnn_vi_ros.simulation.gradients.acting_effects import ActingEffects, check_effects
-from hnn_vi_ros.simulation.gradients.dependences import Dependence, MIDDLE, OnNumber, States
+from hnn_vi_ros.simulation.gradients.closed_steps import ClosedSteps, InnerStep
+from hnn_vi_ros.simulation.gradients.dependences import Dependence, MIDDLE, OnNumber, StateSequence
 from hnn_vi_ros.simulation.gradients.stages import (
-    Acting, fill_gradients, find_stages, pull_back, push_forward, StageWork)
+    Acting, fill_gradients, find_stages, pull_back, push_forward, StageDerivatives)
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
@@ -26,11 +27,11 @@ def differentiable_tableau(hamiltonian: Hamiltonian, integrator: Integrator) -> 
     tableau = integrator.partitioned
     if tableau is None:
         able = methods_that(lambda method: method.partitioned is not None, hamiltonian)
-        raise UnsupportedSystem(f'{method_name(integrator)} is not differentiable yet; methods '
-                                f'that are: {able}')
+        raise UnsupportedSystem(f'{method_name(integrator)} is not differentiable yet; valid '
+                                f'methods: {able}')
     if not hamiltonian.canonical:
         raise UnsupportedSystem('a model of the family symplectic_form is not differentiable yet: '
-                                'its second derivatives are differences')
+                                'its second derivatives are finite differences')
     return tableau
 
 
@@ -40,15 +41,15 @@ def check_unknowns(integrator: Integrator, tableau: PartitionedTableau, d: int) 
     if unknowns > LARGEST_MATRIX:
         raise UnsupportedSystem(
             f'{method_name(integrator)} has {tableau.stages} stages of {d} coordinates, '
-            f'{unknowns} unknowns, of which up to {LARGEST_MATRIX} are differentiable; take a '
-            'method of fewer stages')
+            f'{unknowns} unknowns; at most {LARGEST_MATRIX} are differentiable; use a method '
+            'with fewer stages')
 
 
 # Relative spacing of differences with respect to commands; smallest command size to be relative
 # to, as a share of the largest command.
-_SPACING, _LEAST = 2e-3, 1e-3
+_SPACING, _MIN_SHARE = 2e-3, 1e-3
 # Minimum number of steps differentiated at a time.
-_PIECE = 64
+_MIN_PIECE_STEPS = 64
 
 
 class Segment(NamedTuple):
@@ -63,7 +64,7 @@ class Segment(NamedTuple):
         return self.first + np.arange(self.length)
 
 
-class Recorded(NamedTuple):
+class RunRecord(NamedTuple):
     """
     Record of a run.
 
@@ -115,7 +116,7 @@ class Recorded(NamedTuple):
 
 def segments_of(steps: int) -> list[Segment]:
     """Return steps split into segments of sqrt(steps), at least 64."""
-    stride = max(_PIECE, math.isqrt(steps))
+    stride = max(_MIN_PIECE_STEPS, math.isqrt(steps))
     return [Segment(a, min(stride, steps - a)) for a in range(0, steps, stride)]
 
 
@@ -189,12 +190,20 @@ class DifferentiableRun:
         self._hamiltonian, self._effects = hamiltonian, list(effects)
         self._system = System(hamiltonian, effects, self._integrator)
         self._acting = ActingEffects(self._system, hamiltonian, effects, self._h)
-        self.kernel = self._system.kernel
+        self.kernel, self._closed = self._system.kernel, self._closed_steps()
+        # The derivative of velocities at the ends of steps to their momenta, (K, m, d, d).
+        self._by_velocity = np.zeros(0)
         self._d = self.kernel.dimension  # channels included
         check_unknowns(self._integrator, self._tableau, self._d)
-        self._work = StageWork.empty(self._tableau.stages, self._d)
+        self._work = StageDerivatives.empty(self._tableau.stages, self._d)
         self._simulation: Simulation | None = None
         self._entries: dict[Callable[..., int], Callable[..., int]] = {}
+
+    def _closed_steps(self) -> ClosedSteps | None:
+        """Return the derivatives of impulses that keep loops closed; None without loops."""
+        loops = self._system.constraints
+        return ClosedSteps(loops, self._system.hamiltonian, self._h) if isinstance(
+            loops, LoopManifold) else None
 
     def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect], step_size: float
                      ) -> None:
@@ -217,6 +226,7 @@ class DifferentiableRun:
             return
         self._hamiltonian, self._effects = hamiltonian, list(effects)
         self._acting = ActingEffects(self._system, hamiltonian, effects, self._h)
+        self._closed = self._closed_steps()
         if self._simulation is not None:
             self._simulation.step_size = self._h
 
@@ -254,11 +264,10 @@ class DifferentiableRun:
             self._acting.check_commands(commands, every)
             # Copy the commands, since pull_back needs them and the caller may change them.
             commands = commands.copy()
-        q, p = np.split(z, 2, axis=1)
-        self._system.check_state(q, p)
+        z = self._system.closed(z)
         begin = np.zeros(len(z), dtype=int) if first is None else np.array(first, dtype=int)
-        recorded = Recorded(z.copy(), every, begin, commands, segments_of(samples * every), [],
-                            z[None])
+        recorded = RunRecord(z.copy(), every, begin, commands, segments_of(samples * every), [],
+                             z[None])
         rows = self._stepper(z).rows(z, step=begin)
         sampled = np.empty((samples + 1, *z.shape))
         sampled[0], states = z, recorded.last
@@ -269,6 +278,17 @@ class DifferentiableRun:
             sampled[at] = states[inside]
         self.recorded = recorded._replace(last=states)
         return sampled
+
+    def closed_directions(self, z: np.ndarray) -> np.ndarray:
+        """
+        Return orthonormal directions of closed states, shape (2 d, m, 2 d).
+
+        The first ones keep the loops closed: two for each degree of freedom.
+        """
+        assert self._closed is not None, 'the robot has loops'
+        nearest, _ = self._closed.initial(self._system.closed(z))
+        # Singular values of a projection, which is oblique, are 0, or 1 and larger.
+        return np.moveaxis(np.linalg.svd(nearest)[0], -1, 0)
 
     def pull_back(self, cotangents: np.ndarray, dependences: Sequence[Dependence] = (),
                   by_commands: np.ndarray | None = None) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -311,12 +331,23 @@ class DifferentiableRun:
             others = [total + dependence.contracted(at_stages, weights)
                       + self._by_rates(dependence, states, felt)
                       for total, dependence in zip(others, dependences, strict=True)]
+            if self._closed is not None:
+                ends, weights = self._at_ends(states[1:], local[1:], self._by_velocity)
+                others = [total + dependence.contracted(ends, weights)
+                          for total, dependence in zip(others, dependences, strict=True)]
             if by_commands is not None:
                 felt = np.einsum('kmi,ckmi->kmc', directions, self._by_commands(acting, stages))
                 np.add.at(by_commands, segment.steps // recorded.every,
                           felt.sum(axis=1) if by_commands.ndim == 2 else felt)
-        return (cotangents[0] + self._acting.cut(following),
-                [np.asarray(total) for total in others])
+        first = cotangents[0] + self._acting.cut(following)
+        if self._closed is not None:
+            nearest, by_velocity = self._closed.initial(recorded.z)
+            begin, felt = (self._acting.padded(part)[None] for part in (recorded.z, first))
+            ends, weights = self._at_ends(begin, felt, by_velocity[None])
+            others = [total + dependence.contracted(ends, weights)
+                      for total, dependence in zip(others, dependences, strict=True)]
+            first = np.einsum('mij,mi->mj', nearest, first)
+        return first, [np.asarray(total) for total in others]
 
     def push_forward(self, changes: Sequence[Change]) -> np.ndarray:
         """
@@ -331,6 +362,13 @@ class DifferentiableRun:
         recorded = self.recorded
         sampled = np.empty((len(changes), recorded.samples + 1, *recorded.z.shape))
         sampled[:, 0] = np.stack([change.tangents for change in changes])
+        if self._closed is not None:
+            nearest, by_velocity = self._closed.initial(recorded.z)
+            sampled[:, 0] = np.einsum('mij,rmj->rmi', nearest, sampled[:, 0])
+            begin = self._acting.padded(recorded.z)[None]
+            for r, change in enumerate(changes):
+                sampled[r, 0, :, by_velocity.shape[1]:] += self._closing(
+                    change, begin, by_velocity[None])[0]
         before = self._acting.padded(sampled[:, 0])
         for segment in recorded.segments:
             acting, stages, states = self._stages(segment, self._states(segment))
@@ -372,7 +410,7 @@ class DifferentiableRun:
         """
         m, n, c = *states.shape[1:], commands.shape[1]
         acting = self._acting.acting(times, np.broadcast_to(commands, (len(times), m, c)))
-        stages = self._found(acting, self._acting.padded(states))[0]
+        acting, stages, _ = self._found(acting, self._acting.padded(states))
         sources = np.zeros((len(times), n + c, m, stages.shape[2]))
         sources[:, n:] = self._by_commands(acting, stages).swapaxes(0, 1)
         local = np.zeros((len(times) + 1, n + c, m, 2 * self._d))
@@ -389,7 +427,7 @@ class DifferentiableRun:
         start = recorded.starts[recorded.segments.index(segment)]
         return self._advance(recorded, start.copy(), segment)
 
-    def _advance(self, recorded: Recorded, rows: np.ndarray, segment: Segment) -> np.ndarray:
+    def _advance(self, recorded: RunRecord, rows: np.ndarray, segment: Segment) -> np.ndarray:
         """Take a segment's steps, starting at rows; return the states, (K + 1, m, 2 d)."""
         commands = recorded.commands_in(segment).swapaxes(0, 1)
         path = self._stepper(recorded.z).follow_on(rows, np.ascontiguousarray(commands))
@@ -412,14 +450,30 @@ class DifferentiableRun:
                 sources.shape)
             rates = getattr(dependence, 'rates', None)
             if rates is not None:
-                added += much * self._acting.flowed(states, rates)
+                flowed = much * self._acting.flowed(states, rates)
+                if self._closed is not None:
+                    flowed[:, 1] = np.einsum('kmij,kmj->kmi', acting.after, flowed[:, 1])
+                added += flowed
+        if self._closed is not None:
+            d = len(self._acting.rates)
+            added[:, 1, :, self._d:self._d + d] += self._closing(
+                change, states[1:], self._by_velocity)
+
+    def _closing(self, change: Change, ends: np.ndarray, by_velocity: np.ndarray) -> np.ndarray:
+        """Return the change of the projection of momenta at ends of steps, shape (K, m, d)."""
+        at, d = self._at_ends(ends, ends, by_velocity)[0], len(self._acting.rates)
+        found = np.zeros((*ends.shape[:2], d))
+        for dependence, much in change.others:
+            velocity = dependence.changed(at, much)[1].reshape(*ends.shape[:2], self._d)
+            found += np.einsum('kmij,kmj->kmi', by_velocity, velocity[..., :d])
+        return found
 
     @property
     def on_step_size(self) -> Dependence:
         """Return the dependence on h for a fixed number of steps; the final time changes too."""
-        if self._acting.any:
-            raise UnsupportedSystem('the step size is not differentiable yet together with forces '
-                                    'or damping; leave one of them out')
+        if self._acting.any or self._closed is not None:
+            raise UnsupportedSystem('the step size is not differentiable yet together with '
+                                    'forces, damping or loops; remove one of them')
         # In a step, h only occurs as a factor of H'.
         return OnNumber(lambda at: at.gradient(self.kernel) / self._h)
 
@@ -429,15 +483,55 @@ class DifferentiableRun:
         recorded = self.recorded
         times = (recorded.first + segment.steps[:, None]) * self._h
         acting = self._acting.acting(times, recorded.commands_in(segment))
-        states = self._acting.padded(states)
-        stages, failed = self._found(acting, states)
-        self._check(failed, times, 'its stages are not found again to round-off')
+        begin = recorded.starts[recorded.segments.index(segment)]
+        states = self._acting.padded(states, self._acting.internal_of(
+            begin, self._stepper(recorded.z).state) if self._acting.internal else None)
+        acting, stages, failed = self._found(acting, states)
+        self._check(failed, times, 'its stages could not be recomputed to round-off')
         return acting, stages, states
 
-    def _found(self, acting: Acting, states: np.ndarray) -> tuple[np.ndarray, int]:
-        """Return the stages of steps, and the first step without; see ``find_stages``."""
+    def _found(self, acting: Acting, states: np.ndarray) -> tuple[Acting, np.ndarray, int]:
+        """Return the inputs and stages of steps, and the first step without; see find_stages."""
         stages = np.empty((*states[1:].shape[:2], 2 * self._tableau.stages * self._d))
-        return stages, self._run(find_stages, acting, states, stages)
+        starts, ends = states[:-1], states[1:].copy()
+        if self._closed is not None:
+            both = np.stack([starts, ends]).reshape(2, -1, states.shape[2])
+            *around, by_velocity, starts = self._closed.around(both, self._alone(acting))
+            starts, before, after, self._by_velocity = (
+                part.reshape(*ends.shape[:2], *part.shape[1:])
+                for part in (starts, *around, by_velocity))
+            acting = acting._replace(before=before, after=after)
+        return acting, stages, self._run(
+            find_stages, acting, starts, ends, self._closed is None, stages)
+
+    def _alone(self, acting: Acting) -> InnerStep:
+        """Return the steps of the method without impulses, each of them alone."""
+        count = acting.times.size
+        single = acting._replace(times=acting.times.reshape(1, count),
+                                 commands=acting.commands.reshape(1, count, -1))
+
+        def step(starts: np.ndarray, wanted: bool) -> tuple[np.ndarray, np.ndarray | None]:
+            ends, n = starts.copy(), starts.shape[1]
+            stages = np.empty((1, count, 2 * self._tableau.stages * self._d))
+            self._run(find_stages, single, starts[None], ends[None], False, stages)
+            if not wanted:
+                return ends, None
+            local = np.zeros((2, n, count, n))
+            local[0] = np.eye(n)[:, None]
+            self._run(push_forward, single, stages, np.zeros((1, n, count, stages.shape[2])),
+                      np.zeros((1, 2, n, count, n)), local)
+            return ends, local[1].transpose(1, 2, 0)
+        return step
+
+    def _at_ends(self, ends: np.ndarray, cotangents: np.ndarray, by_velocity: np.ndarray
+                 ) -> tuple[StateSequence, np.ndarray]:
+        """Return the ends of steps, and the cotangents of (H_q, H_p) there, shape (2, N)."""
+        d = len(self._acting.rates)
+        weights = np.zeros((2, *ends.shape[:2], self._d))
+        weights[1, ..., :d] = np.einsum(
+            'kmij,kmi->kmj', by_velocity, cotangents[..., self._d:self._d + d])
+        q, p = (np.ascontiguousarray(part).ravel() for part in np.split(ends, 2, axis=-1))
+        return StateSequence.at(q, p), weights.reshape(2, -1)
 
     def _by_rates(self, dependence: Dependence, states: np.ndarray, felt: np.ndarray
                   ) -> np.ndarray:
@@ -459,7 +553,7 @@ class DifferentiableRun:
         for slopes, place in zip(found, places, strict=True):
             size = np.abs(acting.commands[..., :-1] @ place)
             # Stay on one side of zero: friction under load has a kink at a sign change.
-            spacing = _SPACING * np.maximum(size, _LEAST * (size.max(initial=0.0) or 1.0))
+            spacing = _SPACING * np.maximum(size, _MIN_SHARE * (size.max(initial=0.0) or 1.0))
             for offset, (weight, _) in MIDDLE.items():
                 commands = acting.commands.copy()
                 commands[..., :-1] += offset * spacing[..., None] * place
@@ -473,7 +567,7 @@ class DifferentiableRun:
         self._check(self._run(loop, acting, *arrays), acting.times,
                     'the matrix of its equation is singular')
 
-    def _run(self, loop: Callable[..., int], acting: Acting, *arrays: np.ndarray,
+    def _run(self, loop: Callable[..., int], acting: Acting, *arrays: np.ndarray | bool,
              kernel: Kernel | None = None) -> int:
         arguments = self._h, self._tableau, acting, *arrays, self._work
         if loop not in self._entries:
@@ -490,14 +584,14 @@ class DifferentiableRun:
                 f'the step at t = {times.flat[failed]:.9g} s has no derivative: {problem}; use a '
                 'smaller step_size or another integrator')
 
-    def _states_at(self, stages: np.ndarray, acting: Acting) -> States:
+    def _states_at(self, stages: np.ndarray, acting: Acting) -> StateSequence:
         """Return the stages as States, with the time in channels; kernel clocks are at 0."""
         channels = self.kernel.channels
         if channels:
             stages = stages.copy()
             q = stages[..., :stages.shape[2] // 2].reshape(*stages.shape[:2], -1, self._d)
-            q[..., self._d - channels:] += acting.times[:, :, None, None]
-        at = States.at(*self._halves(stages))
+            q[..., self._d - channels:] += acting.times[:, :, None, None] * self._acting.timed
+        at = StateSequence.at(*self._halves(stages))
         if not self._acting.feels:
             return at
 
@@ -509,9 +603,10 @@ class DifferentiableRun:
 
     def beside(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> System:
         """Return a system with other numbers that shares the command array."""
-        state = EffectState.empty(len(effects), hamiltonian.dimension)
+        state = EffectState.empty(len(self._system.labels), hamiltonian.dimension)
+        shared = self._system.effect_state
         return System(hamiltonian, effects, self._integrator, state._replace(
-            command=self._system.effect_state.command))
+            command=shared.command, step=shared.step))
 
     def _halves(self, stages: np.ndarray) -> np.ndarray:
         """Return the concatenated q parts and p parts of all stages, shape (2, N)."""

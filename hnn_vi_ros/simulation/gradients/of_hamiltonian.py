@@ -8,11 +8,11 @@ from hnn_vi_ros.hamiltonians import compiled_kernel
 from hnn_vi_ros.kernels import (
     by_address, energy as base_energy, gradient as base_gradient,
     hessian_vector as base_hessian_vector, Kernel, original, Target)
-from hnn_vi_ros.simulation.gradients.dependences import Dependence, MIDDLE, States
+from hnn_vi_ros.simulation.gradients.dependences import Dependence, MIDDLE, StateSequence
 import numpy as np
 
 # Spacing of differences with respect to velocities, relative to the largest velocity.
-_SPACING = float(np.cbrt(np.finfo(np.float64).eps))
+_RELATIVE_SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 
 
 def base_of(kernel: Kernel) -> Kernel:
@@ -49,7 +49,7 @@ class OnHamiltonian:
         self._own, self._kernel = own, kernel
         self._d = kernel.dimension - kernel.channels
 
-    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
+    def contracted(self, at: StateSequence, weights: np.ndarray) -> np.ndarray:
         """Return the gradient; see Dependence."""
         if not self._kernel.channels:
             return self._own.contracted(at, weights)
@@ -58,7 +58,7 @@ class OnHamiltonian:
         return self._own.contracted(self._without_channels(at),
                                     np.stack([felt[0], by_velocity]).reshape(2, -1))
 
-    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
+    def changed(self, at: StateSequence, change: np.ndarray) -> np.ndarray:
         """Return the change; see Dependence."""
         if not self._kernel.channels:
             return self._own.changed(at, change)
@@ -69,10 +69,10 @@ class OnHamiltonian:
         found[0, :, :self._d] += by_q
         return found.reshape(2, -1)
 
-    def _without_channels(self, at: States) -> States:
-        return States.at(_cut(at.q, self._kernel).ravel(), _cut(at.p, self._kernel).ravel())
+    def _without_channels(self, at: StateSequence) -> StateSequence:
+        return StateSequence.at(_cut(at.q, self._kernel).ravel(), _cut(at.p, self._kernel).ravel())
 
-    def _slopes(self, at: States) -> np.ndarray:
+    def _slopes(self, at: StateSequence) -> np.ndarray:
         """Return the derivatives of G with respect to each velocity, shape (d, 2, N, d)."""
         total = original(self._kernel)
         shifted = _Shifted(total.parameters[0], np.zeros(self._d))
@@ -81,7 +81,7 @@ class OnHamiltonian:
         kernel = by_address(total._replace(
             parameters=(base.parameters, *total.parameters[1:])))
         fastest = np.abs(_cut(at.gradient(kernel), self._kernel)[1]).max(initial=0.0)
-        spacing = _SPACING * (float(fastest) or 1.0)
+        spacing = _RELATIVE_SPACING * (float(fastest) or 1.0)
         slopes = np.zeros((self._d, 2, at.q.size // kernel.dimension, self._d))
         for j in range(self._d):
             for offset, (weight, _) in MIDDLE.items():
@@ -111,21 +111,21 @@ class OnLagrangian:
     def __init__(self, own: Dependence, kernel: Kernel):
         self._own, self._kernel = own, kernel
 
-    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
+    def contracted(self, at: StateSequence, weights: np.ndarray) -> np.ndarray:
         """Return the gradient; see Dependence."""
         changed = self._kernel.products(at.q, at.p, *weights)[1]
         return self._own.contracted(self._moving(at), np.stack([weights[0], changed]))
 
-    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
+    def changed(self, at: StateSequence, change: np.ndarray) -> np.ndarray:
         """Return the change; see Dependence."""
         by_q, by_v = self._own.changed(self._moving(at), change)
         found = self._kernel.products(at.q, at.p, np.zeros_like(by_v), by_v)
         found[0] += by_q
         return found
 
-    def _moving(self, at: States) -> States:
+    def _moving(self, at: StateSequence) -> StateSequence:
         """Return the states with velocities in place of momenta."""
-        return States.at(at.q, self._kernel.slopes(at.q, at.p)[1])
+        return StateSequence.at(at.q, self._kernel.slopes(at.q, at.p)[1])
 
 
 class _Shifted(NamedTuple):

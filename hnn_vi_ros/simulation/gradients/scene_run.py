@@ -18,7 +18,8 @@ from hnn_vi_ros.simulation.system import System
 import numpy as np
 from pydantic import ValidationError
 
-_EFFECTS, _MODEL, _URDF = 'effects.', 'model.', 'urdf.'
+_EFFECTS, _MODEL, _URDF, _LOOPS = 'effects.', 'model.', 'urdf.', 'hamiltonian.loops.'
+_DRIVES = 'hamiltonian.drives.'
 # Fields of the model card of a machine that affect its motion.
 _IN_CARD = 'friction', 'prior', 'input_map', 'fade'
 
@@ -91,13 +92,16 @@ class SceneRun:
     def on_number(self, name: str) -> Dependence:
         """Return the dependence on a number at its current value, or raise ValueError."""
         assert self._held is not None
+        if name.startswith(_LOOPS):
+            raise ValueError(f'{name}: points and frames of loops are not differentiable yet; '
+                             'remove it')
         value = self._held.values[name]
         try:
             return OnDifferences(
                 lambda other, offset: self._beside_now(name, other, offset), value)
         except SceneError as problem:
-            raise ValueError(f'{name} = {value:g} is too near to the end of its range to be '
-                             f'differentiated by: {problem}') from problem
+            raise ValueError(f'{name} = {value:g} is too close to the end of its range to '
+                             f'differentiate with respect to it: {problem}') from problem
 
     def _beside_now(self, name: str, value: float, offset: int
                     ) -> tuple[Kernel, np.ndarray | None]:
@@ -123,7 +127,7 @@ def _changed(parts: Parts, values: Mapping[str, float], model: Checkpoint | None
     links = {name.removeprefix(_URDF): value for name, value in values.items()
              if name.startswith(_URDF)}
     scene = with_known_numbers(parts.scene, own)
-    # Numbers of H do not influence effects, nor the reverse.
+    # Other numbers of H do not influence effects, nor the reverse.
     if not all(name.startswith(_EFFECTS) for name in own):
         parts = parts._replace(hamiltonian=scene.create_hamiltonian())
     if links:
@@ -131,13 +135,13 @@ def _changed(parts: Parts, values: Mapping[str, float], model: Checkpoint | None
             parts = parts._replace(hamiltonian=robot_of(parts).with_numbers(links))
         except ModelError as problem:
             raise SceneError(str(problem)) from problem
-    if any(name.startswith(_EFFECTS) for name in own):
+    if any(name.startswith((_EFFECTS, _DRIVES)) for name in own):
         parts = parts._replace(effects=scene.create_effects())
     parts = parts._replace(scene=scene)
     if model is None:
         return parts
     H = parts.hamiltonian
-    assert isinstance(H, LearnedHamiltonian), 'its model is of a learned H'
+    assert isinstance(H, LearnedHamiltonian), 'only a learned H has a model'
     before, effects = H.checkpoint, [copy(effect) for effect in parts.effects]
     for effect in effects:
         held = getattr(effect, '_model', None)
@@ -163,8 +167,8 @@ def check_in_files(parts: Parts, names: Iterable[str]) -> list[str]:
 def robot_of(parts: Parts) -> Any:
     """Return H, or raise ValueError unless it is built from a URDF."""
     if parts.scene.hamiltonian.kind != 'urdf':
-        raise ValueError(f'{_URDF}... are numbers of the links of a URDF, which '
-                         f'{parts.scene.name} does not have')
+        raise ValueError(f'{_URDF}... are parameters of the links of a URDF, but '
+                         f'{parts.scene.name} has none')
     return parts.hamiltonian
 
 
@@ -172,8 +176,8 @@ def model_of(parts: Parts) -> Checkpoint:
     """Return the model of H, or raise ValueError unless it is a single model of a machine."""
     checkpoint = getattr(parts.hamiltonian, 'checkpoint', None)
     if checkpoint is None or checkpoint.card.mechanical is None or checkpoint.members:
-        raise ValueError(f'{_MODEL}... are numbers of one model of the family mechanical or '
-                         f'rigid_body, which H of {parts.scene.name} is not')
+        raise ValueError(f'{_MODEL}... are parameters of one model of the family mechanical '
+                         f'or rigid_body, but H of {parts.scene.name} is not such a model')
     found: Checkpoint = checkpoint
     return found
 

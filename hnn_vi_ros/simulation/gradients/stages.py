@@ -22,7 +22,7 @@ from hnn_vi_ros.kernels import (
 import numpy as np
 
 
-class StageWork(NamedTuple):
+class StageDerivatives(NamedTuple):
     """
     Workspace of the derivatives of one step with s stages of d coordinates.
 
@@ -61,7 +61,7 @@ class StageWork(NamedTuple):
     end: np.ndarray
 
     @classmethod
-    def empty(cls, s: int, d: int) -> 'StageWork':
+    def empty(cls, s: int, d: int) -> 'StageDerivatives':
         """Return an empty workspace."""
         n = 2 * s * d
         v_q, v_p, product_q, product_p = np.zeros((4, s * d))
@@ -83,7 +83,10 @@ class Acting(NamedTuple):
     commands : np.ndarray, shape (K, m, size of command)
         Commands during the steps.
     flow : np.ndarray, shape (2 d,)
-        Damping factors on a state before and after each step; 0 for channels, which are reset.
+        Damping factors on a state before and after each step; 0 for channels, which are reset,
+        but 1 for internal variables.
+    before, after : np.ndarray, shape (K, m, 2 d, 2 d)
+        With loops, maps of tangents before and after each step, outside the damping; else K is 0.
 
     """
 
@@ -92,11 +95,13 @@ class Acting(NamedTuple):
     times: np.ndarray
     commands: np.ndarray
     flow: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
 
 
-_MOST = 20
+_MAX_ITERATIONS = 20
 # Largest distance from the next state, relative to the scale, of a step taken by the tableau.
-_SAME = 1e-9
+_MAX_STATE_DISTANCE = 1e-9
 
 
 class _Problem(NamedTuple):
@@ -111,7 +116,8 @@ class _Problem(NamedTuple):
 
 
 def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
-                states: np.ndarray, stages: np.ndarray, work: StageWork) -> int:
+                starts: np.ndarray, ends: np.ndarray, checked: bool, stages: np.ndarray,
+                work: StageDerivatives) -> int:
     """
     Compute the stages of steps.
 
@@ -125,8 +131,11 @@ def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: A
         Tableau of the method.
     acting : Acting
         Inputs of effects.
-    states : np.ndarray, shape (K + 1, m, 2 d)
-        States of m trajectories before and after each of K steps.
+    starts, ends : np.ndarray, shape (K, m, 2 d)
+        States of m trajectories before and after each of K steps; internal variables of the
+        starts after the first one are output.
+    checked : bool
+        True if the ends are known and checked; False to replace guesses by the result.
     stages : np.ndarray, shape (K, m, 2 s d)
         Output: stages; NaN if they are not found.
     work : StageWork
@@ -138,24 +147,34 @@ def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: A
         Flat index in (K, m) of the first step whose stages are not found, or -1.
 
     """
-    kernel, tableau, acting, states, stages, work = bare(
-        (kernel, tableau, acting, states, stages, work))
+    kernel, tableau, acting, starts, ends, stages, work = bare(
+        (kernel, tableau, acting, starts, ends, stages, work))
     start, end, flow = work.start, work.end, acting.flow
-    failed = -1
+    failed, own = -1, kernel.dimension - kernel.channels
     for n in range(stages.shape[0]):
         for m in range(stages.shape[1]):
             _enter(acting, n, m)
+            for k in range(own, own + kernel.internal):
+                ends[n, m, k] = starts[n, m, k]
             for k in range(flow.size):
-                start[k] = flow[k] * states[n, m, k]
-                end[k] = states[n + 1, m, k] / flow[k] if flow[k] != 0.0 else 0.0
-            if not _find(kernel, h, tableau, start, end, stages[n, m], work):
+                start[k] = flow[k] * starts[n, m, k]
+                end[k] = ends[n, m, k] / flow[k] if flow[k] != 0.0 else 0.0
+            if not _find(kernel, h, tableau, start, end, checked, stages[n, m], work):
                 stages[n, m] = np.nan
                 failed = n * stages.shape[1] + m if failed < 0 else failed
+            for k in range(0 if checked else flow.size):
+                ends[n, m, k] = flow[k] * end[k]
+            for k in range(own, own + kernel.internal if n + 1 < stages.shape[0] else own):
+                # The integral of a channel is the change of its internal variable.
+                starts[n + 1, m, k] = starts[n, m, k]
+                for j in range(tableau.p_weights.size):
+                    starts[n + 1, m, k] -= \
+                        h * tableau.p_weights[j] * work.product_q[j * kernel.dimension + k]
     return failed
 
 
 def fill_gradients(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
-                   stages: np.ndarray, found: np.ndarray, work: StageWork) -> int:
+                   stages: np.ndarray, found: np.ndarray, work: StageDerivatives) -> int:
     """
     Compute (H_q, H_p) at stages whose channels hold the time, under the command of each step.
 
@@ -186,7 +205,7 @@ def fill_gradients(kernel: Kernel, h: float, tableau: PartitionedTableau, acting
 
 def pull_back(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
               stages: np.ndarray, cotangents: np.ndarray, directions: np.ndarray,
-              felt: np.ndarray, work: StageWork) -> int:
+              felt: np.ndarray, work: StageDerivatives) -> int:
     """
     Propagate cotangents back through steps.
 
@@ -216,18 +235,27 @@ def pull_back(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Act
             _enter(acting, n, m)
             for i in range(flow.size):
                 felt[n, 1, m, i] = cotangents[n + 1, m, i]
-                start[i], end[i] = 0.0, flow[i] * cotangents[n + 1, m, i]
+            if acting.after.shape[0] > 0:
+                _apply(acting.after[n, m].T, felt[n, 1, m], work.change)
+            for i in range(flow.size):
+                start[i], end[i] = 0.0, flow[i] * felt[n, 1, m, i]
+            for i in range(_own(kernel) - kernel.internal, _own(kernel)):
+                end[kernel.dimension + i] = cotangents[n + 1, m, i]
             if not _pull(kernel, h, tableau, stages[n, m], start, end, directions[n, m], work):
                 return n * stages.shape[1] + m
             for i in range(flow.size):
                 felt[n, 0, m, i] = start[i]
-                cotangents[n, m, i] += flow[i] * start[i]
+                end[i] = flow[i] * start[i]
+            if acting.before.shape[0] > 0:
+                _apply(acting.before[n, m].T, end, work.change)
+            for i in range(flow.size):
+                cotangents[n, m, i] += end[i]
     return -1
 
 
 def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
                  stages: np.ndarray, sources: np.ndarray, added: np.ndarray,
-                 tangents: np.ndarray, work: StageWork) -> int:
+                 tangents: np.ndarray, work: StageDerivatives) -> int:
     """
     Propagate r tangents of each trajectory through steps, each factorised once.
 
@@ -262,11 +290,32 @@ def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: 
                 continue
             for r in range(tangents.shape[1]):
                 for k in range(flow.size):
-                    start[k] = flow[k] * tangents[n, r, m, k] + added[n, 0, r, m, k]
-                _push(kernel, h, tableau, sources[n, r, m], start, end, explicit, work)
+                    start[k] = tangents[n, r, m, k]
+                if acting.before.shape[0] > 0:
+                    _apply(acting.before[n, m], start, work.change)
                 for k in range(flow.size):
-                    tangents[n + 1, r, m, k] = flow[k] * end[k] + added[n, 1, r, m, k]
+                    start[k] = flow[k] * start[k] + added[n, 0, r, m, k]
+                _push(kernel, h, tableau, sources[n, r, m], start, end, explicit, work)
+                for k in range(_own(kernel) - kernel.internal, _own(kernel)):
+                    end[k] += end[kernel.dimension + k]
+                for k in range(flow.size):
+                    end[k] = flow[k] * end[k]
+                if acting.after.shape[0] > 0:
+                    _apply(acting.after[n, m], end, work.change)
+                for k in range(flow.size):
+                    tangents[n + 1, r, m, k] = end[k] + added[n, 1, r, m, k]
     return failed
+
+
+@inlined
+def _apply(matrix: np.ndarray, vector: np.ndarray, spare: np.ndarray) -> None:
+    """Multiply a vector by a matrix, in place."""
+    for i in range(spare.size):
+        spare[i] = 0.0
+        for j in range(spare.size):
+            spare[i] += matrix[i, j] * vector[j]
+    for i in range(spare.size):
+        vector[i] = spare[i]
 
 
 @inlined
@@ -279,8 +328,8 @@ def _enter(acting: Acting, n: int, m: int) -> None:
 
 @inlined
 def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, z1: np.ndarray,
-          x: np.ndarray, work: StageWork) -> bool:
-    """Compute the stages of a step from z to z1; return False if none are found."""
+          checked: bool, x: np.ndarray, work: StageDerivatives) -> bool:
+    """Compute the stages of a step from z to z1, or z1 too; return False if none are found."""
     s, d = tableau.q_weights.size, kernel.dimension
     scale, own = work.solver.iterates.scale, work.solver.iterates.own_scale
     for k in range(2 * d):
@@ -305,9 +354,9 @@ def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, 
                 x[i * d + k] = z[k] + node_q * (z1[k] - z[k])
                 x[(s + i) * d + k] = z[d + k] + node_p * (z1[d + k] - z[d + k])
         if attempt == 0:
-            outcome, _, _ = anderson(_equation, _tangent, problem, x, work.solver, _MOST)
+            outcome, _, _ = anderson(_equation, _tangent, problem, x, work.solver, _MAX_ITERATIONS)
         else:
-            outcome, _, _ = newton(_equation, _tangent, problem, x, work.solver, _MOST)
+            outcome, _, _ = newton(_equation, _tangent, problem, x, work.solver, _MAX_ITERATIONS)
         if outcome == OK:
             break
     if outcome != OK:
@@ -317,8 +366,11 @@ def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, 
         for j in range(s):
             dq += tableau.q_weights[j] * problem.dH_dp[j * d + k]
             dp -= tableau.p_weights[j] * problem.dH_dq[j * d + k]
-        if not (abs(z[k] + h * dq - z1[k]) <= _SAME * scale[k]
-                and abs(z[d + k] + h * dp - z1[d + k]) <= _SAME * scale[s * d + k]):
+        end_q, end_p = z[k] + h * dq, z[d + k] + h * dp
+        if not checked:
+            z1[k], z1[d + k] = end_q, end_p
+        if not (abs(end_q - z1[k]) <= _MAX_STATE_DISTANCE * scale[k]
+                and abs(end_p - z1[d + k]) <= _MAX_STATE_DISTANCE * scale[s * d + k]):
             return False
     return True
 
@@ -385,7 +437,7 @@ def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarra
 
 
 @inlined
-def _fill_slopes(kernel: Kernel, x: np.ndarray, work: StageWork) -> None:
+def _fill_slopes(kernel: Kernel, x: np.ndarray, work: StageDerivatives) -> None:
     """Compute H'' at each stage, column by column."""
     n, d, own = work.v_q.size, kernel.dimension, _own(kernel)
     # Columns of channels are zero.
@@ -404,7 +456,7 @@ def _fill_slopes(kernel: Kernel, x: np.ndarray, work: StageWork) -> None:
 
 
 @inlined
-def _fill_matrix(h: float, tableau: PartitionedTableau, work: StageWork, transposed: bool
+def _fill_matrix(h: float, tableau: PartitionedTableau, work: StageDerivatives, transposed: bool
                  ) -> None:
     """Assemble the matrix I - G_Z, or its transpose, from H'' at the stages."""
     s, d = tableau.q_weights.size, work.slopes.shape[1] // 2
@@ -426,7 +478,7 @@ def _fill_matrix(h: float, tableau: PartitionedTableau, work: StageWork, transpo
 
 
 @inlined
-def _factorise(h: float, tableau: PartitionedTableau, work: StageWork) -> bool:
+def _factorise(h: float, tableau: PartitionedTableau, work: StageDerivatives) -> bool:
     """Factorise I - G_Z from H'' at the stages; return False if it is singular."""
     _fill_matrix(h, tableau, work, False)
     return factorise_rows(work.matrix, work.pivots)
@@ -434,7 +486,8 @@ def _factorise(h: float, tableau: PartitionedTableau, work: StageWork) -> bool:
 
 @inlined
 def _pull(kernel: Kernel, h: float, tableau: PartitionedTableau, x: np.ndarray,
-          before: np.ndarray, after: np.ndarray, direction: np.ndarray, work: StageWork) -> bool:
+          before: np.ndarray, after: np.ndarray, direction: np.ndarray, work: StageDerivatives
+          ) -> bool:
     """Propagate the cotangent after a step, added to that before it; return False if singular."""
     s, d, right, slopes = tableau.q_weights.size, kernel.dimension, work.right, work.slopes
     n = s * d
@@ -469,7 +522,7 @@ def _pull(kernel: Kernel, h: float, tableau: PartitionedTableau, x: np.ndarray,
 
 @inlined
 def _push(kernel: Kernel, h: float, tableau: PartitionedTableau, source: np.ndarray,
-          before: np.ndarray, after: np.ndarray, explicit: bool, work: StageWork) -> None:
+          before: np.ndarray, after: np.ndarray, explicit: bool, work: StageDerivatives) -> None:
     """Propagate a tangent through a step, whose matrix is already factorised if implicit."""
     s, d, right, own = tableau.q_weights.size, kernel.dimension, work.right, _own(kernel)
     n, changed_q, changed_p = s * d, work.v_q, work.v_p
@@ -496,12 +549,12 @@ def _push(kernel: Kernel, h: float, tableau: PartitionedTableau, source: np.ndar
 
 @inlined
 def _own(kernel: Kernel) -> int:
-    """Return the number of coordinates without channels; states depend on these only."""
-    return kernel.dimension - kernel.channels
+    """Return the number of coordinates and internal variables; states depend on these only."""
+    return kernel.dimension - kernel.channels + kernel.internal
 
 
 @inlined
-def _change(source: np.ndarray, j: int, d: int, own: int, work: StageWork) -> None:
+def _change(source: np.ndarray, j: int, d: int, own: int, work: StageDerivatives) -> None:
     """Compute the change of H' at a stage, in v_q and v_p, for a change of stages in `right`."""
     n, right, slopes = work.v_q.size, work.right, work.slopes
     for k in range(own):

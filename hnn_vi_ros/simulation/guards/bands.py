@@ -10,7 +10,7 @@ from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.simulation.accuracy.diagnostics import state_scales
 from hnn_vi_ros.simulation.guards.base import (
-    accounted_energy, Alarm, Block, BlockGuard, Observed, Scale)
+    accounted_energy, Alarm, BlockGuard, Observed, SampleBlock, Scale)
 from hnn_vi_ros.simulation.guards.saddles import SaddleSearch
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
@@ -71,7 +71,7 @@ class BandGuard(BlockGuard):
     def allow(self, band: float, change: float) -> None:
         self._share = band
 
-    def take(self, block: Block) -> list[Alarm]:
+    def take(self, block: SampleBlock) -> list[Alarm]:
         values, limits = self._values(block), self._limits(block)
         alarms, taken = [], 0
         while taken < len(limits):
@@ -86,12 +86,12 @@ class BandGuard(BlockGuard):
     def renew(self, sample: Observed) -> Alarm | None:
         return self._alarm(sample.step)
 
-    def _values(self, block: Block) -> np.ndarray:
+    def _values(self, block: SampleBlock) -> np.ndarray:
         """Return the n values whose ranges are checked, shape (n, k); one weight per value."""
         return block.accounted[None]
 
     @abstractmethod
-    def _limits(self, block: Block) -> np.ndarray:
+    def _limits(self, block: SampleBlock) -> np.ndarray:
         """Return the allowed band at each sample, shape (k,)."""
 
     @abstractmethod
@@ -110,7 +110,7 @@ def plain_share(simulation: Simulation) -> float:
 
 
 # With a method of order 1, a range of H beyond this multiple of its limit is an alarm at once.
-_AT_ONCE = 2.0
+_IMMEDIATE_RATIO = 2.0
 
 
 @kept(error_model='numpy')
@@ -153,8 +153,8 @@ class ResolutionGuard(BandGuard):
     """
 
     kind = 'under-resolved'
-    remedy = ('use a smaller step_size, such as the one that `simulate` and `hnn run` name, or a '
-              'method of higher order')
+    remedy = ('use a smaller step_size, such as the one that `simulate` and `hnn run` recommend, '
+              'or a method of higher order')
 
     def __init__(self, share: float, scale: Scale, plain: float = 1.0, order: int = 2):
         self._patient = order == 1 and plain > 1.0
@@ -164,11 +164,11 @@ class ResolutionGuard(BandGuard):
         # Minimum and maximum of H, first step, and step since which H is beyond its limit.
         self._own = np.array([math.inf, -math.inf, -1.0, math.inf])
 
-    def take(self, block: Block) -> list[Alarm]:
+    def take(self, block: SampleBlock) -> list[Alarm]:
         if not self._patient or self.raised:
             return super().take(block)
         i = _first_lasting(self._own, block.step, block.energy,
-                           self._plain * self._limits(block), _AT_ONCE)
+                           self._plain * self._limits(block), _IMMEDIATE_RATIO)
         alarms = super().take(block)
         if i < 0 or (alarms and alarms[0].step <= block.step[i]):
             return alarms
@@ -176,10 +176,10 @@ class ResolutionGuard(BandGuard):
         return [self._tell(int(block.step[i]), float(self._own[1] - self._own[0]),
                            self._plain * float(self._limits(block)[i]), self._plain)]
 
-    def _values(self, block: Block) -> np.ndarray:
+    def _values(self, block: SampleBlock) -> np.ndarray:
         return np.array([block.accounted, block.energy])
 
-    def _limits(self, block: Block) -> np.ndarray:
+    def _limits(self, block: SampleBlock) -> np.ndarray:
         return self._share * self._scale(block)
 
     def _alarm(self, step: int) -> Alarm:
@@ -190,8 +190,8 @@ class ResolutionGuard(BandGuard):
 
     def _tell(self, step: int, band: float, limit: float, times: float) -> Alarm:
         if not (limit > 0.0 and math.isfinite(band / limit)):
-            return Alarm(self.kind, step, band, limit, 'the energy is infinite, or no number: '
-                         'under-resolved; use a smaller step_size, or start elsewhere')
+            return Alarm(self.kind, step, band, limit, 'the energy is not finite: '
+                         'under-resolved; use a smaller step_size, or another initial state')
         return Alarm(self.kind, step, band, limit,
                      f'the energy error exceeds {100.0 * self._share * times:g} % of the energy '
                      'scale; use a smaller step_size, or a method of higher order')
@@ -218,7 +218,7 @@ class BarrierGuard(BandGuard):
 
     kind = 'not resolved'
     remedy = ('use a smaller step_size or a method of higher order: the energy error '
-              'decides on which side of the barrier the motion is')
+              'determines on which side of the barrier the motion is')
 
     def __init__(self, name: str, energy: float, order: int = 1,
                  search: SaddleSearch | None = None):
@@ -228,13 +228,13 @@ class BarrierGuard(BandGuard):
         self._found, self._search = [] if search else [energy], search
         self._gap, self._start = math.inf, (math.nan, math.nan)
 
-    def take(self, block: Block) -> list[Alarm]:
+    def take(self, block: SampleBlock) -> list[Alarm]:
         """See BlockGuard; no alarm is raised while no barrier is known."""
         alarms = super().take(block)
         self.raised &= self._gap < math.inf
         return alarms if self.raised else []
 
-    def _limits(self, block: Block) -> np.ndarray:
+    def _limits(self, block: SampleBlock) -> np.ndarray:
         if math.isnan(self._start[0]):
             self._start = float(block.energy[0]), float(self._values(block)[0, 0])
         limits = np.full(len(block.step), self._gap)
@@ -248,12 +248,12 @@ class BarrierGuard(BandGuard):
             limits[i:] = self._gap
         return limits
 
-    def _values(self, block: Block) -> np.ndarray:
+    def _values(self, block: SampleBlock) -> np.ndarray:
         return (block.energy - block.work if self._plain else block.accounted)[None]
 
     def _alarm(self, step: int) -> Alarm:
         return Alarm(self.kind, step, self.band, self.limit,
-                     f'the energy is kept only to {self.band:.2g} J, but the {self._name} is '
+                     f'the energy error is {self.band:.2g} J, but the {self._name} is only '
                      f'{self.limit:.2g} J away: {self.kind}; use a smaller step_size')
 
 
@@ -283,7 +283,7 @@ class InvariantGuard(BandGuard):
     """
 
     kind = 'not conserved'
-    remedy = ('use a smaller step_size, or a method that conserves it: Gauss methods keep '
+    remedy = ('use a smaller step_size, or a method that conserves it: Gauss methods conserve '
               'quadratic invariants')
 
     def __init__(self, name: str, function: Callable[[np.ndarray, np.ndarray], float],
@@ -293,10 +293,10 @@ class InvariantGuard(BandGuard):
         self._function, self._hamiltonian, self._seen = function, hamiltonian, 0
         self._scales: list[float] = []
 
-    def _values(self, block: Block) -> np.ndarray:
+    def _values(self, block: SampleBlock) -> np.ndarray:
         return np.array([[self._function(q, p) for q, p in zip(block.q, block.p, strict=True)]])
 
-    def _limits(self, block: Block) -> np.ndarray:
+    def _limits(self, block: SampleBlock) -> np.ndarray:
         limits = []
         for q, p in zip(block.q, block.p, strict=True):
             self._seen += 1
@@ -317,17 +317,17 @@ class InvariantGuard(BandGuard):
 
     def _alarm(self, step: int) -> Alarm:
         return Alarm(self.kind, step, self.band, self.limit,
-                     f'{self._name} has moved by {self.band:.2g}, more than {self.limit:.2g}: it '
-                     'is not conserved; use a smaller step_size, or a method that conserves it',
+                     f'{self._name} is not conserved: it varies by {self.band:.2g}, limit '
+                     f'{self.limit:.2g}; use a smaller step_size, or a method that conserves it',
                      '1')
 
 
 # Minimum number of blocks, and of samples per block, to detect a lasting change.
-_BLOCKS, _BLOCK = 50, 20
+_MIN_BLOCKS, _MIN_BLOCK_SAMPLES = 50, 20
 # Factor by which the run must grow while a change persists; a slow oscillation does not.
-_LASTING = 5
+_PERSISTENCE = 5
 # A sudden change beyond this multiple of the energy scale is not an oscillation.
-_JUMP = 10.0
+_JUMP_RATIO = 10.0
 
 
 @kept(error_model='numpy')
@@ -353,7 +353,7 @@ def _change(ends: np.ndarray, accounted: np.ndarray, start: float, scales: np.nd
         if change > ends[1]:
             ends[1] = change
         # The negated comparison makes NaN an alarm.
-        if not (jumped or abs(change) <= _JUMP * scales[i]):
+        if not (jumped or abs(change) <= _JUMP_RATIO * scales[i]):
             at, jumped = i, True
     return at, jumped
 
@@ -378,8 +378,8 @@ class EnergyGuard(BlockGuard):
     """
 
     kind = 'energy not accounted for'
-    remedy = ('take a symplectic method in the place of a baseline, or a smaller step_size; '
-              'where an effect acts, check that it is listed in the scene')
+    remedy = ('use a symplectic method instead of a baseline, or a smaller step_size; check that '
+              'every effect that acts is listed in the scene')
 
     def __init__(self, share: float, scale: Scale):
         self.raised, self._how = False, (share, '')
@@ -389,7 +389,7 @@ class EnergyGuard(BlockGuard):
         self._start: float | None = None
         self._low: list[float] = []
         self._high: list[float] = []
-        self._count, self._length = 0, _BLOCK
+        self._count, self._length = 0, _MIN_BLOCK_SAMPLES
         # Range of the change in the current block.
         self._ends = np.array([math.inf, -math.inf])
         self._since, self._sign = math.inf, 0
@@ -397,7 +397,7 @@ class EnergyGuard(BlockGuard):
     def allow(self, band: float, change: float) -> None:
         self._share = change
 
-    def take(self, block: Block) -> list[Alarm]:
+    def take(self, block: SampleBlock) -> list[Alarm]:
         if self._start is None:
             self._start = float(block.accounted[0])
         scales = _turn_over(self._turned, block.work, self._scale_at(block))
@@ -409,9 +409,9 @@ class EnergyGuard(BlockGuard):
             self._count, self._scale = self._count + last - first, float(scales[i])
             step, change = int(block.step[i]), abs(float(block.accounted[i]) - self._start)
             if jumped and not self.raised:
-                alarms.append(self._alarm(step, change, _JUMP, 'changed'))
+                alarms.append(self._alarm(step, change, _JUMP_RATIO, 'changed'))
             if self._count == self._length and (change := self._end_block()) and not self.raised:
-                alarms.append(self._alarm(step, change, self._share, 'changed for good'))
+                alarms.append(self._alarm(step, change, self._share, 'changed permanently'))
             first = last
         self._scale = float(scales[-1])
         return alarms
@@ -423,10 +423,10 @@ class EnergyGuard(BlockGuard):
             return super().calm
         if self._start is None:
             return math.inf, -math.inf
-        return self._start - _JUMP * self._scale, self._start + _JUMP * self._scale
+        return self._start - _JUMP_RATIO * self._scale, self._start + _JUMP_RATIO * self._scale
 
     def renew(self, sample: Observed) -> Alarm | None:
-        assert self._start is not None, 'an alarm was raised, by a sample'
+        assert self._start is not None, 'a sample has raised an alarm'
         change = abs(accounted_energy(sample) - self._start)
         return self._alarm(sample.step, change, *self._how)
 
@@ -436,10 +436,10 @@ class EnergyGuard(BlockGuard):
         self._high.append(float(self._ends[1]))
         self._count, self._ends[:] = 0, (math.inf, -math.inf)
         blocks, length = len(self._low), self._length
-        if blocks < _BLOCKS:
+        if blocks < _MIN_BLOCKS:
             return 0.0
         low, high = min(self._low[-(blocks // 3):]), max(self._high[-(blocks // 3):])
-        if blocks == 2 * _BLOCKS:
+        if blocks == 2 * _MIN_BLOCKS:
             self._low = [min(pair) for pair in zip(self._low[::2], self._low[1::2], strict=True)]
             self._high = [max(pair)
                           for pair in zip(self._high[::2], self._high[1::2], strict=True)]
@@ -448,18 +448,18 @@ class EnergyGuard(BlockGuard):
         sign = 1 if low > lasting else -1 if high < -lasting else 0
         if sign != self._sign:
             self._sign, self._since = sign, blocks * length
-        lasts = sign and blocks * length >= _LASTING * self._since
+        lasts = sign and blocks * length >= _PERSISTENCE * self._since
         return min(abs(low), abs(high)) if lasts else 0.0
 
     def _alarm(self, step: int, value: float, share: float, how: str) -> Alarm:
         self.raised, self._how = True, (share, how)
         if not math.isfinite(value):
             return Alarm(self.kind, step, value, share * self._scale,
-                         'the energy is infinite, or no number; start elsewhere, or use a '
-                         'smaller step_size')
+                         'the energy is not finite; use a smaller step_size, or another initial '
+                         'state')
         return Alarm(self.kind, step, value, share * self._scale,
                      f'the energy has {how} by more than {100.0 * share:g} % of the energy '
-                     'scale, beyond the work that was done: take a symplectic method or a smaller '
+                     'scale, apart from the work done: use a symplectic method or a smaller '
                      'step_size')
 
 

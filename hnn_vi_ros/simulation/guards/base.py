@@ -36,7 +36,7 @@ def accounted_energy(sample: Observed) -> float:
     return (modified if modified == modified else sample.energy) - sample.work
 
 
-class Block(NamedTuple):
+class SampleBlock(NamedTuple):
     """
     Batch of k consecutive samples.
 
@@ -108,7 +108,7 @@ class Waiting:
             self._shapes = [one.shape for one in (sample.q, sample.p, sample.dH_dq, sample.dH_dp)]
         return accounted
 
-    def block(self, first: int = 0) -> Block | None:
+    def block(self, first: int = 0) -> SampleBlock | None:
         """Return the buffered samples from index `first` on as a block; None if there are none."""
         n = len(self)
         if first >= n:
@@ -116,7 +116,7 @@ class Waiting:
         states = (np.frombuffer(part).reshape(n, *shape)[first:].copy() for part, shape in zip(
             (self._q, self._p, self._dH_dq, self._dH_dp), self._shapes, strict=True))
         step, *energies = np.frombuffer(self._rest).reshape(n, _REST.size // 8)[first:].T.copy()
-        return Block(step.astype(np.int64), *states, *energies)
+        return SampleBlock(step.astype(np.int64), *states, *energies)
 
 
 class Alarm(NamedTuple):
@@ -197,15 +197,15 @@ class BlockGuard(Guard):
         return -math.inf, math.inf
 
     @abstractmethod
-    def take(self, block: Block) -> list[Alarm]:
+    def take(self, block: SampleBlock) -> list[Alarm]:
         """Check the next samples; return an alarm for each beginning of a violation."""
 
 
 # Returns the energy scale at each sample of a block [J].
-Scale = Callable[[Block], np.ndarray]
+Scale = Callable[[SampleBlock], np.ndarray]
 
 
-def judge(guards: Iterable[BlockGuard], block: Block | None) -> list[Alarm]:
+def judge(guards: Iterable[BlockGuard], block: SampleBlock | None) -> list[Alarm]:
     """Check the next samples with all guards; return the alarms in the order of steps."""
     if block is None:
         return []

@@ -7,7 +7,7 @@ import math
 
 from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.models import Domain
-from hnn_vi_ros.simulation.guards.base import Alarm, Block, BlockGuard, Observed, StateGuard
+from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Observed, SampleBlock, StateGuard
 import numpy as np
 
 
@@ -49,8 +49,8 @@ class BoxGuard(BlockGuard):
     """
 
     kind = 'out of the training box'
-    remedy = ('start inside of the training domain, or train on a larger box; `confine: '
-              'true` closes it with walls, and `stop_outside_box` ends such a run')
+    remedy = ('start inside the training domain, or train on a larger one; `confine: true` '
+              'encloses it with walls, and `stop_outside_box` ends a run that leaves it')
 
     def __init__(self, box: tuple[np.ndarray, np.ndarray], gauge: np.ndarray | None = None,
                  domain: Domain | None = None):
@@ -64,7 +64,7 @@ class BoxGuard(BlockGuard):
         """Return whether a sample is outside the box or domain."""
         return bool(self._excess(sample.q[None], sample.p[None], sample.dH_dp[None])[0] > 0.0)
 
-    def take(self, block: Block) -> list[Alarm]:
+    def take(self, block: SampleBlock) -> list[Alarm]:
         excess = self._excess(block.q, block.p, block.dH_dp)
         if self.excess == 0.0 and not excess.any():
             self._samples += excess.size
@@ -83,7 +83,7 @@ class BoxGuard(BlockGuard):
                     self.largest = float(excess[i])
                     if self._domain is not None:
                         beyond = self._domain.beyond(block.q[i:i + 1], block.dH_dp[i:i + 1])
-                        self._what = f' ({beyond[0]} at most)'
+                        self._what = f' (largest: {beyond[0]})'
             if left is not None:
                 alarms.append(self._alarm(int(block.step[left])))
             first = last
@@ -104,13 +104,12 @@ class BoxGuard(BlockGuard):
         return self._alarm(sample.step)
 
     def _alarm(self, step: int) -> Alarm:
-        after = (f'{self._what}, {100.0 * self.share:.3g} % of the samples so far: H is a guess '
-                 'there; train a model on a larger box')
-        what = (f'outside of the box that the model was trained in, by {self.excess:.2g} of its '
-                f'half-width{after}')
+        after = (f'{self._what}, in {100.0 * self.share:.3g} % of the samples so far: H is '
+                 'extrapolated there; train the model on a larger domain')
+        what = f'{self.excess:.2g} half-widths outside the training domain of the model{after}'
         if self.excess == 0.0:
-            what = (f'inside again, but was up to {self.largest:.2g} of its half-width outside of '
-                    f'the box that the model was trained in{after}')
+            what = (f'inside the training domain again, after up to {self.largest:.2g} '
+                    f'half-widths outside it{after}')
         return Alarm(self.kind, step, self.excess, 0.0, what, 'half-widths')
 
 
@@ -136,8 +135,8 @@ class SpreadGuard(StateGuard):
 
     each = True
     kind = 'spread of the ensemble'
-    remedy = ('start where the data are dense, or train on more of them along this motion; '
-              '`uncertainty: {limit: ...}` of the scene is the bound')
+    remedy = ('start where the data are dense, or train on more data along this motion; '
+              '`uncertainty: {limit: ...}` in the scene sets the limit')
 
     def __init__(self, spread: Callable[[], np.ndarray], box: tuple[np.ndarray, np.ndarray],
                  limit: float):
@@ -151,6 +150,7 @@ class SpreadGuard(StateGuard):
     def renew(self, sample: Observed) -> Alarm | None:
         if self.value <= self._limit:
             return None
-        what = (f'the members of the ensemble are {self.value:.2g} half-widths of the training '
-                'domain apart: the motion is no longer known; reset, or train on more data there')
+        what = (f'the members of the ensemble differ by {self.value:.2g} half-widths of the '
+                'training domain: the prediction is unreliable; reset, or train on more data '
+                'there')
         return Alarm(self.kind, sample.step, self.value, self._limit, what, 'half-widths')

@@ -5,20 +5,20 @@
 import math
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.simulation.guards.base import Alarm, Block, BlockGuard, Observed
+from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Observed, SampleBlock
 from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
 import numpy as np
 
 # Maximum number of turns and of steps of a trial; minimum number of steps.
-_TURNS, _STEPS, _LEAST = 3, 128, 8
+_MAX_TURNS, _MAX_STEPS, _MIN_STEPS = 3, 128, 8
 # A derivative of H beyond this multiple of its maximum so far triggers another trial.
-_FASTER = 2.0
+_MIN_RATE_RATIO = 2.0
 # Coordinates whose range is less than this share of the largest range are ignored.
-_SLIGHT = 1e-3
+_MIN_RANGE_SHARE = 1e-3
 # Largest path error over path length: a quarter of a turn in a hundred turns.
-_LIMIT = 0.5 * math.pi / 400.0
+_MAX_PATH_ERROR = 0.5 * math.pi / 400.0
 # Maximum number of steps between samples for a trial to start at the earlier one.
-_NEAR = 16
+_MAX_SAMPLE_STEPS = 16
 
 
 class PathGuard(BlockGuard):
@@ -48,8 +48,8 @@ class PathGuard(BlockGuard):
     """
 
     kind = 'path not resolved'
-    remedy = ('use a smaller step_size or a method of higher order; energies alone may still be '
-              'good')
+    remedy = ('use a smaller step_size or a method of higher order; the energy may still be '
+              'accurate')
 
     def __init__(self, simulation: Simulation):
         self._simulation, self.raised, self._error = simulation, False, 0.0
@@ -57,13 +57,13 @@ class PathGuard(BlockGuard):
         self._largest = np.zeros(0)
         self._before: tuple[int, np.ndarray, np.ndarray] | None = None
 
-    def take(self, block: Block) -> list[Alarm]:
+    def take(self, block: SampleBlock) -> list[Alarm]:
         alarms, at = [], 0
         slopes = np.abs(np.hstack([block.dH_dq, block.dH_dp]))
         later = self._simulation.integrator.order > 1
         while not self.raised and at < len(slopes):
             if self._before is not None:
-                beyond = later & (slopes[at:] > _FASTER * self._largest).any(axis=1)
+                beyond = later & (slopes[at:] > _MIN_RATE_RATIO * self._largest).any(axis=1)
                 at = at + int(beyond.argmax()) if beyond.any() else len(slopes)
             if at < len(slopes):
                 if self._begin(block, at, slopes[at]):
@@ -76,22 +76,22 @@ class PathGuard(BlockGuard):
     def renew(self, sample: Observed) -> Alarm | None:
         return self._alarm(sample.step)
 
-    def _sample(self, block: Block, i: int) -> tuple[int, np.ndarray, np.ndarray]:
+    def _sample(self, block: SampleBlock, i: int) -> tuple[int, np.ndarray, np.ndarray]:
         return int(block.step[i]), block.q[i].copy(), block.p[i].copy()
 
-    def _begin(self, block: Block, i: int, slopes: np.ndarray) -> bool:
+    def _begin(self, block: SampleBlock, i: int, slopes: np.ndarray) -> bool:
         """Run a trial from just before a sample; return whether the path error is too large."""
         start = self._sample(block, i)
         before = self._sample(block, i - 1) if i > 0 else self._before
-        if before is not None and start[0] - before[0] <= _NEAR:
+        if before is not None and start[0] - before[0] <= _MAX_SAMPLE_STEPS:
             start = before
         self._error, largest = self._try(*start[1:])
         if not self._largest.size:
             self._largest = np.zeros_like(slopes)
         self._largest = np.maximum(np.maximum(self._largest, slopes), largest)
         for half in np.split(self._largest, 2):
-            half[:] = np.maximum(half, _SLIGHT * half.max())
-        return not self._error <= _LIMIT
+            half[:] = np.maximum(half, _MIN_RANGE_SHARE * half.max())
+        return not self._error <= _MAX_PATH_ERROR
 
     def _try(self, q: np.ndarray, p: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the path error over the path length, and the largest derivatives of H."""
@@ -99,18 +99,18 @@ class PathGuard(BlockGuard):
         try:
             row, = simulation.rows(start[None])
             path, better = (np.vstack([start, np.hstack(simulation.trial(
-                row, h / parts, _STEPS, parts))]) for parts in (1, 2))
+                row, h / parts, _MAX_STEPS, parts))]) for parts in (1, 2))
         except (StepFailure, RescuePending):
             # A failing step is reported by the run itself.
             return 0.0, np.zeros(start.size)
         lengths = np.vstack([np.zeros(start.size), np.cumsum(
             np.abs(np.diff(better, axis=0)), axis=0)])
         ranges = np.maximum.accumulate(better) - np.minimum.accumulate(better)
-        counts = np.hstack([half > _SLIGHT * half.max(axis=1, keepdims=True)
+        counts = np.hstack([half > _MIN_RANGE_SHARE * half.max(axis=1, keepdims=True)
                             for half in np.split(ranges, [q.size], axis=1)])
-        turned = ((lengths > 2.0 * _TURNS * ranges) & counts).any(axis=1)
-        turned[:_LEAST] = False
-        end = int(turned.argmax()) if turned.any() else _STEPS
+        turned = ((lengths > 2.0 * _MAX_TURNS * ranges) & counts).any(axis=1)
+        turned[:_MIN_STEPS] = False
+        end = int(turned.argmax()) if turned.any() else _MAX_STEPS
         part, counted = np.s_[:end + 1], counts[end]
         order, begin = simulation.integrator.order, 0
         errors = np.abs(path - better) / (1.0 - 0.5 ** order)
@@ -118,7 +118,7 @@ class PathGuard(BlockGuard):
         if order == 1:
             # A method of order 1 may be conjugate to one of order 2 in states displaced by part
             # of a step. This displacement does not grow after the first turn: subtract it.
-            begin = end // _TURNS
+            begin = end // _MAX_TURNS
             worst -= errors[:begin + 1].max(axis=0) if turned.any() else worst
         slopes = np.hstack(simulation.hamiltonian.gradient(
             better[part, :q.size], better[part, q.size:]))
@@ -126,7 +126,7 @@ class PathGuard(BlockGuard):
                 np.abs(slopes).max(axis=0))
 
     def _alarm(self, step: int) -> Alarm:
-        return Alarm(self.kind, step, self._error, _LIMIT,
-                     f'the path errs by {100.0 * self._error:.2g} % of its length: it does not '
-                     'turn as often as it should; use a smaller step_size, or a method of higher '
+        return Alarm(self.kind, step, self._error, _MAX_PATH_ERROR,
+                     f'the path error is {100.0 * self._error:.2g} % of the path length: the '
+                     'number of turns is wrong; use a smaller step_size, or a method of higher '
                      'order', '1')

@@ -7,18 +7,18 @@ import math
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.kernels import kept
-from hnn_vi_ros.simulation.guards.base import Alarm, Block, BlockGuard, Observed
+from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Observed, SampleBlock
 import numpy as np
 
 # A search for a pole starts if second derivatives exceed this multiple of their mean so far.
-_STEEP = 4.0
+_MIN_RATIO = 4.0
 # Maximum number of searches per doubling of the number of samples.
-_SEARCHES = 2
+_MAX_SEARCHES = 2
 # Number of points between two samples, even to avoid the midpoint, and of refinements: down to
 # 1e-7 of the distance. There H'' has grown by 1e7 at a pole of first order, as has the gradient
 # at a logarithm. Thresholds of growth: of H'', of H', and of H'' in each round.
-_PLACES, _ROUNDS = 16, 8
-_POLE, _FLOW, _SHOWS = 1e6, 1e3, 2.0
+_POINTS, _ROUNDS = 16, 8
+_MIN_POLE_GROWTH, _MIN_FLOW_GROWTH, _MIN_ROUND_GROWTH = 1e6, 1e3, 2.0
 
 
 @kept(error_model='numpy')
@@ -27,7 +27,7 @@ def _next_peak(own: np.ndarray, sizes: np.ndarray, first: int) -> int:
     for i in range(first, len(sizes)):
         own[0] += sizes[i]
         own[1] += 1.0
-        peak = own[3] > _STEEP * own[0] / own[1] and own[3] >= own[2] and own[3] >= sizes[i]
+        peak = own[3] > _MIN_RATIO * own[0] / own[1] and own[3] >= own[2] and own[3] >= sizes[i]
         own[2], own[3] = own[3], sizes[i]
         if peak:
             return i
@@ -60,7 +60,7 @@ class PoleGuard(BlockGuard):
         # The last two samples.
         self._last = np.empty((0, 2 * hamiltonian.dimension))
 
-    def take(self, block: Block) -> list[Alarm]:
+    def take(self, block: SampleBlock) -> list[Alarm]:
         if self.raised:
             return []
         z = np.hstack([block.q, block.p])
@@ -69,7 +69,7 @@ class PoleGuard(BlockGuard):
         while at < len(z):
             at = _next_peak(self._own, sizes, at)
             if at < len(z):
-                budget = _SEARCHES * (1.0 + math.log2(self._own[1]))
+                budget = _MAX_SEARCHES * (1.0 + math.log2(self._own[1]))
                 if not self.raised and self._searched < budget:
                     self._searched += 1
                     part = path[max(0, before + at - 2):before + at + 1]
@@ -103,18 +103,19 @@ class PoleGuard(BlockGuard):
         ends = np.array([start, end])
         steepest, fastest = self._sizes(ends).max(), slopes(ends).max(axis=0)
         for _ in range(_ROUNDS):
-            places = np.linspace(low, high, _PLACES)
+            places = np.linspace(low, high, _POINTS)
             z = start + places[:, None] * (end - start)
             sizes = self._sizes(z)
             k = int(np.nan_to_num(sizes, nan=math.inf).argmax())
             # A pole shows at the first points: one is within 1 / 30 of the distance from it.
-            if sizes[k] < _SHOWS * steepest:
+            if sizes[k] < _MIN_ROUND_GROWTH * steepest:
                 return False
-            low, high = places[max(k - 1, 0)], places[min(k + 1, _PLACES - 1)]
-        grown = (slopes(z[k:k + 1])[0] > _FLOW * fastest) & (fastest > 0.0)
-        return bool(sizes[k] > _POLE * steepest and grown.any())
+            low, high = places[max(k - 1, 0)], places[min(k + 1, _POINTS - 1)]
+        grown = (slopes(z[k:k + 1])[0] > _MIN_FLOW_GROWTH * fastest) & (fastest > 0.0)
+        return bool(sizes[k] > _MIN_POLE_GROWTH * steepest and grown.any())
 
     def _alarm(self, step: int) -> Alarm:
         return Alarm(self.kind, step, 1, 0,
-                     'H has a pole between this sample and one of the two before, which no motion '
-                     'can pass; use a smaller step_size, or coordinates without a pole there', '1')
+                     'the motion crossed a pole of H within the last two samples, which no exact '
+                     'motion does; use a smaller step_size, or coordinates without a pole there',
+                     '1')

@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterator
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.kernels import kept
-from hnn_vi_ros.simulation.guards.base import Block
+from hnn_vi_ros.simulation.guards.base import SampleBlock
 import numpy as np
 
 # Maximum dimension: the search solves 2 d equations, which takes one or two milliseconds.
 MOST_COORDINATES = 16
 # Threshold of the mean square of the derivatives of H, relative to that of the run so far (1 for
 # a harmonic oscillator), and to the value at the last unsuccessful search.
-_LULL = 0.5
-_ITERATIONS = 30
+_MAX_LULL_RATIO = 0.5
+_MAX_ITERATIONS = 30
 _EPS = float(np.finfo(np.float64).eps)
 
 
@@ -73,13 +73,13 @@ class SaddleSearch:
     """
 
     def __init__(self, hamiltonian: Hamiltonian, ready: Callable[[], bool]):
-        self._hamiltonian, self._ready, self._limit = hamiltonian, ready, _LULL
+        self._hamiltonian, self._ready, self._limit = hamiltonian, ready, _MAX_LULL_RATIO
         self._own = np.zeros((4, 2 * hamiltonian.dimension))
         self._before: tuple[np.ndarray, np.ndarray] | None = None
         # Saddles found, each with the radius within which no new search is started.
         self._known: list[tuple[np.ndarray, float]] = []
 
-    def take(self, block: Block) -> Iterator[tuple[int, float]]:
+    def take(self, block: SampleBlock) -> Iterator[tuple[int, float]]:
         """Search at the next samples; yield index in the block and energy of each saddle [J]."""
         squares = np.hstack([block.dH_dq, block.dH_dp]) ** 2
         at, end = 0, len(squares)
@@ -91,15 +91,15 @@ class SaddleSearch:
                 if self._ready() and not known:
                     energy = self._search(z)
                     if energy is None:
-                        self._limit = _LULL * size
+                        self._limit = _MAX_LULL_RATIO * size
                     else:
                         yield at, energy
                 at += 1
         self._before = block.q[-1].copy(), block.p[-1].copy()
 
-    def _state(self, block: Block, i: int) -> np.ndarray:
+    def _state(self, block: SampleBlock, i: int) -> np.ndarray:
         if i < 0:
-            assert self._before is not None, 'the first sample is not the last of a lull'
+            assert self._before is not None, 'a lull does not end at the first sample'
             return np.concatenate(self._before)
         return np.concatenate([block.q[i], block.p[i]])
 
@@ -107,7 +107,7 @@ class SaddleSearch:
         """Return the energy of the saddle nearest to a state [J], None if there is none."""
         H, d, z, promised = self._hamiltonian, self._hamiltonian.dimension, start, 0.0
         unit = np.eye(2 * d)
-        for iteration in range(_ITERATIONS):
+        for iteration in range(_MAX_ITERATIONS):
             slope = np.concatenate(H.gradient(z[:d], z[d:]))
             states = np.tile(z, (2 * d, 1))
             curvature = np.hstack(H.hessian_vector(

@@ -5,16 +5,20 @@
 from collections.abc import Iterator
 import math
 
+from hnn_vi_ros.effects import LoopManifold
 from hnn_vi_ros.models import domain_of
 from hnn_vi_ros.simulation.guards.bands import (
     BarrierGuard, EnergyGuard, InvariantGuard, plain_share, ResolutionGuard)
 from hnn_vi_ros.simulation.guards.base import Guard, Scale
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.simulation.guards.loops import ClosureGuard, SingularGuard
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.saddles import MOST_COORDINATES, SaddleSearch
-from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
+from hnn_vi_ros.simulation.guards.steps import (
+    CostGuard, RescueGuard, SolutionGuard, StiffnessGuard)
 from hnn_vi_ros.simulation.simulation import Simulation
+import numpy as np
 
 # Default limits, as shares of the energy scale: see ResolutionGuard and EnergyGuard.
 BAND_LIMIT, CHANGE_LIMIT = 0.05, 0.02
@@ -45,6 +49,9 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
     yield EnergyGuard(change_limit, scale)
     if simulation.usual_gradients:
         yield CostGuard(simulation)
+    fastest = simulation.system.fastest_rate(np.atleast_2d(simulation.q)[0])
+    if fastest:
+        yield StiffnessGuard(simulation.step_size * fastest)
     for name, function in hamiltonian.invariants.items():
         yield InvariantGuard(name, function, band_limit, hamiltonian)
     if barrier is not None and simulation.conservative:
@@ -60,6 +67,10 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
         # Networks and robots have no poles.
         if hamiltonian.box is None and hamiltonian.robot is None:
             yield PoleGuard(hamiltonian)
+    loops = simulation.system.constraints
+    if isinstance(loops, LoopManifold):
+        yield ClosureGuard(loops)
+        yield SingularGuard(loops)
     if simulation.connected:
         yield SolutionGuard(simulation)
     yield RescueGuard(simulation)

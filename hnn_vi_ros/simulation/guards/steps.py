@@ -9,7 +9,7 @@ from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 # Limit of the gradients of a step, as a multiple of the usual maximum.
-_SLOW = 5
+_MAX_GRADIENT_RATIO = 5
 
 
 class CostGuard(StateGuard):
@@ -34,7 +34,7 @@ class CostGuard(StateGuard):
     def __init__(self, simulation: Simulation):
         self._simulation, self._raised = simulation, False
         self._usual = simulation.usual_gradients * np.atleast_2d(simulation.q).shape[0]
-        self._limit = _SLOW * self._usual
+        self._limit = _MAX_GRADIENT_RATIO * self._usual
 
     def update(self, sample: Observed) -> Alarm | None:
         if self._raised or self._simulation.costliest[0] <= self._limit:
@@ -45,9 +45,40 @@ class CostGuard(StateGuard):
     def renew(self, sample: Observed) -> Alarm:
         gradients, step = self._simulation.costliest
         return Alarm(self.kind, step, gradients, self._limit,
-                     f'a step took {gradients} evaluations of the gradient, where '
-                     f'{self._usual} do as a rule; use a smaller '
-                     'step_size or another integrator', '1')
+                     f'a step took {gradients} evaluations of the gradient; the usual number '
+                     f'is {self._usual}; use a smaller step_size or another integrator', '1')
+
+
+class StiffnessGuard(StateGuard):
+    """
+    Bristles of friction and elastic gears: h omega at most 1, with their fastest rate omega.
+
+    Beyond, small motions on them are not resolved: presliding, and contacts of teeth.
+
+    Parameters
+    ----------
+    reach : float
+        h omega.
+
+    """
+
+    kind = 'stiffness not resolved'
+    remedy = 'use a smaller step_size, or a lower stiffness'
+
+    def __init__(self, reach: float):
+        self._reach = reach
+        self._raised = reach <= 1.0
+
+    def update(self, sample: Observed) -> Alarm | None:
+        if self._raised:
+            return None
+        self._raised = True
+        return self.renew(sample)
+
+    def renew(self, sample: Observed) -> Alarm:
+        return Alarm(self.kind, sample.step, self._reach, 1.0,
+                     f'h omega = {self._reach:.3g} of small motions on bristles or gears, limit '
+                     f'1; {self.remedy}', '1')
 
 
 class CountGuard(StateGuard):
@@ -90,8 +121,8 @@ class SolutionGuard(CountGuard):
     kind = 'several solutions'
     remedy = 'use a smaller step_size: below the fold the equation has one solution'
     counted = 'several_solutions'
-    message = ('the equation of a step has several solutions, of which the one connected to '
-               'h = 0 is taken, in {} steps so far; use a smaller step_size')
+    message = ('the equation of a step had several solutions in {} steps so far; the solution '
+               'connected to h = 0 was used; use a smaller step_size')
 
 
 class RescueGuard(CountGuard):
@@ -103,7 +134,7 @@ class RescueGuard(CountGuard):
 
     kind = 'rescued steps'
     remedy = ('use a smaller step_size, or a method whose equations can be solved at this '
-              'one')
+              'step_size')
     counted = 'rescued'
-    message = ('{} steps so far were taken otherwise than by the integrator, as on_failure '
-               'says; use a smaller step_size or another integrator')
+    message = ('on_failure replaced the integrator in {} steps so far; use a smaller step_size '
+               'or another integrator')

@@ -13,7 +13,7 @@ from hnn_vi_ros.simulation.accuracy.diagnostics import (
     EnergyScale, follow, RECORD, rounding_walk, scales_along)
 from hnn_vi_ros.simulation.guards.bands import EnergyGuard, InvariantGuard, plain_share
 from hnn_vi_ros.simulation.guards.base import (
-    Alarm, Block, BlockGuard, Guard, judge, Look, StateGuard, Waiting)
+    Alarm, BlockGuard, Guard, judge, Look, SampleBlock, StateGuard, Waiting)
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
@@ -22,10 +22,10 @@ import numpy as np
 
 # Minimum of the energy scale, relative to the energies and per square root of the number of
 # steps: 50 times the rounding error, so that limits down to 1 / 50 of the scale exceed rounding.
-_FLOOR = 50.0 * rounding_walk(1.0, 1.0)
+_MIN_SCALE = 50.0 * rounding_walk(1.0, 1.0)
 # Starting from rest, energies grow as t^2, and an error of first order in h is 1 / (2 n) of them
 # after n steps: less than 1 / 40 beyond this number of steps.
-_EARLY = 20.0
+_EARLY_STEPS = 20.0
 
 
 @kept(error_model='numpy')
@@ -43,8 +43,8 @@ def _follow_samples(record: np.ndarray, own: np.ndarray, step: np.ndarray, poten
         if own[2] < size < math.inf:
             own[2] = size
         steps = step[i] - own[0] + 1.0
-        scales[i] = max(_FLOOR * own[2] * math.sqrt(steps),
-                        scale if turned else scale * (1.0 + _EARLY / steps))
+        scales[i] = max(_MIN_SCALE * own[2] * math.sqrt(steps),
+                        scale if turned else scale * (1.0 + _EARLY_STEPS / steps))
     return scales
 
 
@@ -74,15 +74,16 @@ class SampledScale:
         self._scale, self._rounding = EnergyScale(hamiltonian), hamiltonian.kernel.energy_scale
         self._record, self._own = np.zeros(RECORD), np.array([math.nan, math.nan, 0.0])
         # The last block and its scales; scales of the first samples of the next block.
-        self._block: Block | None = None
+        self._block: SampleBlock | None = None
         self._values = np.zeros(0)
         self._ahead: list[float] = []
 
-    def __call__(self, block: Block) -> np.ndarray:
+    def __call__(self, block: SampleBlock) -> np.ndarray:
         """Return the scale at each sample of the next block, or of the last block again [J]."""
         if block is not self._block:
             ahead, self._ahead, self._block = self._ahead, [], block
-            later = self._take(Block(*(part[len(ahead):] for part in block)) if ahead else block)
+            later = self._take(
+                SampleBlock(*(part[len(ahead):] for part in block)) if ahead else block)
             self._values = np.array([*ahead, *later]) if ahead else later
         return self._values
 
@@ -92,7 +93,7 @@ class SampledScale:
             self._ahead.extend(self._take(new))
         return self.value
 
-    def _take(self, block: Block) -> np.ndarray:
+    def _take(self, block: SampleBlock) -> np.ndarray:
         potential, virial = self._scale.virials(block.q, block.p, block.dH_dq, block.dH_dp)
         if potential.ndim > 1:
             # Sum the energies of trajectories that step together.
@@ -162,9 +163,9 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
 # Half as many suffice to detect a lasting change; see EnergyGuard.
 SHOWN = 10_000
 # Capacity of the buffer of samples, in coordinates.
-_WAITING = 4096
+_BUFFER_NUMBERS = 4096
 # Number of trajectories screened at a time; screening takes several times their memory.
-_SCREENED = 1024
+_SCREENED_TRAJECTORIES = 1024
 
 
 class Watch:
@@ -201,12 +202,12 @@ class Watch:
         self._kinds = [guard.kind for guard in guards]
         # Step and first alarm by kind.
         self._found: dict[str, tuple[int, Alarm]] = {}
-        self._waiting = Waiting(_WAITING)
+        self._waiting = Waiting(_BUFFER_NUMBERS)
 
     @property
     def alarms(self) -> list[Alarm]:
         """Return the first alarm of each kind by its step, in the order of the guards."""
-        waiting, self._waiting = self._waiting, Waiting(_WAITING)
+        waiting, self._waiting = self._waiting, Waiting(_BUFFER_NUMBERS)
         for alarm in judge(self._of_blocks, waiting.block()):
             self._found.setdefault(alarm.kind, (alarm.step, alarm))
         return [alarm for _, alarm in sorted(
@@ -315,8 +316,8 @@ def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nd
         found = np.ones(len(alarms), bool)
         # Guards check only a part of the samples of longer paths, unlike the screening.
         if len(steps) < 2 * SHOWN:
-            for first in range(0, len(found), _SCREENED):
-                block = np.s_[:, first:first + _SCREENED]
+            for first in range(0, len(found), _SCREENED_TRAJECTORIES):
+                block = np.s_[:, first:first + _SCREENED_TRAJECTORIES]
                 found[block[1]] = suspects(simulation, steps, q[block], p[block], energy[block],
                                            modified[block])
         for k in np.flatnonzero(found):
@@ -340,7 +341,7 @@ def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
         found = {k: alarm for k, own in enumerate(alarms) for alarm in own if alarm.kind == kind}
         first, alarm = next(iter(found.items()))
         warnings.warn(
-            f'{kind} in {len(found)} of {len(alarms)} trajectories; in number {first}, '
+            f'{kind} in {len(found)} of {len(alarms)} trajectories; in trajectory {first}, '
             f't = {alarm.step * step_size:.9g} s: {alarm.message}', AlarmWarning, stacklevel=3)
 
 

@@ -11,7 +11,8 @@ from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import (
     ImplicitIntegrator, Integrator, NOT_FINITE, OK, SolverOptions, Tableau)
 from hnn_vi_ros.simulation.lockstep.gradient import make_gradient
-from hnn_vi_ros.simulation.lockstep.steps import first_state, State, step_of, System
+from hnn_vi_ros.simulation.lockstep.steps import (
+    first_state, LockstepState, LockstepSystem, step_of)
 from hnn_vi_ros.simulation.processors import heed
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System as CompiledSystem
@@ -40,14 +41,14 @@ def open_device(name: str) -> torch.device:
     """
     kind, _, number = name.partition(':')
     if name != 'cpu' and (kind != 'cuda' or (name != 'cuda' and not number.isdecimal())):
-        raise ValueError(f'device = {name!r} is not known; valid: {VALID}')
+        raise ValueError(f'device = {name!r} is unknown; valid: {VALID}')
     if kind == 'cuda':
         there = torch.cuda.device_count() if torch.cuda.is_available() else 0
         if int(number or 0) >= there:
             raise ParameterError(
                 f'device = {name}: torch {torch.__version__} finds {there or "no"} CUDA '
-                f'device{"s" * (there != 1)}; take device = cpu, or leave device out for the '
-                'compiled loops; a GPU takes its driver and a torch built for CUDA')
+                f'device{"s" * (there != 1)}; use device = cpu, or remove device to use the '
+                'compiled loops; a GPU needs its driver and a torch built for CUDA')
     return torch.device(name)
 
 
@@ -79,7 +80,7 @@ class Counts(NamedTuple):
     at: np.ndarray
 
 
-class Recorded(NamedTuple):
+class EnsembleRecord(NamedTuple):
     """
     Results of m trajectories.
 
@@ -130,25 +131,25 @@ class LockstepEnsemble:
         if effects:
             labels = CompiledSystem(hamiltonian, effects, integrator).labels
             raise UnsupportedSystem(
-                f'{", ".join(labels)}: trajectories step on a device without effects; leave '
-                'device out, or the effects')
+                f'{", ".join(labels)}: a device does not support effects; remove device, or the '
+                'effects')
         self._step = step_of(integrator, hamiltonian)
-        assert isinstance(integrator, ImplicitIntegrator), 'only such have a step here'
+        assert isinstance(integrator, ImplicitIntegrator), 'the only methods with a step here'
         self._hamiltonian, self._integrator, self._h = hamiltonian, integrator, step_size
         self._on_failure, self._alone = on_failure, None
         options: SolverOptions | Tableau = integrator.options(dimension=hamiltonian.dimension)
         options = options.solver if isinstance(options, Tableau) else options
-        self._system = System(
+        self._system = LockstepSystem(
             make_gradient(hamiltonian, self._device), hamiltonian.dimension,
             hamiltonian.kernel.gradient_scale, step_size, options)
 
     def __reduce__(self) -> NoReturn:
         """Raise TypeError: the ensemble cannot be copied or pickled."""
-        raise TypeError('an ensemble on a device cannot be copied: build another one')
+        raise TypeError('an ensemble on a device cannot be copied; build a new one')
 
     _alone: Simulation | None
 
-    def record(self, q: np.ndarray, p: np.ndarray, samples: Sequence[int]) -> Recorded:
+    def record(self, q: np.ndarray, p: np.ndarray, samples: Sequence[int]) -> EnsembleRecord:
         """
         Simulate from initial states, and return samples.
 
@@ -177,10 +178,11 @@ class LockstepEnsemble:
                 out[samples.index(steps)][:, rows] = state.z.cpu().numpy()
         out[[k for k, steps in enumerate(samples) if steps == 0]] = z.cpu().numpy()
         q_out, p_out = out.transpose(0, 2, 1)[..., :d], out.transpose(0, 2, 1)[..., d:]
-        return Recorded(np.ascontiguousarray(q_out), np.ascontiguousarray(p_out), failures, counts)
+        return EnsembleRecord(
+            np.ascontiguousarray(q_out), np.ascontiguousarray(p_out), failures, counts)
 
-    def _advanced(self, state: State, steps: int, rows: np.ndarray, counts: Counts,
-                  failures: dict[int, StepFailure]) -> State:
+    def _advanced(self, state: LockstepState, steps: int, rows: np.ndarray, counts: Counts,
+                  failures: dict[int, StepFailure]) -> LockstepState:
         """Return the state after step number `steps`, taken by Simulation where necessary."""
         heed()
         state, outcome, gradients = self._take_one(state)
@@ -199,7 +201,7 @@ class LockstepEnsemble:
             state.carry[:, k], state.counts[:, k] = 0.0, 0
         return state
 
-    def _take_one(self, state: State) -> tuple[State, torch.Tensor, np.ndarray]:
+    def _take_one(self, state: LockstepState) -> tuple[LockstepState, torch.Tensor, np.ndarray]:
         """Return states after a step, or before it if it failed; outcomes; gradient counts."""
         after, outcome, gradients = self._step(self._system, state)
         finite = (after.z.isfinite() & after.slope.isfinite()).all(dim=0)

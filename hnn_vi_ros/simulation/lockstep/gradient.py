@@ -27,18 +27,18 @@ import torch
 # Size of an array of activations on the CPU, which fits the L2 cache; maximum and minimum batch
 # size on the CPU. The latter is a multiple of the blocks of 8, 12, 24 or 64 columns that BLAS
 # multiplies at once: remainders are summed in another order.
-_NUMBERS, _MOST, _LEAST = 80_000, 960, 192
+_CACHED_NUMBERS, _MAX_BATCH, _MIN_BATCH = 80_000, 960, 192
 # Batch sizes on a GPU; each has its own CUDA graph.
-_BUCKETS = tuple(2**k for k in range(8, 18))
+_GPU_BATCHES = tuple(2**k for k in range(8, 18))
 # Number of runs before the capture: libraries allocate memory in the first ones.
-_WARM_UP = 3
+_WARM_UP_RUNS = 3
 FAMILIES = 'hnn, dissipative_hnn (its energy), dgnet, separable_hnn, vin'
 # (H_q, H_p), shape (2 d, m), at states (q, p) of that shape.
 Gradient = Callable[[torch.Tensor], torch.Tensor]
 _Slope = Callable[[torch.Tensor, torch.Tensor], None]
 
 
-def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+def row_dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """
     Return the sum of products of rows, in sequential order.
 
@@ -68,7 +68,7 @@ def make_gradient(hamiltonian: Hamiltonian, device: torch.device) -> Gradient:
 
     """
     def of(layers: Layers) -> PerceptronGradient:
-        assert isinstance(hamiltonian, LearnedHamiltonian), 'only such have layers'
+        assert isinstance(hamiltonian, LearnedHamiltonian), 'only learned ones have layers'
         return PerceptronGradient(layers, hamiltonian.checkpoint.card.activation, device)
 
     match hamiltonian:
@@ -83,14 +83,14 @@ def make_gradient(hamiltonian: Hamiltonian, device: torch.device) -> Gradient:
             inverse = torch.from_numpy(hamiltonian.mass_inverse).to(device)
             # The inverse mass matrix is symmetric, so its rows are its columns.
             return _sum(of(hamiltonian.checkpoint.networks['potential']),
-                        lambda p: dot(inverse[..., None], p[:, None]))
+                        lambda p: row_dot(inverse[..., None], p[:, None]))
     if isinstance(hamiltonian, MeanHamiltonian):
-        raise UnsupportedSystem('a device takes no mean of an ensemble: leave device out, or take '
-                                'one of its members, with member: K in hamiltonian')
+        raise UnsupportedSystem('a device does not support the mean of an ensemble; remove '
+                                'device, or select a member with `member: K` in hamiltonian')
     name = f'a model of the family {hamiltonian.checkpoint.card.family}' if isinstance(
         hamiltonian, LearnedHamiltonian) else type(hamiltonian).__name__
-    raise UnsupportedSystem(f'{name} is not an H of perceptrons alone, as a device takes it; '
-                            f'leave device out, or take a learned model of one of: {FAMILIES}')
+    raise UnsupportedSystem(f'a device does not support {name}, which is not made of perceptrons '
+                            f'alone; remove device, or use a learned model of: {FAMILIES}')
 
 
 def _sum(of_q: Gradient, of_p: Gradient) -> Gradient:
@@ -138,8 +138,8 @@ class PerceptronGradient:
         self._layers = list(zip(weights, (b[:, None] for b in biases), strict=True))
         self._last, self._inputs = last.T.contiguous(), layers.weights[0].shape[1]
         widest = max(len(w) for w in weights)
-        size = max(min(_NUMBERS // widest, _MOST) // _LEAST, 1) * _LEAST
-        self._buckets = _BUCKETS if device.type == 'cuda' else (size,)
+        size = max(min(_CACHED_NUMBERS // widest, _MAX_BATCH) // _MIN_BATCH, 1) * _MIN_BATCH
+        self._buckets = _GPU_BATCHES if device.type == 'cuda' else (size,)
         self._batches: dict[int, _Batch] = {}
 
     def __call__(self, x: torch.Tensor) -> torch.Tensor:
@@ -234,7 +234,7 @@ def captured(run: Callable[[], None], device: torch.device) -> Callable[[], Any]
     stream = torch.cuda.Stream(device)
     stream.wait_stream(torch.cuda.current_stream(device))
     with torch.cuda.stream(stream):
-        for _ in range(_WARM_UP):
+        for _ in range(_WARM_UP_RUNS):
             run()
     torch.cuda.current_stream(device).wait_stream(stream)
     graph = torch.cuda.CUDAGraph()

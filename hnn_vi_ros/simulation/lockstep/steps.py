@@ -18,7 +18,7 @@ from hnn_vi_ros.integrators import (
     BACK, COMMON, DEPTH, FAST_MATRIX, fixed_point, Gauss, gauss_tableau, GO_ON, ImplicitIntegrator,
     IN_DOUBT, Integrator, LEAST_SCALE, method_name, methods_that, NO_CONVERGENCE, Node, NOT_FINITE,
     OK, OWN, QUICK, SolverOptions)
-from hnn_vi_ros.simulation.lockstep.gradient import dot, Gradient
+from hnn_vi_ros.simulation.lockstep.gradient import Gradient, row_dot
 import numpy as np
 import torch
 
@@ -32,7 +32,7 @@ Known = tuple[torch.Tensor, ...]
 Equation = Callable[[Known, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
 
 
-class Scales(NamedTuple):
+class ResidualScales(NamedTuple):
     """
     Scales of residuals, shape (N, m).
 
@@ -125,19 +125,19 @@ class Anderson:
         used: list[torch.Tensor] = []
         for j in range(min(len(self._old), len(defect))):
             change = defect - self._old[j][1]
-            size = dot(change, change)
+            size = row_dot(change, change)
             triangle.append([])
             for column in basis:
-                share = dot(column, change)
+                share = row_dot(column, change)
                 triangle[j].append(share)
                 change = change - share * column
-            left = dot(change, change)
+            left = row_dot(change, change)
             counts = (depth > j) & (left > 1e-20 * size)
             used.append(counts & used[-1] if used else counts)
             length = torch.where(used[j], left, 1.0).sqrt()
             basis.append(change / length)
             triangle[j].append(length)
-            right.append(dot(basis[j], defect))
+            right.append(row_dot(basis[j], defect))
         weights = list(right)
         for j in range(len(right) - 1, -1, -1):
             total = right[j]
@@ -165,7 +165,7 @@ class _Judged(NamedTuple):
 
 
 def solve(iteration: Anderson, equation: Equation, known: Known, x: torch.Tensor,
-          scales: Scales, max_iterations: int) -> Solved:
+          scales: ResidualScales, max_iterations: int) -> Solved:
     """
     Solve x = G(x) for each of m trajectories.
 
@@ -219,7 +219,7 @@ def solve(iteration: Anderson, equation: Equation, known: Known, x: torch.Tensor
                 row[left] for row in (at, slow, previous, stage, changed))
             value, defect, accepted = (array[:, left] for array in (value, defect, accepted))
             known = tuple(array[..., left] for array in known)
-            scales = Scales(*(array[:, left] for array in scales))
+            scales = ResidualScales(*(array[:, left] for array in scales))
             iteration.keep(left)
         x = iteration.improved(k, value, defect, changed)
     assert solved is not None, 'there is at least one iteration'
@@ -236,7 +236,7 @@ def _residual(value: torch.Tensor, x: torch.Tensor, scale: torch.Tensor
     return defect, defect.abs().amax(dim=0)
 
 
-def _judge(value: torch.Tensor, x: torch.Tensor, scales: Scales, previous: torch.Tensor,
+def _judge(value: torch.Tensor, x: torch.Tensor, scales: ResidualScales, previous: torch.Tensor,
            stage: torch.Tensor, accepted: torch.Tensor, is_last: bool) -> _Judged:
     """Assess the convergence of each iterate; see ``judge`` of integrators.solvers."""
     bound = max(8, len(x)) * EPS
@@ -262,7 +262,7 @@ def _judge(value: torch.Tensor, x: torch.Tensor, scales: Scales, previous: torch
 _Pair = tuple[torch.Tensor, torch.Tensor]
 
 
-class State(NamedTuple):
+class LockstepState(NamedTuple):
     """
     States of m trajectories, and data for their next steps.
 
@@ -284,10 +284,10 @@ class State(NamedTuple):
     counts: torch.Tensor
     earlier: tuple[torch.Tensor, ...]
 
-    def of(self, chosen: torch.Tensor) -> 'State':
+    def of(self, chosen: torch.Tensor) -> 'LockstepState':
         """Return the states of the chosen trajectories."""
-        return State(self.z[:, chosen], self.carry[:, chosen], self.slope[:, chosen],
-                     self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
+        return LockstepState(self.z[:, chosen], self.carry[:, chosen], self.slope[:, chosen],
+                             self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
 
 
 class Stepped(NamedTuple):
@@ -305,12 +305,12 @@ class Stepped(NamedTuple):
 
     """
 
-    state: State
+    state: LockstepState
     outcome: torch.Tensor
     gradients: torch.Tensor
 
 
-class System(NamedTuple):
+class LockstepSystem(NamedTuple):
     """
     Simulated system and its method.
 
@@ -335,7 +335,8 @@ class System(NamedTuple):
     h: float
     options: SolverOptions
 
-    def solve(self, equation: Equation, known: Known, x: torch.Tensor, scales: Scales) -> Solved:
+    def solve(self, equation: Equation, known: Known, x: torch.Tensor, scales: ResidualScales
+              ) -> Solved:
         """Solve an equation; the outcome is IN_DOUBT if it may have other solutions."""
         solved = solve(Anderson(0) if self.options.solve is fixed_point else Anderson(), equation,
                        known, x, scales, self.options.max_iterations)
@@ -346,15 +347,16 @@ class System(NamedTuple):
         return solved._replace(outcome=torch.where(
             (solved.outcome == OK) & doubt, IN_DOUBT, solved.outcome))
 
-    def scales(self, base: torch.Tensor, slope: torch.Tensor, h: float, which: int) -> Scales:
+    def scales(self, base: torch.Tensor, slope: torch.Tensor, h: float, which: int
+               ) -> ResidualScales:
         """Return the scales of unknowns, shape (d, m); see ``set_scale`` of equations."""
         own = torch.maximum(base.abs(), abs(h) * slope.abs()).clamp_min(
             abs(h) * self.rounding[which])
         own = torch.where((own > 0.0) & (own < LEAST_SCALE), LEAST_SCALE, own)
-        return Scales(own.amax(dim=0).expand_as(own), own)
+        return ResidualScales(own.amax(dim=0).expand_as(own), own)
 
 
-Step = Callable[[System, State], Stepped]
+Step = Callable[[LockstepSystem, LockstepState], Stepped]
 
 
 def plus(x: torch.Tensor, carry: torch.Tensor, increment: torch.Tensor) -> _Pair:
@@ -390,15 +392,16 @@ def _halves(z: torch.Tensor, own: Sequence[int]) -> torch.Tensor:
     return torch.cat([z.chunk(2)[half] for half in own])
 
 
-def _scales(system: System, h: float, state: State, own: Sequence[int]) -> Scales:
+def _scales(system: LockstepSystem, h: float, state: LockstepState, own: Sequence[int]
+            ) -> ResidualScales:
     rates = _turned(state.slope)
     found = (system.scales(_halves(state.z, [half]), _halves(rates, [half]), h, 1 - half)
              for half in own)
-    return Scales(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+    return ResidualScales(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
 
-def _solve_node(system: System, h: float, own: Sequence[int], state: State, history: _Pair
-                ) -> tuple[Solved, torch.Tensor, _Pair]:
+def _solve_node(system: LockstepSystem, h: float, own: Sequence[int], state: LockstepState,
+                history: _Pair) -> tuple[Solved, torch.Tensor, _Pair]:
     """
     Solve p1 = p - h H_q(q, p1), q1 = q + h H_p(q1, p), or both at once; own as in ``_halves``.
 
@@ -430,7 +433,7 @@ def _with_halves(z: torch.Tensor, own: Sequence[int], x: torch.Tensor) -> torch.
     return torch.cat([halves.get(half, part) for half, part in enumerate(z.chunk(2))])
 
 
-def _one_by_one(system: System, state: State, nodes: Sequence[Node]) -> Stepped:
+def _one_by_one(system: LockstepSystem, state: LockstepState, nodes: Sequence[Node]) -> Stepped:
     """Take a step of a method whose nodes are solved sequentially."""
     now, kept = state, list[_Pair]()
     outcome, iterations = torch.full_like(state.counts[0], OK), torch.zeros_like(state.counts[0])
@@ -454,13 +457,13 @@ def _one_by_one(system: System, state: State, nodes: Sequence[Node]) -> Stepped:
     return Stepped(now._replace(counts=torch.stack(counts), earlier=earlier), outcome, iterations)
 
 
-def _gauss(system: System, state: State, stages: int) -> Stepped:
+def _gauss(system: LockstepSystem, state: LockstepState, stages: int) -> Stepped:
     """Take a Gauss step; the unknowns are the concatenated stages z, shape (s 2 d, m)."""
     h, n, m = system.h, 2 * system.d, state.z.shape[1]
     matrix, weights, start = (torch.from_numpy(a.T.copy()).to(state.z.device)[..., None, None]
                               for a in gauss_tableau(stages))
     flows = state.earlier[0]
-    moved = dot(start, flows) if system.options.extrapolate else torch.zeros_like(flows)
+    moved = row_dot(start, flows) if system.options.extrapolate else torch.zeros_like(flows)
     x = state.z + h * torch.where(state.counts[0] > 0, moved, 0.0)
 
     def equation(known: Known, x: torch.Tensor) -> _Pair:
@@ -468,21 +471,22 @@ def _gauss(system: System, state: State, stages: int) -> Stepped:
         at = x.reshape(stages, n, -1).transpose(0, 1)
         found = system.gradient(at.reshape(n, -1)).reshape(at.shape).transpose(0, 1)
         flow = _turned(found, dim=1)
-        value = z + (carry + h * dot(matrix, flow))
+        value = z + (carry + h * row_dot(matrix, flow))
         return value.reshape(stages * n, -1), flow
 
-    scales = Scales(*(scale.repeat(stages, 1) for scale in _scales(system, h, state, [0, 1])))
+    scales = ResidualScales(
+        *(scale.repeat(stages, 1) for scale in _scales(system, h, state, [0, 1])))
     solved = system.solve(equation, (state.z, state.carry), x.reshape(stages * n, m), scales)
-    flow = dot(weights, solved.found)
+    flow = row_dot(weights, solved.found)
     z1, carry = plus(state.z, state.carry, h * flow)
     d_flow, e_flow = flow.chunk(2)
-    return Stepped(State(z1, carry, torch.cat([-e_flow, d_flow]),
-                         torch.ones_like(state.counts), (solved.found,)),
+    return Stepped(LockstepState(z1, carry, torch.cat([-e_flow, d_flow]),
+                                 torch.ones_like(state.counts), (solved.found,)),
                    solved.outcome, stages * solved.iterations)
 
 
 # Methods whose nodes are solved sequentially.
-_ONE_BY_ONE = 'variational_euler', 'generalized_leapfrog', 'implicit_midpoint'
+_SEQUENTIAL = 'variational_euler', 'generalized_leapfrog', 'implicit_midpoint'
 
 
 def step_of(integrator: Integrator, hamiltonian: Hamiltonian) -> Step:
@@ -499,16 +503,17 @@ def step_of(integrator: Integrator, hamiltonian: Hamiltonian) -> Step:
         stages = integrator.stages
         return lambda system, state: _gauss(system, state, stages)
     name, tableau = method_name(integrator), integrator.partitioned
-    if name not in _ONE_BY_ONE or tableau is None:
+    if name not in _SEQUENTIAL or tableau is None:
         able = methods_that(lambda method: isinstance(method, Gauss) or
-                            method_name(method) in _ONE_BY_ONE, hamiltonian)
-        raise UnsupportedSystem(f'{name} has no step for many trajectories on a device; leave '
-                                f'device out; methods that have: {able}')
+                            method_name(method) in _SEQUENTIAL, hamiltonian)
+        raise UnsupportedSystem(f'{name} does not run on a device; remove device; valid methods: '
+                                f'{able}')
     nodes = tableau.nodes()
     return lambda system, state: _one_by_one(system, state, nodes)
 
 
-def first_state(system: System, integrator: ImplicitIntegrator, z: torch.Tensor) -> State:
+def first_state(system: LockstepSystem, integrator: ImplicitIntegrator, z: torch.Tensor
+                ) -> LockstepState:
     """Return the State before the first step for z of shape (2 d, m)."""
     m, d = z.shape[1], system.d
 
@@ -517,4 +522,4 @@ def first_state(system: System, integrator: ImplicitIntegrator, z: torch.Tensor)
     earlier = [zeros(integrator.stages, 2 * d)] if isinstance(integrator, Gauss) else [
         zeros(3, n) for n in integrator.unknowns(d)]
     counts = torch.zeros((len(earlier), m), dtype=torch.int64, device=z.device)
-    return State(z, zeros(2 * d), system.gradient(z), counts, tuple(earlier))
+    return LockstepState(z, zeros(2 * d), system.gradient(z), counts, tuple(earlier))

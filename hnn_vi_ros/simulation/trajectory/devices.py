@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.guards.watch import look_at_block, watch_of_block
-from hnn_vi_ros.simulation.lockstep.ensemble import Counts, LockstepEnsemble, open_device, Recorded
+from hnn_vi_ros.simulation.lockstep.ensemble import (
+    Counts, EnsembleRecord, LockstepEnsemble, open_device)
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 import torch
@@ -26,7 +27,7 @@ def ensemble_on(device: str, parts: Parts) -> LockstepEnsemble:
 
 
 def record_on(ensemble: LockstepEnsemble, one: Simulation, q: np.ndarray, p: np.ndarray,
-              samples: Sequence[int]) -> tuple[Recorded, dict[int, list[Alarm]]]:
+              samples: Sequence[int]) -> tuple[EnsembleRecord, dict[int, list[Alarm]]]:
     """
     Simulate many trajectories in torch, and return their samples and alarms.
 
@@ -48,7 +49,7 @@ def record_on(ensemble: LockstepEnsemble, one: Simulation, q: np.ndarray, p: np.
 
     """
     found = ensemble.record(q, p, samples)
-    return found, {k: _told(one, found.counts, k, samples[-1])
+    return found, {k: _alarms_of(one, found.counts, k, samples[-1])
                    for k in _noteworthy(one, found.counts)}
 
 
@@ -70,7 +71,7 @@ def _noteworthy(one: Simulation, counts: Counts) -> list[int]:
     return np.flatnonzero((counts.rescued > 0) | (counts.several_solutions > 0) | slow).tolist()
 
 
-def _told(one: Simulation, counts: Counts, k: int, steps: int) -> list[Alarm]:
+def _alarms_of(one: Simulation, counts: Counts, k: int, steps: int) -> list[Alarm]:
     """Return the alarms of the guards of steps for a trajectory at its end."""
     one.steps = steps
     one.rescued, one.several_solutions = int(counts.rescued[k]), int(counts.several_solutions[k])

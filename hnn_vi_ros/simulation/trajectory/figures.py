@@ -81,7 +81,7 @@ def name_curves(axes: 'Axes') -> None:
 
 
 # Size of a panel, and of the margins around all of them [inch].
-_WIDTH, _HEIGHT, _AROUND = 8.0, 1.7, 0.8
+_WIDTH, _HEIGHT, _MARGINS = 8.0, 1.7, 0.8
 
 
 class _Panel(NamedTuple):
@@ -94,7 +94,7 @@ class _Panel(NamedTuple):
 def draw_series(trajectory: Trajectory) -> 'Figure':
     """Draw the figure of ``Trajectory.plot``."""
     panels = [*_panels(trajectory, 0), *_panels(trajectory, 1), *_energy_panels(trajectory)]
-    figure = new_figure(_WIDTH, _HEIGHT * len(panels) + _AROUND)
+    figure = new_figure(_WIDTH, _HEIGHT * len(panels) + _MARGINS)
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(rows, panels, strict=True):
         draw_curves(axes, panel.curves)
@@ -188,9 +188,9 @@ def portrayed(trajectory: Trajectory) -> list[tuple[Coordinate, int, int]]:
     found = [(own, q.index(own.name), p.index(momentum_name(own.name)))
              for own in trajectory.coordinates if own.kind == 'scalar']
     if not found:
-        raise ValueError('no coordinate has a plane with its momentum: '
-                         f'{", ".join(own.name for own in trajectory.coordinates)} turns; '
-                         'plot() draws its columns')
+        raise ValueError('no coordinate has a phase plane, because '
+                         f'{", ".join(own.name for own in trajectory.coordinates)} is not scalar; '
+                         'use plot(), which draws its columns')
     return found
 
 
@@ -263,11 +263,11 @@ def animate(trajectory: Trajectory, speed: float, rate: float) -> 'FuncAnimation
     run = trajectory.single()
     for name, value in (('speed', speed), ('rate', rate)):
         if not value > 0.0:
-            raise ValueError(f'{name} = {value} must be above 0')
+            raise ValueError(f'{name} = {value} must be greater than 0')
     times = np.arange(run.t[0], run.t[-1] + 0.5 * speed / rate, speed / rate)
     if len(times) > MOST_FRAMES:
-        raise ValueError(f'{len(times)} pictures are more than {MOST_FRAMES}: take a larger speed '
-                         'or a smaller rate')
+        raise ValueError(f'{len(times)} frames, at most {MOST_FRAMES}; use a larger speed or a '
+                         'lower rate')
     # Take the newest sample that is not later, with a tolerance for rounding of times.
     samples = np.searchsorted(run.t, times + 1e-9 * speed / rate, side='right') - 1
     mechanism = run.mechanism()

@@ -22,7 +22,7 @@ BLOCK = 32
 # Maximum number of coordinates in all samples of a run; with their momenta 4 GiB.
 MOST_NUMBERS = 2**28
 # Largest step counter of compiled code.
-_MOST_STEPS = 2**63 - 1
+_MAX_STEPS = 2**63 - 1
 
 # Commands over time: a function of time [s], or one row per sample.
 Commands = Callable[[float], Command] | Sequence[Sequence[float]] | np.ndarray
@@ -50,7 +50,7 @@ class Schedule(NamedTuple):
     @classmethod
     def until(cls, duration: float, every: int, step_size: float, width: int) -> 'Schedule':
         """Return equidistant samples, the last one at the end; ValueError if they are too many."""
-        every = min(every, _MOST_STEPS)
+        every = min(every, _MAX_STEPS)
         check_memory(duration, step_size * every, width)
         steps, part = whole_steps(duration, step_size)
         every = min(every, steps + 1)
@@ -66,8 +66,8 @@ class Schedule(NamedTuple):
                 f'times has shape {t.shape}, expected (N,): a list of at least one time')
         if not (np.isfinite(t).all() and (np.diff(t) >= 0.0).all() and t[0] >= 0.0
                 and t[-1] <= duration * (1.0 + 1e-12)):
-            raise ValueError(f'times must rise from 0 s at least to the duration, {duration:g} s, '
-                             'at most')
+            raise ValueError('times must increase, and lie between 0 s and the duration, '
+                             f'{duration:g} s')
         return cls(0, 1, t)
 
     def times(self, step_size: float) -> np.ndarray:
@@ -89,8 +89,8 @@ def check_memory(duration: float, interval: float, dimension: int) -> None:
     """
     samples = duration / interval
     if samples * dimension > MOST_NUMBERS:
-        raise ValueError(f'duration = {duration:g} s would make {samples:.2g} samples, one every '
-                         f'{interval:g} s: more than memory holds; take a larger every')
+        raise ValueError(f'duration = {duration:g} s gives {samples:.2g} samples, one every '
+                         f'{interval:g} s: more than fit into memory; use a larger every')
 
 
 def record(simulation: Simulation, schedule: Schedule, watch: Watch,
@@ -164,7 +164,7 @@ def check_commands(commands: Commands, schedule: Schedule) -> Commands:
         return commands
     rows, samples = check_numbers('commands', commands), schedule.samples + schedule.rest.size
     if rows.ndim != 2 or len(rows) < samples:
-        raise ValueError(f'commands has shape {rows.shape}, expected ({samples}, c): a row '
+        raise ValueError(f'commands has shape {rows.shape}, expected ({samples}, c), a row '
                          'for each sample but the last; or give a function of the time')
     return rows
 
@@ -243,13 +243,15 @@ def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: in
         See ``simulate``.
 
     """
-    begun = []
+    begun, first = [], []
     for k in range(len(q)):
         simulation.restart(q[k:k + 1], p[k:k + 1], stream=stream + k)
         begun.append(simulation.row)
+        # Loops may have moved it.
+        first.append(np.append(simulation.q, simulation.p))
     rows, watch = np.array(begun), watch_of_block(simulation)
-    states, width = [np.hstack([q, p])], q.shape[1]
-    watch.update(look_at_rows(simulation, rows, q, p))
+    states, width = [np.array(first)], q.shape[1]
+    watch.update(look_at_rows(simulation, rows, states[0][:, :width], states[0][:, width:]))
     for held in commands:
         states.append(simulation.follow_on(rows, held)[:, -1, :width + p.shape[1]])
         watch.update(look_at_rows(simulation, rows, states[-1][:, :width], states[-1][:, width:]))

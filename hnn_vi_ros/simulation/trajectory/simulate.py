@@ -13,7 +13,7 @@ from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.errors import optional, StepFailure
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
-from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
+from hnn_vi_ros.scene import AutoChoice, Choice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.construction import build, build_at
@@ -33,9 +33,11 @@ from numpy.typing import ArrayLike
 
 # Commands of m trajectories: rows held from sample to sample, or a function of time [s].
 ManyCommands = ArrayLike | Callable[[float], ArrayLike]
+# An initial state.
+State = tuple[ArrayLike, ArrayLike] | Mapping[str, ArrayLike]
 _FIRST = slice(0, 1)
 # Maximum gradients of `name_step`, as a share of those of a calibration run: tenths of a second.
-_SHARE = 0.1
+_MAX_GRADIENT_SHARE = 0.1
 
 
 def name_step(alarms: Sequence[Alarm], simulation: Simulation,
@@ -58,14 +60,14 @@ def name_step(alarms: Sequence[Alarm], simulation: Simulation,
         Function that repeats the run at another step size [s] and returns its alarms.
 
     """
-    told = list(alarms)
+    named = list(alarms)
     for k, alarm in enumerate(alarms):
         if alarm.kind == ResolutionGuard.kind:
             step = _resolving_step(simulation, repeat)
             if step is not None:
-                told[k] = alarm._replace(
+                named[k] = alarm._replace(
                     message=f'{alarm.message}; step_size {step:g} resolves this run')
-    return told
+    return named
 
 
 def _resolving_step(simulation: Simulation, repeat: Callable[[float], Sequence[Alarm]]
@@ -74,7 +76,7 @@ def _resolving_step(simulation: Simulation, repeat: Callable[[float], Sequence[A
     if simulation.usual_gradients:
         # Ignore extra gradients of steps that are hard to solve: shorter ones do not need them.
         cost = min(cost, simulation.steps * simulation.usual_gradients)
-    most = _SHARE * InitialValueProblem(
+    most = _MAX_GRADIENT_SHARE * InitialValueProblem(
         simulation.hamiltonian, (), simulation.q, simulation.p).gradients
     while (cost := 2 * cost) <= most:
         h *= 0.5
@@ -91,26 +93,34 @@ def _resolving_step(simulation: Simulation, repeat: Callable[[float], Sequence[A
     return None
 
 
-def simulate(scene: Scene | Parts | str | Path, duration: float, *, step_size: float | None = None,
-             integrator: str | None = None,
-             initial_state: tuple[ArrayLike, ArrayLike] | None = None,
+def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *more: ArrayLike,
+             duration: float | None = None, step_size: float | None = None,
+             integrator: Choice | None = None, initial_state: State | None = None,
              effects: Sequence[Mapping[str, Any]] | None = None,
              commands: Commands | None = None, every: int = 1,
              times: Sequence[float] | np.ndarray | None = None) -> Trajectory:
     """
-    Simulate a scene without ROS.
+    Simulate ``(scene, duration)`` or ``(H, q, p, duration, step_size)``, without ROS.
 
     Parameters
     ----------
-    scene : Scene, Parts, str or Path
-        A scene from ``load_scene``, the name of a shipped scene, or the path of a YAML file.
-    duration : float
-        Simulated time [s] of the last sample; see DenseStep for a time between steps.
+    scene : Scene, Parts, str, Path or callable
+        A scene from ``load_scene``, the name of a shipped scene, the path of a YAML file, or a
+        function H(q, p) [J]. The function is called once, with symbols, and becomes a formula: it
+        may use operators and functions of numpy, but no branches on values. ``scene.to_yaml()``
+        of the trajectory returns it.
+    *more : float or array
+        ``duration``; or with a function ``q, p, duration, step_size``, where q and p are numbers
+        for one coordinate and arrays of shape (d,) for several.
+    duration : float, optional
+        Simulated time [s] of the last sample, by default that of the scene; see DenseStep for a
+        time between steps.
     step_size : float, optional
         Step size h [s]; overrides the scene's.
-    integrator : str, optional
-        Key of INTEGRATORS; overrides the scene's integrator.
-    initial_state : tuple of (q, p), shape (d,) each, optional
+    integrator : str or mapping, optional
+        Key of INTEGRATORS, or ``{'kind': 'taylor', 'tolerance': 1e-14}``; overrides the scene's
+        integrator. The default for a function is gauss8.
+    initial_state : tuple of (q, p) or {'q': q, 'p': p}, shape (d,) each, optional
         Initial state; overrides the scene's.
     effects : sequence of mapping, optional
         Effects, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``; overrides the scene's.
@@ -145,11 +155,35 @@ def simulate(scene: Scene | Parts | str | Path, duration: float, *, step_size: f
     TypeError
         Argument of a wrong type.
 
+    Examples
+    --------
+    >>> simulate('exact_pendulum', 20.0, integrator='gauss4').q.shape
+    (2001, 1)
+    >>> run = simulate(lambda q, p: p**2 / 2 - np.cos(q), 1.0, 0.0, 10.0, 0.1)
+    >>> run.scene.hamiltonian.H
+    '0.5*p^2 - cos(q)'
+
     """
-    check_seconds('duration', duration)
+    names = ('q', 'p', 'duration', 'step_size') if callable(scene) else ('duration',)
+    if len(more) > len(names):
+        raise TypeError(f'expected at most {len(names)} arguments after the first: '
+                        f'{", ".join(names)}; give others by name')
+    given: dict[str, Any] = {'duration': duration, 'step_size': step_size}
+    for name, value in zip(names, more, strict=False):
+        if given.get(name) is not None:
+            raise TypeError(f'{name} is given twice')
+        given[name] = value
+    if callable(scene):
+        scene = Scene.build(
+            hamiltonian=scene, integrator=integrator or 'gauss8', step_size=given['step_size'],
+            initial_state=initial_state or {name: given.get(name) for name in 'qp'}, name='H')
+        integrator = initial_state = None
     check_count('every', every)
-    parts = changed_parts(scene, step_size, integrator, initial_state, effects)
-    scene = parts.scene
+    parts = changed_parts(scene, given['step_size'], integrator, initial_state, effects)
+    scene, duration = parts.scene, given['duration']
+    if duration is None:
+        duration = scene.duration
+    check_seconds('duration', duration)
     simulation = watched(build(parts), scene)
     recorded = record_one(simulation, duration, int(every), times, commands)
 
@@ -163,8 +197,7 @@ def simulate(scene: Scene | Parts | str | Path, duration: float, *, step_size: f
 
 
 def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = None,
-                  integrator: str | None = None,
-                  initial_state: tuple[ArrayLike, ArrayLike] | None = None,
+                  integrator: Choice | None = None, initial_state: State | None = None,
                   effects: Sequence[Mapping[str, Any]] | None = None) -> Parts:
     """Return the parts of a resolved scene with overrides applied; see ``simulate``."""
     own = scene.scene if isinstance(scene, Parts) else _scene(scene)
@@ -236,18 +269,20 @@ def _scene(scene: Scene | str | Path) -> Scene:
     if isinstance(scene, str | Path):
         return load_scene(scene)
     if not isinstance(scene, Scene):
-        raise TypeError(f'scene is a {type(scene).__name__}: give what load_scene returns, the '
-                        'name of a shipped scene, or the path of a YAML file')
+        raise TypeError(f'scene has type {type(scene).__name__}; give a Scene from load_scene, '
+                        'the name of a shipped scene, or the path of a YAML file')
     return scene
 
 
-def _state(state: tuple[ArrayLike, ArrayLike] | None) -> dict[str, list[float]] | None:
+def _state(state: State | None) -> dict[str, list[float]] | None:
     """Return a pair (q, p) as a mapping with the keys q and p."""
     if state is None:
         return None
+    if isinstance(state, Mapping) and state.keys() == {'q', 'p'}:
+        state = state['q'], state['p']
     if not isinstance(state, Sequence | np.ndarray) or isinstance(state, str) or len(state) != 2:
-        raise TypeError('initial_state must be a pair: the coordinates q, and the momenta p, '
-                        f'such as ([1.0], [0.0]), not {state!r:.60}')
+        raise TypeError('initial_state must be a pair of coordinates q and momenta p, such as '
+                        f"([1.0], [0.0]) or {{'q': [1.0], 'p': [0.0]}}, not {state!r:.60}")
     return {name: check_numbers(f'{name} of initial_state', part).tolist()
             for name, part in zip(('q', 'p'), state, strict=True)}
 
@@ -262,7 +297,7 @@ def _initial_states(q: ArrayLike, p: ArrayLike,
     for name, part, width in zip('qp', states, widths, strict=True):
         if part.ndim == 1 and part.size != width:
             raise ValueError(f'{name} has shape {part.shape}, expected (m, {width}): a row for '
-                             'each trajectory, a number in it for each coordinate')
+                             'each trajectory, a column for each coordinate')
     checked = [part.reshape(-1, width) for part, width in zip(
         check_state(*states, d, turning), widths, strict=True)]
     if checked[0].size == 0:
@@ -324,8 +359,8 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
         Number of threads; by default the number of usable processors. Ignored on a GPU.
     device : str, optional
         torch device, ``'cuda'``, ``'cuda:N'`` or ``'cpu'``: take the steps in torch instead of
-        compiled loops, solving each trajectory separately; see docs/scale.md. Requires an H of
-        perceptrons without effects, and supports some of the methods.
+        compiled loops, solving each trajectory separately; see docs/how-to/scale.md. Requires an
+        H of perceptrons without effects, and supports some of the methods.
 
     Returns
     -------
@@ -350,16 +385,21 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     TypeError
         Argument of a wrong type.
 
+    Examples
+    --------
+    >>> simulate_many('exact_pendulum', [[0.1], [0.2], [0.3]], np.zeros((3, 1)), 1.0).q.shape
+    (2, 3, 1)
+
     """
     check_seconds('duration', duration)
     if duration == 0.0:
-        raise ValueError('duration = 0 s: the samples must lie some time apart')
+        raise ValueError('duration = 0 s must be greater than 0 s')
     check_count('samples', samples)
     if threads is not None:
         check_count('threads', threads)
     scene = _resolved(_scene(scene))
     if scene.events:
-        raise ValueError('simulate_many watches for no events: leave the events out of '
+        raise ValueError('simulate_many does not support events: remove `events` from '
                          f'{scene.name}, or simulate one trajectory at a time')
     run = _Many(scene.parts(), q, p, duration, samples)
     if commands is not None:
@@ -399,8 +439,8 @@ class _Many:
     def __init__(self, parts: Parts, q: ArrayLike, p: ArrayLike, duration: float, samples: int):
         q0, p0 = _initial_states(q, p, parts.hamiltonian)
         if q0.size * samples > MOST_NUMBERS:
-            raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
-                             'holds; take fewer at a time')
+            raise ValueError(f'{samples} samples of {len(q0)} trajectories do not fit into '
+                             'memory; simulate fewer at a time')
         self.parts, self.count = parts, len(q0)
         self.step_size = h = parts.scene.known_step_size
         self._interval = interval = duration / samples
@@ -431,11 +471,11 @@ class _Many:
         """Take the steps with individual commands, or raise ValueError."""
         one = self.simulation()
         if not one.takes_commands:
-            raise ValueError('no effect of the scene takes commands: add external_force, with its '
-                             'coordinates')
+            raise ValueError('no effect of the scene accepts commands; add external_force with '
+                             'its coordinates')
         if self._share or device is not None:
-            raise ValueError('with commands samples lie whole steps apart, and no device takes '
-                             'the steps; take another duration or samples, and leave device out')
+            raise ValueError('commands need whole steps between samples, and no device; change '
+                             'duration or samples, and remove device')
         if callable(commands):
             # The function may not be thread-safe.
             threads = 1
@@ -460,9 +500,9 @@ class _Many:
     def step_on(self, device: str, threads: int | None) -> None:
         """Take the steps in torch; raise ValueError, or the failure of the first failed row."""
         if self._share:
-            raise ValueError(f'device = {device}: samples lie {self._interval:g} s apart, '
-                             f'{self._interval / self.step_size:g} steps: on a device these are '
-                             'whole; take another duration or samples')
+            raise ValueError(f'device = {device}: samples are {self._interval:g} s apart, '
+                             f'{self._interval / self.step_size:g} steps; a device needs whole '
+                             'steps between samples; change duration or samples')
         with optional('torch', f'device = {device}'):
             from hnn_vi_ros.simulation.lockstep.ensemble import open_device
             from hnn_vi_ros.simulation.trajectory.devices import (

@@ -3,25 +3,36 @@
 """Samples of a run, with plots, animations and export to other libraries."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from html import escape
+import json
 from pathlib import Path
-from typing import Any, final, Self, TYPE_CHECKING
+from typing import Any, final, Self, TextIO, TYPE_CHECKING
 
-from hnn_vi_ros.errors import listed, optional
+from hnn_vi_ros.errors import listed, optional, RecordingError
+from hnn_vi_ros.files import dump_yaml, one_line, replacing
 from hnn_vi_ros.hamiltonians import Hamiltonian, Mechanism, MECHANISMS, skeleton
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
 from hnn_vi_ros.recording import Sample
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene import described_scene, plain_data, Scene
+from hnn_vi_ros.simulation.checks import check_numbers
 from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation.dense_step import whole_steps
+from hnn_vi_ros.simulation.events import watched
+from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
+from numpy.typing import ArrayLike
+from safetensors import safe_open, SafetensorError
+from safetensors.numpy import save_file
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
     import pandas
     import xarray
+
+_ARRAYS = ('t', 'q', 'p', 'energy', 'work')
 
 
 @final
@@ -50,6 +61,12 @@ class Trajectory:
         Work W done on the system by effects since the start [J]: NaN at times between steps, and
         at some samples of runs with more than 10 000. None if no effect does work.
 
+    Examples
+    --------
+    >>> run = simulate('exact_pendulum', 1.0)
+    >>> len(run), len(run[::10]), run.names
+    (101, 11, (['angle'], ['p_angle']))
+
     """
 
     t: np.ndarray
@@ -61,6 +78,84 @@ class Trajectory:
     events: tuple[Event, ...] = ()
     scene: Scene | None = None
     work: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.t)
+
+    def __getitem__(self, part: slice) -> Self:
+        """Return a part of the samples, with their events."""
+        if not isinstance(part, slice):
+            raise TypeError(f'[{part!r:.40}] is no slice of the samples, as in trajectory[10:20]; '
+                            'select(0) returns one of m trajectories')
+        t = self.t[part]
+        return replace(
+            self, t=t, q=self.q[part], p=self.p[part], energy=self.energy[part],
+            work=None if self.work is None else self.work[part],
+            events=tuple(event for event in self.events if len(t) and t[0] <= event.t <= t[-1]))
+
+    def __call__(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return q and p, each of shape (d,) or (..., d), at any times of the run.
+
+        The scene is simulated again with these samples, which are as accurate as the method.
+
+        Parameters
+        ----------
+        t : float or array, shape (...)
+            Times from 0 to the last sample [s].
+
+        Raises
+        ------
+        ValueError
+            A time is outside the run; there are several trajectories (see ``select``); or the run
+            cannot be repeated, because it had commands.
+
+        Examples
+        --------
+        >>> q, p = simulate('exact_pendulum', 1.0)([0.123, 0.456])
+        >>> q.shape
+        (2, 1)
+
+        """
+        from hnn_vi_ros.simulation.trajectory.simulate import record_one
+        run, times = self.single(), check_numbers('t', t)
+        if not (len(run) and times.size and (times >= 0.0).all() and (times <= run.t[-1]).all()):
+            raise ValueError('t must lie between 0 s and the last sample'
+                             + f', {run.t[-1]:g} s' * bool(len(run)))
+        simulation, scene = run.simulation(), run.scene
+        assert scene is not None, 'a trajectory with a simulation has a scene'
+        at = max(0, int(np.searchsorted(run.t, times.max(), side='right')) - 1)
+        wanted, where = np.unique(np.append(times, run.t[at]), return_inverse=True)
+        found = record_one(watched(simulation, scene), float(wanted[-1]), 1, wanted)
+        run._check_repeated(found.q[where[-1]], at, 'pass times to simulate instead')
+        q, p = found.q[where[:-1]], found.p[where[:-1]]
+        return q.reshape(*times.shape, -1), p.reshape(*times.shape, -1)
+
+    def _check_repeated(self, q: np.ndarray, at: int, instead: str) -> None:
+        """Raise ValueError if q is not that of a sample."""
+        if not np.allclose(q, self.q[at], rtol=1e-9, atol=1e-9):
+            raise ValueError('this run cannot be repeated from its scene, for example because it '
+                             f'had commands; {instead}')
+
+    def loop_forces(self) -> np.ndarray:
+        """
+        Return the forces in the loops of a robot, shape (N, L, 6); the scene is simulated again.
+
+        The force [N] and the moment [N m] of the second link of each loop on the first, at the
+        joint, along the axes of the base: means over the step before a sample, NaN at t = 0 and
+        between steps. Raise ValueError as a call does, or if there are no loops.
+        """
+        run = self.single()
+        simulation, found, at = run.simulation(), [], 0
+        nothing = np.full_like(simulation.loop_forces, np.nan)
+        for k, time in enumerate(run.t.tolist()):
+            step, share = whole_steps(time, simulation.step_size)
+            simulation.advance(step - simulation.steps)
+            at = at if share else k
+            found.append(nothing if share or not step else simulation.loop_forces)
+        run._check_repeated(simulation.q, at, 'read `loop_forces` of a Simulation instead')
+        return np.array(found)
 
     @property
     def names(self) -> tuple[list[str], list[str]]:
@@ -100,12 +195,15 @@ class Trajectory:
         """
         count = self.q.shape[1] if self.q.ndim == 3 else 1
         if not -count <= index < count:
-            raise IndexError(f'trajectory {index}: expected 0 to {count - 1}, or -{count} to -1 '
-                             'counted from the last')
+            raise IndexError(f'index {index} out of range: expected 0 to {count - 1}, or '
+                             f'-{count} to -1 to count from the last')
         if self.q.ndim == 2:
             return self
-        return replace(self, q=self.q[:, index], p=self.p[:, index],
-                       energy=self.energy[:, index], alarms=self.alarms[index])
+        scene, (q, p) = self.scene, (self.q[:, index], self.p[:, index])
+        if scene is not None and self.t[:1] == 0.0:
+            scene = scene.with_overrides(initial_state={'q': q[0], 'p': p[0]})
+        return replace(self, q=q, p=p, energy=self.energy[:, index], alarms=self.alarms[index],
+                       scene=scene)
 
     def of(self, names: Sequence[str] | None) -> Self:
         """Return the trajectory restricted to some coordinates; ValueError for unknown names."""
@@ -128,7 +226,7 @@ class Trajectory:
     def single(self) -> Self:
         """Return the trajectory itself, or raise ValueError if there are several."""
         if self.q.ndim == 3:
-            raise ValueError(f'{self.q.shape[1]} trajectories cannot be shown as one: choose one, '
+            raise ValueError(f'{self.q.shape[1]} trajectories cannot be shown as one; select one, '
                              'as in trajectory.select(0)')
         return self
 
@@ -148,8 +246,8 @@ class Trajectory:
     def simulation(self) -> Simulation:
         """Return a simulation of the scene in its initial state."""
         if self.scene is None:
-            raise ValueError('this trajectory knows no scene, by whose H it could be shown: take '
-                             'one of simulate or simulate_many')
+            raise ValueError('this trajectory has no scene, whose H is needed; use one from '
+                             'simulate or simulate_many')
         return build(self.scene)
 
     def facts(self) -> list[str]:
@@ -159,18 +257,20 @@ class Trajectory:
         first = np.ravel(self.energy[:1])
         balance = self.balance()
         by_effects = '' if balance is None else (
-            f', the work of effects accounts for it to {np.abs(balance).max(initial=0.0):.2g} J')
+            f', equal to the work of effects to {np.abs(balance).max(initial=0.0):.2g} J')
         return [f'{len(self.t)} samples{many}',
-                f't = {self.t[0]:g} to {self.t[-1]:g} s' if len(self.t) else 'no time',
+                f't = {self.t[0]:g} to {self.t[-1]:g} s' if len(self.t) else 'no samples',
                 'H = ' + (f'{first[0]:.6g}' if first.size == 1 else
                           f'{first.min(initial=np.inf):.6g} to {first.max(initial=-np.inf):.6g}')
-                + f' J, changed by {change:.2g} J at most{by_effects}']
+                + f' J, largest change {change:.2g} J{by_effects}']
 
     def balance(self) -> np.ndarray | None:
         """Return H - H(0) - W [J], shape (n,), where W is known; None if no effect does work."""
         if self.work is None or self.energy.ndim == 2:
             return None
-        return (self.energy - self.energy[:1] - self.work)[np.isfinite(self.work)]
+        known = np.isfinite(self.work)
+        energy, work = self.energy[known], self.work[known]
+        return energy - energy[:1] - work + work[:1]
 
     def alarm_kinds(self) -> list[str]:
         """Return the kinds of the alarms, without duplicates."""
@@ -314,6 +414,85 @@ class Trajectory:
             places['trajectory'] = ('trajectory', np.arange(self.q.shape[1]), {})
         return xarray.Dataset(variables, places, {'title': self.title})
 
+    def to_csv(self, target: str | Path | TextIO) -> None:
+        """
+        Write t [s], coordinates, momenta and H [J] as CSV, from which they are read exactly.
+
+        Parameters
+        ----------
+        target : str, Path or text stream
+            File to write.
+
+        Raises
+        ------
+        ValueError
+            There are several trajectories (see ``select``).
+
+        """
+        run = self.single()
+        np.savetxt(target, np.column_stack([run.t, run.q, run.p, run.energy]), delimiter=',',
+                   header=','.join(['t', *run._columns()]), comments='', fmt='%.17g')
+
+    def save(self, path: str | Path) -> None:
+        """
+        Write everything to a safetensors file, which ``load`` reads.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write; an existing one is replaced.
+
+        Examples
+        --------
+        >>> run.save('run.safetensors')
+        >>> len(Trajectory.load('run.safetensors')) == len(run)
+        True
+
+        """
+        arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in _ARRAYS
+                  if getattr(self, name) is not None}
+        rest = {'coordinates': [asdict(own) for own in self.coordinates], 'alarms': self.alarms,
+                'events': [plain_data(asdict(event)) for event in self.events]}
+        scene = '' if self.scene is None else dump_yaml(self.scene.model_dump() | {
+            'source': str(self.scene.source), 'model_files': self.scene.model_digests})
+        with replacing(Path(path)) as temporary:
+            save_file(arrays, temporary, {'trajectory': json.dumps(rest), 'scene': scene})
+
+    @classmethod
+    def load(cls, path: str | Path, trust_code: bool = False) -> Self:
+        """
+        Return a trajectory that ``save`` wrote.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to read.
+        trust_code : bool, optional
+            True to allow Python code named in its scene.
+
+        Raises
+        ------
+        RecordingError
+            The file cannot be read, or its scene names code; one line.
+
+        """
+        try:
+            with safe_open(path, 'np') as file:
+                arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                texts = file.metadata()
+            rest, text = json.loads(texts['trajectory']), texts['scene']
+            many = arrays['q'].ndim == 3
+            return cls(
+                **arrays, coordinates=tuple(Coordinate(**own) for own in rest['coordinates']),
+                alarms=tuple(tuple(Alarm(*own) for own in each) if many else Alarm(*each)
+                             for each in rest['alarms']),
+                events=tuple(Event(**own | {half: np.array(own[half]) for half in 'qp'})
+                             for own in rest['events']),
+                scene=described_scene(text, str(path), trust_code)[0] if text else None)
+        except (OSError, SafetensorError, KeyError, TypeError, ValueError) as problem:
+            raise RecordingError(f'{path}: {one_line(problem)}; give a file that Trajectory.save '
+                                 'wrote') from problem
+
     def to_rerun(self, target: str | Path | int) -> None:
         """
         Show the run in the rerun viewer: series, phase portraits, mechanism, events and alarms.
@@ -340,7 +519,7 @@ class Trajectory:
         run, simulation = self.single(), self.simulation()
         scene = run.scene
         hamiltonian = simulation.hamiltonian
-        assert scene is not None, 'it has a Hamiltonian'
+        assert scene is not None, 'a trajectory with a Hamiltonian has a scene'
         if isinstance(target, str) and '://' not in target:
             target = Path(target)
         h, first = scene.known_step_size, float(run.energy[0])

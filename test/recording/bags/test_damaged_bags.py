@@ -163,21 +163,10 @@ def assert_nothing_unsaid(path: Path, found: Mutant, allowed: Counter, whole: Co
 def test_second_file_is_told_with_the_command_that_cuts_it_out(tmp_path, killed, finished, capsys):
     path = tmp_path / 'a.mcap'
     path.write_bytes(killed + finished)
-    assert main([str(path)]) == 2
+    assert main([str(path)]) == 1
     error = capsys.readouterr().err
-    begin = int(re.search(r'a second file begins within it: .* `tail -c \+(\d+)', error)[1])
+    begin = int(re.search(r'a second file begins inside it: .* `tail -c \+(\d+)', error)[1])
     assert path.read_bytes()[begin - 1:] == finished and error.count('\n') == 1
-
-
-@pytest.mark.long
-def test_every_flip_of_a_finished_bag_is_found_and_loses_nothing_in_silence(tmp_path, finished):
-    rng, whole = random.Random(2), expected()
-    for byte in range(9, len(finished), len(finished) // 60):
-        recovered = attempt(tmp_path / 'bag', flip(finished, byte, rng.randrange(8)))
-        if recovered is not None:
-            recovery, found = recovered
-            assert recovery.changed, byte
-            assert recovery.lost or found == whole, (byte, recovery)
 
 
 def test_flip_behind_the_data_loses_no_message(tmp_path, finished):
@@ -229,12 +218,12 @@ def test_status_says_whether_something_was_lost(tmp_path, killed, capsys):
     assert status('damaged.mcap', flip(killed, begins[4] + 200, 0)) == 1
     out = capsys.readouterr().out
     assert 'LOST: 1 damaged parts' in out and 'damaged.mcap.orig' in out
-    assert status('noise.mcap', killed[:8] + random.Random(3).randbytes(4000)) == 2
+    assert status('noise.mcap', killed[:8] + random.Random(3).randbytes(4000)) == 1
     error = capsys.readouterr().err
     assert 'nothing can be recovered' in error and error.count('\n') == 1
-    # The worst of several counts, and none keeps another from being recovered.
+    # The failure of one counts, and does not keep another from being recovered.
     (tmp_path / 'again.mcap').write_bytes(killed)
-    assert main([str(tmp_path / 'noise.mcap'), str(tmp_path / 'again.mcap')]) == 2
+    assert main([str(tmp_path / 'noise.mcap'), str(tmp_path / 'again.mcap')]) == 1
     assert 'again.mcap: recovered: 300 messages' in capsys.readouterr().out
     assert not (tmp_path / 'noise.mcap.orig').exists()
 
@@ -271,7 +260,7 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path, make_path, use):
 @pytest.mark.parametrize('suffix', ['.db3', '.mcap.zstd'])
 def test_what_recover_bag_cannot_write_is_refused(tmp_path, suffix):
     (tmp_path / f'a{suffix}').write_bytes(b'x')
-    assert main([str(tmp_path / f'a{suffix}')]) == 2
+    assert main([str(tmp_path / f'a{suffix}')]) == 1
 
 
 def test_stopped_disk_or_interruption_leaves_no_second_file(tmp_path, killed):

@@ -97,6 +97,6 @@ def test_messages_that_cannot_be_sorted_in_little_memory_are_refused(tmp_path, m
     # Each chunk begins at time 1 and ends at 9, so that all of them wait for the last.
     write_foreign(path, [1, 9] * 50)
     assert len(list(BagReader(path).messages())) == 100
-    monkeypatch.setattr(mcap_reader, '_HELD', 10)
+    monkeypatch.setattr(mcap_reader, '_MAX_BUFFERED', 10)
     with refused(RecordingError):
         list(BagReader(path).messages())

@@ -45,7 +45,8 @@ TOPICS = tuple(
     for name, kind in zip(NAMES, TYPES, strict=True))
 # Of processes that import this file.
 PATH = {**os.environ, 'PYTHONPATH': os.pathsep.join(
-    [str(Path(hnn_vi_ros.__file__).parents[1]), *map(str, Path(__file__).parents[:3])])}
+    map(str, (Path(hnn_vi_ros.__file__).parents[1], Path(__file__).parent,
+              Path(__file__).parents[2] / 'support')))}
 ATTACHMENTS = {'scene.yaml': b'step_size: 0.01\n', 'model': bytes(range(256))}
 
 

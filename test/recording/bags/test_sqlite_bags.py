@@ -47,25 +47,10 @@ def test_row_of_no_topic_is_told(tmp_path, topic):
     reader = write(tmp_path / 'a.db3', [(1, 1, 5, b'yes'), (2, topic, 6, b'no')], [A],
                    'INTEGER PRIMARY KEY')
     assert [message.data for message in reader.messages()] == [b'yes']
-    assert 'holds 1 messages' in reader.damage
-
-
-@pytest.mark.parametrize('time', [-5, 'noon', None])
-def test_row_without_a_time_is_refused(tmp_path, time):
-    with refused(RecordingError):
-        write(tmp_path / 'a.db3', [(1, 1, 5, b'yes'), (2, 1, time, b'no')], [A], 'INTEGER')
+    assert 'contains 1 messages' in reader.damage
 
 
 def test_topic_without_a_name_is_refused(tmp_path):
     with refused(RecordingError):
         write(tmp_path / 'a.db3', [(1, 1, 5, b'yes')],
               [A, (2, None, 'std_msgs/msg/String', 'cdr')], 'INTEGER PRIMARY KEY')
-
-
-def test_view_in_the_place_of_a_table_is_refused(tmp_path):
-    with database_of(tmp_path / 'a.db3') as database:
-        database.execute('CREATE VIEW messages AS WITH RECURSIVE c(id) AS (SELECT 1 UNION ALL '
-                         'SELECT id + 1 FROM c) SELECT id, 1 AS topic_id, id AS timestamp, '
-                         'zeroblob(1000000) AS data FROM c')
-    with refused(RecordingError):
-        BagReader(tmp_path / 'a.db3')

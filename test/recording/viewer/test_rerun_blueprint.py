@@ -4,8 +4,8 @@
 
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.recording.viewer.rerun_blueprint import (
-    _left_column, Arrangement, BAR, COLUMN, eye_of, height_for, make_blueprint, MARGINS, raised,
-    room_after, series_labels, VIEW_ANGLE, with_ticks, without_unit)
+    _left_column, Arrangement, BAR, COLUMN, eye_of, make_blueprint, MARGINS, MOST_BESIDE, raised,
+    series_labels, SeriesExtent, VIEW_ANGLE, with_ticks, without_unit)
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
@@ -13,16 +13,14 @@ import rerun.blueprint as rrb
 BOUNDS = np.array([[-1.0, -0.5, 0.0], [2.0, 0.5, 1.0]])
 
 
-@pytest.mark.parametrize('bounds', [None, BOUNDS], ids=['bare', 'mechanism'])
-@pytest.mark.parametrize('portraits', range(1, 9))
+@pytest.mark.parametrize('portraits, bounds', [
+    *((n, None) for n in range(1, 9)), *((n, BOUNDS) for n in range(1, MOST_BESIDE + 1))])
 def test_portraits_and_their_labels_fit_into_the_column(portraits: int, bounds):
     arrangement = Arrangement(portraits, bounds)
     rows = 1 if arrangement.tabbed else -(-portraits // arrangement.columns)
     left, right, top, bottom = MARGINS
     width = arrangement.columns * (arrangement.side + left + right)
     height = rows * (BAR + arrangement.side + top + bottom)
-    # Three portraits and the mechanism fill two rows of two.
-    assert arrangement.quarters == (portraits == 3 and bounds is not None)
     # Sums and differences of some hundred points, rounded to 1e-13.
     assert width <= COLUMN[0] + 1e-9
     assert height <= COLUMN[1] * (1.0 - arrangement.world_share) + 1e-9
@@ -33,7 +31,7 @@ def test_portraits_and_their_labels_fit_into_the_column(portraits: int, bounds):
 def test_every_pane_of_the_left_column_holds_a_view():
     coordinates = [Coordinate(f'x{k}', 'm', 'kg m/s') for k in range(8)]
     for portraits in range(9):
-        for bounds in (None, BOUNDS):
+        for bounds in (None, BOUNDS)[:1 + (portraits <= MOST_BESIDE)]:
             views = [rrb.Spatial2DView() for _ in range(portraits)]
             world = None if bounds is None else rrb.Spatial3DView()
             left = _left_column(world, views, Arrangement(portraits, bounds))
@@ -42,6 +40,23 @@ def test_every_pane_of_the_left_column_holds_a_view():
                 coordinates, True, True, False), Arrangement(portraits, bounds), 1)
     # What has no portraits has the whole column.
     assert Arrangement(0, BOUNDS).world_aspect == COLUMN[0] / (COLUMN[1] - BAR)
+
+
+def test_time_axes_of_a_recording_begin_and_end_together():
+    coordinates = [Coordinate(f'x{k}', 'm', 'kg m/s') for k in range(2)]
+    blueprint = make_blueprint(
+        coordinates, series_labels(coordinates, True, True, False), Arrangement(2, None), 1,
+        extent=SeriesExtent((0, 10**9), {'/state/q': (-1.0, 1.0)}))
+    ranges = [view.properties['TimeAxis'].view_range.as_arrow_array().to_pylist()
+              for view in series_views(blueprint.root_container)[:4]]
+    assert len(ranges) == 4 and all(one == ranges[0] for one in ranges)
+
+
+def series_views(part) -> list:
+    """Return the plots of a part of a blueprint, in their order."""
+    if isinstance(part, rrb.Container):
+        return [view for child in part.contents for view in series_views(child)]
+    return [part] if isinstance(part, rrb.TimeSeriesView) else []
 
 
 def views_in(part) -> int:
@@ -102,18 +117,3 @@ def test_exponents_of_units_are_superscripts(unit: str, expected: str):
     (['spin', 'a [m]'], ['spin', 'a [m]'], ''), (['spin', 'lift'], ['spin', 'lift'], '')])
 def test_names_have_no_unit_that_the_title_has(names: list[str], shown: list[str], title: str):
     assert without_unit(names) == (shown, title)
-
-
-def test_a_legend_has_room_for_its_names():
-    six, two = [f'p_shoulder_{k}' for k in range(6)], ['x', 'y']
-    # Of the plot's 775 points: letters of 7 points, and some 40 for its mark and edges.
-    for names in (six, two):
-        free = room_after(names) / (1.0 + room_after(names))
-        assert 775.0 * free >= 40.0 + 7.0 * max(map(len, names))
-    assert room_after(['H [J]']) < room_after(two)
-    # A line is 23 points high, the bar above a plot 28 and the times below it 20.
-    rows = np.array([height_for(names) for names in (six, six, two[:1], two[:1])])
-    height = COLUMN[1] * rows / (rows.sum() + 0.6 * height_for(two))
-    assert height[0] >= 6 * 23.0 + BAR + 20.0
-    # The others keep a plot of 60 points.
-    assert height[2] >= BAR + 20.0 + 60.0

@@ -85,6 +85,6 @@ def test_recording_holds_arrows_and_says_how_long_a_newton_is(tmp_path: Path):
     assert {'/world/forces/damping', '/world/forces/periodic_drive'} <= found.keys()
     drive = np.array(found['/world/forces/periodic_drive']['Arrows3D:vectors']).reshape(-1, 3)
     told = ' '.join(np.ravel(found['/events']['TextLog:text']))
-    assert ('arrows of forces, 1 N is 0.05 m long: damping green, periodic_drive pink') in told
+    assert ('force arrows, 1 N is 0.05 m long: damping green, periodic_drive pink') in told
     # 10.7 N m at t = 0, on a rod drawn 1 m long.
     assert np.linalg.norm(drive[0]) == pytest.approx(0.05 * 10.7, rel=1e-5)

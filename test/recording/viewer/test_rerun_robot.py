@@ -5,7 +5,7 @@
 import os
 from pathlib import Path
 
-from hnn_vi_ros.hamiltonians.mechanisms.skeleton import skeleton
+from hnn_vi_ros.hamiltonians.mechanisms.skeleton import bones, skeleton
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.recording.sample import Sample
@@ -72,11 +72,14 @@ def test_robot_is_drawn_and_its_joints_move_as_simulated(tmp_path: Path):
     assert_verified(path)
 
 
-def test_efforts_of_motors_are_arrows_along_the_axes_up_to_the_limit(tmp_path: Path):
-    path, robot = tmp_path / 'arm.rrd', RigidBodyTree(str(ARM))
+@pytest.mark.parametrize('drives', [{}, {'elbow': {'stiffness': 30.0, 'rotor_inertia': 0.1}}])
+def test_efforts_of_motors_are_arrows_along_the_axes_up_to_the_limit(tmp_path: Path, drives):
+    path, robot = tmp_path / 'arm.rrd', RigidBodyTree(str(ARM), drives=drives)
     limits = np.array([joint.limits.effort for joint in robot.joints])
-    efforts = np.array([[0.0, -0.5], [1.0, 3.0]]) * limits
-    found = record(path, robot, np.zeros((2, 2)), efforts)
+    efforts = np.zeros((2, robot.dimension))
+    # The last column is that of the elbow, or of its rotor.
+    efforts[:, [0, -1]] = np.array([[0.0, -0.5], [1.0, 3.0]]) * limits
+    found = record(path, robot, np.zeros_like(efforts), efforts)
     longest = 0.4 * np.linalg.norm(bounds_of_robot(robot.robot)[1])
     for column, (joint, shares) in enumerate(zip(
             robot.joints, ([0.0, 1.0], [-0.5, 1.0]), strict=True)):
@@ -89,7 +92,7 @@ def test_efforts_of_motors_are_arrows_along_the_axes_up_to_the_limit(tmp_path: P
         assert len(set(colors.tolist())) == 2
     # Without motors there are none.
     assert not any('efforts' in name for name in
-                   record(tmp_path / 'free.rrd', robot, np.zeros((2, 2))))
+                   record(tmp_path / 'free.rrd', robot, np.zeros_like(efforts)))
 
 
 def test_joints_that_are_held_are_drawn_where_they_are(tmp_path: Path):
@@ -100,6 +103,22 @@ def test_joints_that_are_held_are_drawn_where_they_are(tmp_path: Path):
     # It slides along -y, by 0.03 m.
     assert np.array(found['/joints/follower']['Transform3D:translation']).reshape(2, 3) == \
         pytest.approx(np.array([[0.0, -0.03, 0.0]] * 2), abs=1e-7)
+
+
+def test_joints_that_follow_others_move_with_them(tmp_path: Path):
+    robot = RigidBodyTree(str(ROOT / 'config' / 'robots' / 'gripper.urdf'))
+    angles = np.array([0.1, 0.7])
+    found = record(tmp_path / 'gripper.rrd', robot, angles[:, None])
+    for name, sign in (('finger_left', 1), ('finger_right', -1), ('tip_left', -1),
+                       ('tip_right', 1)):
+        half = 0.5 * sign * angles
+        assert_turned(found[f'/joints/{name}'], np.stack(
+            [np.sin(half), 0.0 * half, 0.0 * half, np.cos(half)], axis=1))
+    # The tips stay upright: their ends are 0.02 m beside the ends of the fingers, and 0.04 below.
+    ends = bones(robot.robot, ['finger_left'], angles[:, None])['end of left_tip'][:, 1]
+    np.testing.assert_allclose(ends, np.stack([
+        0.0 * angles, 0.01 + 0.08 * np.sin(angles), -0.04 - 0.08 * np.cos(angles)], axis=1),
+        atol=1e-15)
 
 
 def test_joints_move_about_and_along_axes_of_any_length(tmp_path: Path):
@@ -128,15 +147,15 @@ def test_robot_of_version_1_2_is_drawn_as_the_same_one_of_version_1_0(tmp_path: 
 
 
 @pytest.mark.parametrize('visual, said', [
-    ('', 'no <visual> to draw'),
+    ('', 'there is no <visual>'),
     ('<visual><geometry><mesh filename="package://nowhere/arm.dae"/></geometry></visual>',
-     '2 of 2 meshes cannot be shown, as package://nowhere/arm.dae: package://nowhere/arm.dae: no '
+     '2 of 2 meshes cannot be shown, as package://nowhere/arm.dae: package://nowhere/arm.dae: the '
      "package 'nowhere'"),
     ('<visual><geometry><mesh filename="gone.stl"/></geometry></visual>',
      '2 of 2 meshes cannot be shown, as gone.stl: no such file')])
 def test_robot_without_its_meshes_is_drawn_as_its_skeleton(visual, said, tmp_path: Path):
     text = chain([1.0, 1.0], [0.7, 0.5]).replace('<inertial>', f'{visual}<inertial>')
-    with pytest.warns(UserWarning, match=f'{said}.*; its skeleton is shown'):
+    with pytest.warns(UserWarning, match=f'{said}.*; a skeleton is shown'):
         found = record(tmp_path / 'arm.rrd', robot_of(tmp_path, text), np.zeros((2, 2)))
     assert said in found['/events']['TextLog:text'][0][0]
     still = still_entities(tmp_path / 'arm.rrd')
@@ -165,10 +184,10 @@ def test_meshes_in_the_folder_of_the_urdf_are_recorded(name, tmp_path: Path):
 
 
 @pytest.mark.parametrize('kind, said', [
-    ('other', 'neither in the folder of the URDF nor in its package'),
-    ('link', 'neither in the folder of the URDF nor in its package'),
-    ('fifo', 'is no regular file'), ('device', 'neither in the folder'),
-    ('large', '300 MB, at most 256 MB are shown')])
+    ('other', 'not in the folder of the URDF, nor in its package'),
+    ('link', 'not in the folder of the URDF, nor in its package'),
+    ('fifo', 'is not a regular file'), ('device', 'not in the folder'),
+    ('large', '300 MB, limit 256 MB')])
 def test_files_that_are_no_meshes_of_the_robot_are_not_opened(kind, said, tmp_path: Path):
     """A file elsewhere may be a secret; a FIFO, a device or a huge file would not end."""
     folder = tmp_path / 'robot'

@@ -331,18 +331,6 @@ def test_samples_that_no_clock_holds_back_do_not_pile_up(path, monkeypatch):
     assert sizes_of(path) == [rerun_sink.MOST_PENDING] * 3
 
 
-@pytest.mark.parametrize('target', ['file', pytest.param('port', marks=pytest.mark.long)])
-def test_recordings_that_follow_each_other_leave_no_thread_behind(tmp_path, target):
-    """As at each reset: two of the recording and two of its blueprint, and 2 MB."""
-    port = free_port()
-    counts = []
-    for number in range(6):
-        record(tmp_path / f'{number}.rrd' if target == 'file' else port, 5)
-        counts.append(len(os.listdir('/proc/self/task')))
-    # The first one starts those that serve all, of which some come and go.
-    assert max(counts[2:]) < max(counts[:2]) + 4
-
-
 def test_port_is_free_once_the_recording_served_there_is_closed(monkeypatch):
     """As a reset needs it: the SDK's server ends a little after its disconnect has returned."""
     port = free_port()

@@ -9,7 +9,7 @@ from helpers import exact_orbit, problem_of
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation.accuracy import cost
-from hnn_vi_ros.simulation.accuracy.cost import Cost, CostStudy, measure_costs, run_errors
+from hnn_vi_ros.simulation.accuracy.cost import CostStudy, measure_costs, MethodCost, run_errors
 from hnn_vi_ros.simulation.accuracy.path_reference import exact_path, Instants
 from hnn_vi_ros.simulation.accuracy.trials import Method
 import numpy as np
@@ -63,10 +63,10 @@ def test_rows_cost_more_the_smaller_their_steps_and_name_what_they_took():
 def test_methods_that_do_not_fit_are_left_out_once_with_the_reason():
     study = kepler_study()
     assert study.left_out == {
-        'is made for rotations and poses, of which this H has none': ['lie_leapfrog'],
-        'is made for coordinates that are not canonical, those of a model of the family '
+        'needs rotations or poses, but this H has none': ['lie_leapfrog'],
+        'needs coordinates that are not canonical, those of a model of the family '
         'symplectic_form': ['variational_midpoint'],
-        'needs an argument of the scene: discrete_lagrangian is required, or a model in its place':
+        'needs an argument of the scene: give either discrete_lagrangian or model':
             ['discrete_euler_lagrange']}
     assert not study.unreached
     assert {row.method.kind for row in study.costs} == {
@@ -137,7 +137,7 @@ def test_bodies_that_turn_are_measured_by_the_methods_made_for_them(few):
     assert {str(row.method) for row in study.costs} == {
         'lie_leapfrog', 'lie_gauss8', 'kahan_li8 (base lie_stormer_verlet)'}
     reason, = study.left_out
-    assert reason == 'adds to coordinates, which would take a rotation (attitude) off its group'
+    assert reason == 'adds to coordinates, which a rotation (attitude) does not allow'
     assert study.cheapest(1e-9) is not None
 
 
@@ -154,17 +154,17 @@ def test_effects_are_taken_and_their_errors_are_of_the_balance(few):
 def test_random_motion_is_measured_by_its_energy(few):
     few('generalized_leapfrog', 'gauss8')
     study = measure_costs(problem_of('exact_brownian_oscillator'), 2.0, 30.0)
-    assert study.no_path == 'Thermostat draws other numbers at each step size'
+    assert study.no_path == 'Thermostat draws different random numbers at each step size'
     assert all(math.isnan(row.path_error) for row in study.costs) and study.floor == 0.0
     assert study.recommended(1e-4).energy_error <= 1e-4
-    assert study.left_out == {'cannot take the effect thermostat': ['gauss8']}
+    assert study.left_out == {'does not support the effect thermostat': ['gauss8']}
 
 
 @pytest.mark.long
 def test_chaos_is_measured_by_its_energy_and_the_reason_is_given(few):
     few('gauss8')
     study = measure_costs(problem_of('exact_double_pendulum'), 300.0, 30.0)
-    assert 'as they do in chaos; a shorter --duration' in study.no_path
+    assert 'as in chaotic motions; try a shorter --duration' in study.no_path
     assert study.recommended(1e-3) is not None
 
 
@@ -182,14 +182,14 @@ def test_scene_s_own_method_keeps_its_arguments(few):
     study = measure_costs(problem_of('exact_pendulum'), 1.0, 30.0, own)
     assert 'yoshida4 (base implicit_midpoint)' in {str(row.method) for row in study.costs}
     assert study.left_out == {
-        'is for close encounters, of which this path has none': ['time_transformed']}
+        'is for close encounters, but this path has none': ['time_transformed']}
 
 
 def test_cheapest_is_of_the_energy_where_there_is_no_path():
     study = kepler_study()
-    rows = [Cost(Method('rk4'), 0.1, math.nan, 1e-3, 2e-6, 40.0),
-            Cost(Method('gauss8'), 0.1, math.nan, 1e-9, 5e-6, 80.0),
-            Cost(Method('explicit_euler'), 0.1, failure='not finite at t = 1 s')]
+    rows = [MethodCost(Method('rk4'), 0.1, math.nan, 1e-3, 2e-6, 40.0),
+            MethodCost(Method('gauss8'), 0.1, math.nan, 1e-9, 5e-6, 80.0),
+            MethodCost(Method('explicit_euler'), 0.1, failure='not finite at t = 1 s')]
     chaos = CostStudy(study.problem, study.known, study.reference, 'chaos', rows)
     assert chaos.cheapest(1e-2) == rows[0] and chaos.cheapest(1e-6) == rows[1]
     assert chaos.cheapest(1e-12) is None and chaos.recommended(1e-6) == rows[1]

@@ -9,7 +9,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard
-from hnn_vi_ros.simulation.guards.base import Block, judge
+from hnn_vi_ros.simulation.guards.base import judge, SampleBlock
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.saddles import SaddleSearch
@@ -34,17 +34,17 @@ def kinds(simulation: Simulation, steps: int, every: int = 1) -> list[str]:
     return [alarm.kind for alarm in found.alarms]
 
 
-def block_of(simulation: Simulation, steps: int) -> Block:
+def block_of(simulation: Simulation, steps: int) -> SampleBlock:
     """Return the samples of a run as guards see them."""
     q, p = (np.vstack([start, path]) for start, path in zip(
         (simulation.q.copy(), simulation.p.copy()), simulation.record(steps, 1), strict=True))
     energy = simulation.hamiltonian.energy(q, p)
-    return Block(np.arange(steps + 1), q, p, *simulation.hamiltonian.gradient(q, p), energy,
-                 energy, 0.0 * energy)
+    return SampleBlock(np.arange(steps + 1), q, p, *simulation.hamiltonian.gradient(q, p), energy,
+                       energy, 0.0 * energy)
 
 
-def parts_of(block: Block, length: int) -> list[Block]:
-    return [Block(*(part[i:i + length] for part in block))
+def parts_of(block: SampleBlock, length: int) -> list[SampleBlock]:
+    return [SampleBlock(*(part[i:i + length] for part in block))
             for i in range(0, len(block.step), length)]
 
 

@@ -22,7 +22,7 @@ from scipy.integrate import solve_ivp
 # Of the energy scale: a band of H that no one would call resolved.
 _COARSE = 0.2
 _METHODS = 'variational_euler', 'rk4', 'stormer_verlet'
-# Those of docs/automatic-choice.md too; orbits are among the others.
+# Those of docs/evidence/automatic-choice.md too; orbits are among the others.
 _SYSTEMS = MOTIONS | {
     name: Motion(problem.hamiltonian if 'network' in name else Uncompiled(problem.hamiltonian),
                  problem.q, problem.p, period)

@@ -7,7 +7,8 @@ import math
 from helpers import alarm_of
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
-from hnn_vi_ros.simulation.guards.base import accounted_energy, Block, BlockGuard, judge, Waiting
+from hnn_vi_ros.simulation.guards.base import (
+    accounted_energy, BlockGuard, judge, SampleBlock, Waiting)
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ def sample(step: int = 0, q: tuple = (0.0, 1.0), p: tuple = (0.0, 0.0), energy: 
                   0.0, work)
 
 
-def one_joule(block: Block) -> np.ndarray:
+def one_joule(block: SampleBlock) -> np.ndarray:
     """Return a scale that is the same at all samples [J]."""
     return np.ones(len(block.step))
 

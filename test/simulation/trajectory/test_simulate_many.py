@@ -137,7 +137,7 @@ def test_ends_of_many_trajectories_alone_raise_no_alarm_where_each_path_is_resol
 
 def test_simulate_many_warns_once_and_tells_the_alarms_of_each_trajectory():
     q, p = zip(FAR, CLOSE, FAR, CLOSE, strict=True)
-    with pytest.warns(AlarmWarning, match='in 2 of 4 trajectories; in number 1, t = ') as caught:
+    with pytest.warns(AlarmWarning, match='in 2 of 4 .*; in trajectory 1, t = ') as caught:
         many = simulate_many(KEPLER, q, p, 6.28, samples=628)
     assert [len(own) for own in many.alarms] == [0, 1, 0, 1] and len(caught) == 1
     assert caught[0].filename == __file__
@@ -165,7 +165,7 @@ def test_steps_that_were_rescued_are_told_at_the_time_by_which_they_are_counted(
     """A step of 0.5 s is too long for the pericentre, 3 s after the apocentre."""
     start = ([1.9, 0.0], [0.0, (0.1 / 1.9) ** 0.5])
     with pytest.warns(AlarmWarning, match=(
-            '^rescued steps: t = 10 s: .* steps so far were taken otherwise')):
+            '^rescued steps: t = 10 s: on_failure replaced .* steps so far')):
         run = simulate('kepler', 10.0, initial_state=start, integrator='gauss8', step_size=0.5)
     assert [alarm.step for alarm in run.alarms if alarm.kind == 'rescued steps'] == [20]
 
@@ -185,7 +185,7 @@ def test_steps_that_were_rescued_or_slow_are_told_by_simulate_many_as_well():
 
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')
 def test_state_whose_energy_is_infinite_is_an_alarm():
-    with pytest.warns(AlarmWarning, match='the energy is infinite, or no number'):
+    with pytest.warns(AlarmWarning, match='the energy is not finite'):
         run = simulate(free_particle(), 0.2, initial_state=([0.0], [1e200]))
     assert 'under-resolved' in {alarm.kind for alarm in run.alarms}
 

@@ -3,15 +3,15 @@
 """Trajectories: their names and units, and what they are drawn, shown and handed over as."""
 
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations
 import math
 import sys
 
-from hnn_vi_ros.errors import MissingPackage
+from hnn_vi_ros.errors import MissingPackage, RecordingError
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.trajectory.figures import ALARM, COLOURS, MOST_NAMED
-from hnn_vi_ros.simulation.trajectory.simulate import simulate
+from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
 from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 from matplotlib.colors import to_rgb
 from messages import refused
@@ -76,6 +76,65 @@ def test_one_of_many_is_selected():
     with refused(IndexError):
         MANY.select(10)
     assert PLAIN.select(0) is PLAIN
+
+
+def test_length_and_slices_are_of_samples(run):
+    part = run[10:31:10]
+    assert len(run) == 41 and len(part) == 3 and np.array_equal(part.q, run.q[10:31:10])
+    assert all(part.t[0] <= event.t <= part.t[-1] for event in part.events)
+    with refused(TypeError):
+        run[3]
+
+
+def test_trajectory_is_a_function_of_time_as_accurate_as_the_method(run):
+    times = np.array([[1.7, 0.0], [0.33, run.t[7]]])
+    q, p = run(times)
+    assert q.shape == p.shape == (2, 2, 1)
+    assert q[0, 1] == run.q[0] and q[1, 1] == run.q[7]
+    fine = simulate(run.scene, 2.0, step_size=0.0005)
+    # Order 2 with h = 0.05: the same error between steps as at them.
+    at_steps = np.abs(fine.q[::100] - run.q).max()
+    assert abs(q[0, 0] - fine.q[3400]) <= 2.0 * at_steps and run(0.5)[0].shape == (1,)
+    assert np.array_equal(run[20:](0.33)[0], q[1, 0])
+
+
+def test_one_of_many_is_a_function_of_time_from_its_own_start(run):
+    many = simulate_many(run.scene.changed({'events': []}), [[0.3], [0.9]], [[0.0], [0.1]], 1.0,
+                         samples=20)
+    q, _ = many.select(1)(many.t)
+    assert np.allclose(q, many.q[:, 1], rtol=1e-12, atol=1e-12)
+
+
+def test_time_outside_and_run_that_cannot_be_repeated_are_refused(run):
+    for broken, t in ((run, 2.1), (run, -0.1), (run, []), (replace(run, q=run.q + 0.1), 1.0),
+                      (replace(run, scene=None), 1.0), (MANY, 1.0)):
+        with refused(ValueError):
+            broken(t)
+
+
+def test_saved_trajectory_is_loaded_whole(run, tmp_path):
+    many = simulate_many(run.scene.changed({'events': []}), [[0.3], [0.9]], [[0.0], [0.1]], 1.0)
+    damped = simulate(run.scene, 1.0, effects=[{'kind': 'damping', 'rate': 0.1}])
+    for number, whole in enumerate((run, many, damped, PLAIN)):
+        whole.save(tmp_path / f'{number}.safetensors')
+        same = Trajectory.load(tmp_path / f'{number}.safetensors')
+        assert repr(same) == repr(whole) and same.alarms == whole.alarms
+        assert [str(event) for event in same.events] == [str(event) for event in whole.events]
+        assert all(np.array_equal(getattr(same, name), getattr(whole, name), equal_nan=True)
+                   for name in ('t', 'q', 'p', 'energy') + ('work',) * (whole.work is not None))
+    assert np.array_equal(Trajectory.load(tmp_path / '0.safetensors')(0.7), run(0.7))
+    (tmp_path / 'text').write_text('t,q\n')
+    for name in ('text', 'none'):
+        with refused(RecordingError):
+            Trajectory.load(tmp_path / name)
+
+
+def test_energy_balance_of_a_part_begins_at_its_first_sample():
+    scene = load_scene('damped_pendulum')
+    whole = simulate(scene, 2.0)
+    late = simulate(scene, 2.0, times=np.array([1.0, 1.5, 2.0]))
+    for part in (whole[100:], late):
+        assert np.abs(part.balance()).max() <= 2.0 * np.abs(whole.balance()).max()
 
 
 def test_plot_has_labelled_axes_with_units_and_the_samples(run):
@@ -211,25 +270,5 @@ def test_plot_shows_what_the_work_of_effects_leaves_of_the_energy():
     assert np.array_equal(left.get_ydata(), run.balance())
     # A method of order 2 at 0.01 s, against a change by joules.
     assert np.abs(run.balance()).max() < 1e-2 < 0.1 * np.abs(energy.get_ydata()).max()
-    assert 'the work of effects accounts for it to ' in repr(run)
+    assert 'equal to the work of effects to ' in repr(run)
     assert simulate('exact_pendulum', 0.1).work is None
-
-
-def test_title_stays_within_a_narrow_figure():
-    figure = simulate('exact_damped_driven_pendulum', 0.5).phase_portrait()
-    assert '\n' in figure.get_suptitle()
-    assert figure._suptitle.get_window_extent().width < figure.bbox.width
-
-
-@pytest.mark.parametrize('size', [1e-4, 3e-2, 1.0, 3e5])
-def test_labels_of_ticks_do_not_overlap_in_portraits(size):
-    coordinates = tuple(Coordinate(name, 'm') for name in 'xyz')
-    q = size * np.stack([np.sin(T), 1.0 + 0.1 * np.sin(T), np.sin(3.0 * T) - 0.7], axis=1)
-    figure = Trajectory(T, q, -q, T, coordinates).phase_portrait()
-    figure.draw_without_rendering()
-    for axes in figure.axes:
-        for axis, along in ((axes.xaxis, 'x'), (axes.yaxis, 'y')):
-            boxes = [tick.label1.get_window_extent() for tick in axis.get_major_ticks()
-                     if tick.label1.get_text()]
-            ends = sorted((getattr(box, f'{along}0'), getattr(box, f'{along}1')) for box in boxes)
-            assert all(end < begin for (_, end), (begin, _) in pairwise(ends))
