@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 # Duration of a rollout in time constants of the slowest mode, and the share of the cost allowed at
 # its end; the linear model predicts exp(-10).
-_CONSTANTS, _LEFT = 5.0, 1e-2
-_LONGEST_ROLLOUT = 5000
+_ROLLOUT_CONSTANTS, _MAX_FINAL_COST_SHARE = 5.0, 1e-2
+_MAX_ROLLOUT_STEPS = 5000
 # Maximum unclipped command for which a rollout is tried, relative to the limits; and the growth of
 # the cost since the regulator took over that ends its turn.
-_FARTHEST, _GROWTH = 3.0, 2.0
+_MAX_COMMAND_RATIO, _MAX_COST_GROWTH = 3.0, 2.0
 
 
 class Balance:
@@ -65,8 +65,8 @@ class Balance:
         self.gain, self.value = lqr(a, b, steps.duration * weights,
                                     steps.duration * np.diag(self.limits**-2.0), discrete=True)
         slowest = np.abs(np.linalg.eigvals(a - b @ self.gain)).max()
-        self._count = min(_LONGEST_ROLLOUT, math.ceil(-_CONSTANTS / math.log(slowest)))
-        self._most = 0.0
+        self._count = min(_MAX_ROLLOUT_STEPS, math.ceil(-_ROLLOUT_CONSTANTS / math.log(slowest)))
+        self._max_cost = 0.0
 
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> np.ndarray:
         """Return the command, shape (c,), for coordinates and velocities, shape (d,) each."""
@@ -82,20 +82,20 @@ class Balance:
         """Return whether the law with its limits brings a state to the goal."""
         away = deviation(self.steps.hamiltonian, z, self.at[0])
         cost = float(away @ self.value @ away)
-        if not cost <= self._most:
-            self._most = _GROWTH * cost if self._holds(away, cost) else 0.0
-        return self._most > 0.0
+        if not cost <= self._max_cost:
+            self._max_cost = _MAX_COST_GROWTH * cost if self._holds(away, cost) else 0.0
+        return self._max_cost > 0.0
 
     def _holds(self, away: np.ndarray, cost: float) -> bool:
         """Return whether a rollout of the model under the law approaches the goal."""
-        if (np.abs(self.gain @ away) > _FARTHEST * self.limits).any():
+        if (np.abs(self.gain @ away) > _MAX_COMMAND_RATIO * self.limits).any():
             return False
         z, u = self.at
         states, _ = self.steps.rollout(
             z + away, np.broadcast_to(u, (1, self._count, u.size)), -self.gain, z,
             (-self.limits, self.limits))
         left = states[0, -1] - z
-        return bool(left @ self.value @ left <= _LEFT * cost)
+        return bool(left @ self.value @ left <= _MAX_FINAL_COST_SHARE * cost)
 
 
 def weights_of(steps: BatchStep, goal: tuple[np.ndarray, np.ndarray], position: ArrayLike,

@@ -5,12 +5,12 @@
 from pathlib import Path
 from threading import RLock
 
-from hnn_vi_ros.effects import NUMBERS
+from hnn_vi_ros.effects import LoopManifold, NUMBERS
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import (
-    ActingEffects, check_count, check_effects, check_numbers, derivative, DifferentiableRun, Law,
-    resolve, Simulation)
+    ActingEffects, check_count, check_effects, check_numbers, CommandLaw, derivative,
+    DifferentiableRun, resolve, Simulation)
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -57,14 +57,21 @@ class BatchStep:
         parts = self.scene.parts().copy()
         check_effects(parts.effects, parts.integrator)
         if parts.hamiltonian.rotations:
-            raise UnsupportedSystem(f'{self.scene.name} has coordinates that turn, whose steps '
-                                    'under commands have no derivatives yet')
+            raise UnsupportedSystem(f'{self.scene.name} has rotations, for which steps with '
+                                    'commands have no derivatives yet')
         self._h, self.hold, self._parts = self.scene.known_step_size, int(hold), parts
         state = self.scene.initial_state
         with self.scene.placed('initial_state'):
             self._simulation = Simulation(parts.hamiltonian, parts.integrator, self._h, state.q,
                                           state.p, parts.effects, 'stop')
         self._system = self._simulation.system
+        if isinstance(self._system.constraints, LoopManifold):
+            raise UnsupportedSystem(f'{self.scene.name} has loops, for which control has no '
+                                    'equilibria and feedback yet; use servo or external_force')
+        if self._system.kernel.internal:
+            raise UnsupportedSystem(
+                f'{self.scene.name} has effects with internal variables, which a controller does '
+                'not measure; give it a scene with joint_friction, and without lags of motors')
         self._acting = ActingEffects(self._system, parts.hamiltonian, parts.effects, self._h)
         self.hamiltonian, self.dimension = self._system.hamiltonian, parts.hamiltonian.dimension
         self.duration = self.hold * self._h
@@ -123,15 +130,15 @@ class BatchStep:
         rows, count, _ = commands.shape
         states, _ = self._checked(
             np.broadcast_to(check_numbers('z', z), (rows, 2 * self.dimension)), commands[:, 0])
-        law = Law.none(self.commands)
+        law = CommandLaw.none(self.commands)
         if gains is not None and about is not None:
             law = law._replace(gains=_filled(gains, (*commands.shape, 2 * self.dimension)),
                                about=_filled(about, (rows, count, 2 * self.dimension)))
         if limits is not None:
             low, high = (_filled(limit, (self.commands,)) for limit in limits)
             if not (low <= high).all():
-                raise ValueError(f'limits {low.tolist()} and {high.tolist()}: the least commands '
-                                 'must not be above the largest')
+                raise ValueError(f'limits {low.tolist()} and {high.tolist()}: the lower limits '
+                                 'must not exceed the upper ones')
             law = law._replace(low=low, high=high)
         with self._lock:
             path, _ = self._simulation.follow(
@@ -186,8 +193,8 @@ class BatchStep:
         """
         if self._acting.feels:
             raise UnsupportedSystem(
-                'what commands do depends on state and command, by a model of motors or by '
-                'friction under load; take field_derivatives(z, u)[1] in place of places')
+                'the effect of commands depends on state and command, because of a motor model or '
+                'friction under load; use field_derivatives(z, u)[1] instead of places')
         return self._system.places if self.commands else np.zeros((0, self.dimension))
 
     def field(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:

@@ -56,13 +56,13 @@ class Cost(ABC):
 
     def __rmul__(self, weight: float) -> 'Cost':
         if not weight >= 0.0:
-            raise ValueError(f'a cost cannot have the weight {weight}; give one >= 0')
+            raise ValueError(f'the weight of a cost must be >= 0, not {weight}')
         return Scaled(self, float(weight))
 
     def saturating(self, half: float) -> 'Cost':
         """Return l / (l + half), which is bounded by 1, so that distant states do not dominate."""
         if not half > 0.0:
-            raise ValueError(f'half = {half} must be positive: where the cost is a half of 1')
+            raise ValueError(f'half = {half} must be positive: the cost that saturates to 1/2')
         return Saturating(self, float(half))
 
 
@@ -170,7 +170,8 @@ def checked_weights(name: str, matrix: ArrayLike, n: int, positive: bool = False
             or np.linalg.eigvalsh(found).min(initial=np.inf) < -rounding \
             or (positive and np.linalg.eigvalsh(found).min(initial=np.inf) <= 0.0):
         kind = 'with positive' if positive else 'without negative'
-        raise ValueError(f'{name} must be symmetric {kind} eigenvalues, and of shape ({n}, {n})')
+        raise ValueError(f'{name} must be a symmetric matrix {kind} eigenvalues, of shape ({n}, '
+                         f'{n})')
     return found
 
 
@@ -445,24 +446,22 @@ def _path_to(hamiltonian: Hamiltonian, link: str, offset: ArrayLike) -> _Path:
     """Return the joints of a robot from its root to a link; raise if they cannot be found."""
     robot = hamiltonian.robot
     if robot is None:
-        raise UnsupportedSystem('no URDF describes this mechanism, so that its points are not '
-                                'known; use Point.chain for rods')
+        raise UnsupportedSystem('this mechanism has no URDF, so its points are unknown; use '
+                                'Point.chain for rods')
     if link not in robot.links:
         raise ValueError(f'the robot has no link {link!r}; it has {listed(robot.links)}')
-    carried = {joint.child: joint for one in robot.links.values() for joint in one.joints}
+    carried = {joint.child: joint for joint in robot.joints.values()}
     joints: list[Joint] = []
     at = link
     while at != robot.root:
         joints.insert(0, carried[at])
         at = carried[at].parent
-    names = [one.name for one in hamiltonian.coordinates]
-    by_q = np.array([[float(joint.name == name) for name in names] for joint in joints]
-                    ).reshape(len(joints), len(names))
+    by_q, fixed = robot.driven([joint.name for joint in joints],
+                               [one.name for one in hamiltonian.coordinates])
     return _Path(
         np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3),
         np.array([joint.origin for joint in joints]).reshape(-1, 3),
         np.array([joint.axis if joint.kind != RIGID else (0.0, 0.0, 1.0)
                   for joint in joints]).reshape(-1, 3),
-        np.array([joint.kind == SLIDING for joint in joints], dtype=bool), by_q,
-        np.array([robot.locked.get(joint.name, 0.0) for joint in joints]),
+        np.array([joint.kind == SLIDING for joint in joints], dtype=bool), by_q, fixed,
         np.array(offset, dtype=np.float64))

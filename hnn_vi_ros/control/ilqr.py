@@ -10,18 +10,18 @@ from hnn_vi_ros.control.batch_step import BatchStep
 from hnn_vi_ros.control.costs import Cost, deviation
 from hnn_vi_ros.control.linear import momentum
 from hnn_vi_ros.control.planning import Plan, Planner
-from hnn_vi_ros.control.riccati import Stages, sweep
+from hnn_vi_ros.control.riccati import riccati_sweep, Stages
 import numpy as np
 from numpy.typing import ArrayLike
 
 # Step lengths of the line search: the one tried first, then those tried together.
-_LENGTHS = np.array([1.0]), np.array([0.6, 0.3, 0.1, 0.03])
+_STEP_LENGTHS = np.array([1.0]), np.array([0.6, 0.3, 0.1, 0.03])
 # Share of the predicted gain that is accepted, and relative gain at which iterations stop.
-_ENOUGH, _LITTLE = 0.01, 1e-6
+_MIN_GAIN_SHARE, _MIN_RELATIVE_GAIN = 0.01, 1e-6
 # Bounds of the damping.
-_LEAST, _MOST = 1e-6, 1e3
+_MIN_DAMPING, _MAX_DAMPING = 1e-6, 1e3
 # Relative and absolute increase of a plan's cost that triggers a restart from random plans.
-_WORSE, _NOTHING = 1.1, 1e-9
+_MAX_COST_RATIO, _ABSOLUTE_TOLERANCE = 1.1, 1e-9
 
 
 class Regulator(NamedTuple):
@@ -135,8 +135,8 @@ class Ilqr(Planner):
                 np.stack([last.states[since], *[z] * len(going)]), [last, *going], t)
             # A disturbance is larger than any step of the plan.
             moves = np.abs(np.diff(last.states, axis=0)).max(axis=0)
-            if found.cost <= _WORSE * planned.cost + _NOTHING and (
-                    np.abs(z - planned.states[0]) <= moves + _NOTHING).all():
+            if found.cost <= _MAX_COST_RATIO * planned.cost + _ABSOLUTE_TOLERANCE and (
+                    np.abs(z - planned.states[0]) <= moves + _ABSOLUTE_TOLERANCE).all():
                 return [found, *others]
         self.mode = 'restart'
         return self._fresh(z, t)
@@ -190,7 +190,7 @@ class Ilqr(Planner):
         changes, gains, gained = self._changes(plans, commands, states, t)
         rest = np.flatnonzero(np.isfinite(gained[:, 0]))
         failed = set(range(len(plans))) - set(rest.tolist())
-        for lengths in _LENGTHS:
+        for lengths in _STEP_LENGTHS:
             rows, much = np.repeat(rest, lengths.size), np.tile(lengths, rest.size)
             tried = commands[rows] + much[:, None, None] * changes[rows]
             moved, taken = self._steps.rollout(
@@ -202,24 +202,24 @@ class Ilqr(Planner):
                 plan, length, row = plans[m], lengths[best[i]], i * lengths.size + best[i]
                 gain = plan.cost - costs[i, best[i]]
                 predicted = -length * gained[m, 0] - length**2 * gained[m, 1]
-                if not (gain > _ENOUGH * predicted and gain > 0.0):
+                if not (gain > _MIN_GAIN_SHARE * predicted and gain > 0.0):
                     kept.append(m)
                     continue
-                plan.done = bool(gain < _LITTLE * abs(plan.cost))
+                plan.done = bool(gain < _MIN_RELATIVE_GAIN * abs(plan.cost))
                 plan.commands, plan.states, plan.gains = taken[row], moved[row], gains[m]
                 plan.cost = float(costs[i, best[i]])
-                plan.damping = 0.0 if plan.damping <= _LEAST else 0.1 * plan.damping
+                plan.damping = 0.0 if plan.damping <= _MIN_DAMPING else 0.1 * plan.damping
             rest = np.array(kept, dtype=int)
             if not rest.size:
                 break
         for m in (*failed, *rest.tolist()):
             # Damp the next iteration more; give the plan up beyond the maximum.
-            plans[m].damping = max(_LEAST, 10.0 * plans[m].damping)
-            plans[m].done = plans[m].damping > _MOST
+            plans[m].damping = max(_MIN_DAMPING, 10.0 * plans[m].damping)
+            plans[m].done = plans[m].damping > _MAX_DAMPING
 
     def _changes(self, plans: list[Plan], commands: np.ndarray, states: np.ndarray, t: float
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return command changes, gains and predicted gains of m plans; see ``sweep``."""
+        """Return command changes, gains and predicted gains of m plans; see ``riccati_sweep``."""
         m, count, c = commands.shape
         n = states.shape[2]
         z, u = states[:, :-1].reshape(-1, n), commands.reshape(-1, c)
@@ -229,7 +229,7 @@ class Ilqr(Planner):
         end = self._final.expand(states[:, -1], np.zeros((m, c)))
         changes, gains, gained = np.zeros((m, count, c)), np.zeros((m, count, c, n)), \
             np.empty((m, 2))
-        sweep(Stages(
+        riccati_sweep(Stages(
             np.ascontiguousarray(f_z).reshape(m, count, n, n),
             np.ascontiguousarray(f_u).reshape(m, count, n, c),
             np.concatenate([along.by_z.reshape(m, count, n), end.by_z[:, None]], axis=1),

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-_ITERATIONS = 50
+_MAX_ITERATIONS = 50
 # Relative change of the state at which the iteration stops; and tolerance of the remaining
 # velocities and forces, relative to their scales.
-_SETTLED, _LEFT = 1e-12, 1e-10
+_STEP_TOLERANCE, _RESIDUAL_TOLERANCE = 1e-12, 1e-10
 
 # A scene, or its compiled steps.
 Model = BatchStep | Scene | str | Path
@@ -97,21 +97,22 @@ def find_equilibrium(scene: Model, near: ArrayLike, free: Sequence[str] | None =
     if commands:
         moves = np.r_[moves, 2 * d:2 * d + u.size]
     x, begin = np.r_[q, momentum(steps, q, np.zeros(d)), u], q
-    for _ in range(_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         field, matrix, rows, columns = _scaled(steps, x, begin)
         if not (np.isfinite(field).all() and np.isfinite(matrix).all()):
             break
         # Minimum-norm solution of the linear equations.
         change = np.linalg.lstsq(matrix[:, moves], -field, rcond=None)[0]
         x[moves] += columns[moves] * change
-        if not np.abs(change).max(initial=0.0) > _SETTLED:
+        if not np.abs(change).max(initial=0.0) > _STEP_TOLERANCE:
             break
         # Coordinates at zero have no scale; the first change provides one.
         begin = begin if begin.any() else x[:d].copy()
     field, _, rows, _ = _scaled(steps, x, begin)
-    if not (np.abs(field) <= _LEFT).all():
-        raise StateError(f'no equilibrium is found from q = {q.tolist()}: at {x[:d].tolist()} '
-                         f"z' is still {(rows * field).tolist()}; begin elsewhere, or free more")
+    if not (np.abs(field) <= _RESIDUAL_TOLERANCE).all():
+        raise StateError(f"no equilibrium was found from q = {q.tolist()}: at {x[:d].tolist()} z' "
+                         f'is {(rows * field).tolist()}; start elsewhere, or free more '
+                         'coordinates')
     return x[:2 * d], x[2 * d:]
 
 
@@ -165,7 +166,7 @@ def linearise(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None = 
         steps = BatchStep(scene.scene if isinstance(scene, BatchStep) else scene, hold)
         found = steps.derivatives(*at)[1:]
     if not all(np.isfinite(matrix).all() for matrix in found):
-        raise StateError(f'no finite derivatives at z, u = {np.array(at[0]).tolist()}, '
+        raise StateError(f'derivatives are not finite at z = {np.array(at[0]).tolist()}, u = '
                          f'{np.array(at[1]).tolist()}; linearise elsewhere')
     return found
 
@@ -248,6 +249,6 @@ def lqr(a: np.ndarray, b: np.ndarray, q: ArrayLike, r: ArrayLike, discrete: bool
     # The discrete equation may have a solution although the model cannot be stabilised.
     poles = np.linalg.eigvals(a - b @ gain)
     if not ((np.abs(poles) < 1.0) if discrete else (poles.real < 0.0)).all():
-        raise ValueError('no regulator stabilises this model: the poles of what is found are '
+        raise ValueError('no regulator stabilises this model: the closed loop found has the poles '
                          f'{poles.round(6).tolist()}')
     return Gain(gain, cost)

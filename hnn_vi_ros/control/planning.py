@@ -66,8 +66,9 @@ class Planner(ABC):
         self._low, self._high = (np.broadcast_to(np.asarray(limit, dtype=np.float64),
                                                  (steps.commands,)) for limit in limits)
         if not (self._low < self._high).all() or not steps.commands:
-            raise ValueError(f'limits {self._low.tolist()} and {self._high.tolist()} must leave '
-                             'room for commands, which the scene must take by an external_force')
+            raise ValueError(f'limits {self._low.tolist()} and {self._high.tolist()} must allow a '
+                             'range of commands, and the scene must accept commands with an '
+                             'external_force')
         self._horizon, self._rng = int(horizon), np.random.default_rng(seed)
         self.mode, self.cost = 'plan', np.inf
         self.plan: np.ndarray | None = None

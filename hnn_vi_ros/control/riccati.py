@@ -7,9 +7,9 @@ from typing import NamedTuple
 from hnn_vi_ros.kernels import factorise, inlined, kept, solve_cholesky
 import numpy as np
 
-_MOST = 20
+_MAX_ITERATIONS = 20
 # Relative change of a command at which the box-constrained search stops.
-_SETTLED = 1e-10
+_COMMAND_TOLERANCE = 1e-10
 
 
 class Stages(NamedTuple):
@@ -60,7 +60,8 @@ class _Work(NamedTuple):
 
 
 @kept(error_model='numpy')
-def sweep(stages: Stages, changes: np.ndarray, gains: np.ndarray, gained: np.ndarray) -> None:
+def riccati_sweep(stages: Stages, changes: np.ndarray, gains: np.ndarray, gained: np.ndarray
+                  ) -> None:
     """
     Fill the optimal changes of the commands, and the feedback gains on state deviations.
 
@@ -218,7 +219,7 @@ def _box(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) -> bool:
     step, moved = work.step, work.moved
     for a in range(k.size):
         k[a] = min(max(0.0, low[a]), high[a])
-    for _ in range(_MOST):
+    for _ in range(_MAX_ITERATIONS):
         if not _factorise(low, high, k, work):
             return False
         for a in range(k.size):
@@ -229,14 +230,14 @@ def _box(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) -> bool:
                     step[a] -= work.damped[a, b] * k[b]
         solve_cholesky(work.factor, step)
         value, length, settled = _value(k, work), 1.0, True
-        for _ in range(_MOST):
+        for _ in range(_MAX_ITERATIONS):
             for a in range(k.size):
                 moved[a] = min(max(k[a] + length * step[a], low[a]), high[a])
             if _value(moved, work) <= value:
                 break
             length *= 0.5
         for a in range(k.size):
-            if abs(moved[a] - k[a]) > _SETTLED * (abs(k[a]) + abs(moved[a])):
+            if abs(moved[a] - k[a]) > _COMMAND_TOLERANCE * (abs(k[a]) + abs(moved[a])):
                 settled = False
             k[a] = moved[a]
         if settled:

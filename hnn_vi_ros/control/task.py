@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, reduce
+import math
 from operator import add
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self
@@ -34,9 +35,9 @@ Weight = Annotated[float, Field(ge=0.0, le=1e9)]
 Weights = Annotated[list[Weight], Field(min_length=1, max_length=100)]
 _ROTORS = ['body_fz', 'body_rx', 'body_ry', 'body_rz']
 # Relative tolerance: a command must be held for a whole number of the model's steps [1].
-_FITS = 1e-6
+_HOLD_TOLERANCE = 1e-6
 # Maximum number of model steps per command, and maximum memory of a plan [bytes].
-_MOST_STEPS, _MOST_MEMORY = 1000, 1 << 30
+_MAX_STEPS, _MAX_PLAN_BYTES = 1000, 1 << 30
 
 
 class Controller(Protocol):
@@ -54,20 +55,20 @@ class Goal(StrictModel):
     """A state at rest."""
 
     near: dict[Name, float] = Field(max_length=100, description=(
-        'coordinates by name, from which it is searched; others begin at the initial state'))
+        'coordinates by name at which the search starts; the others start at the initial state'))
     held: bool = Field(False, description=(
-        'whether commands hold the coordinates exactly there, against forces; without it the '
-        'state is one that needs none'))
+        'hold the coordinates exactly there with commands; otherwise the goal is an equilibrium '
+        'without commands'))
     position: Weight | Weights = Field(1.0, description=(
-        'weight of deviations of coordinates, for the linear regulator: one, or one for each'))
-    velocity: Weight | Weights = Field(0.1, description='the same of velocities')
+        'weights of position errors in the linear regulator: one number, or one per coordinate'))
+    velocity: Weight | Weights = Field(0.1, description='weights of velocity errors, likewise')
 
 
 class Stepping(StrictModel):
     """Step size and integrator of the controller's model, if they differ from the scene's."""
 
-    integrator: Name | None = Field(None, description='name of a method')
-    step_size: float = Field(gt=0.0, le=1e6, description='h [s]')
+    integrator: Name | None = Field(None, description='name of an integrator')
+    step_size: float = Field(gt=0.0, le=1e6, description='step size h [s]')
 
 
 class Means:
@@ -104,7 +105,7 @@ class Means:
         """Return the regulator of the goal, or raise ValueError."""
         goal, steps = self.task.goal, self.steps
         if goal is None:
-            raise ValueError('needs a goal: give one, as in goal: {near: {angle: 3.14}}')
+            raise ValueError('requires a goal; add one, for example goal: {near: {angle: 3.14}}')
         names, near = columns(steps.hamiltonian.coordinates)[0], [*self.scene.initial_state.q]
         for name, value in goal.near.items():
             if name not in names:
@@ -121,17 +122,17 @@ def spread_over(steps: BatchStep, key: str, weights: float | Sequence[float]) ->
     found = np.array(weights, dtype=np.float64)
     if found.shape not in ((), (steps.dimension,)):
         names = listed(one.name for one in steps.hamiltonian.coordinates)
-        raise ValueError(f'{key} has {found.size} weights, expected one, or one for each '
-                         f'coordinate: {names}')
+        raise ValueError(f'{key} has {found.size} weights, expected one, or one per coordinate: '
+                         f'{names}')
     return np.broadcast_to(found, steps.dimension)
 
 
 class _Term(StrictModel):
     """A cost with a weight."""
 
-    weight: float = Field(1.0, ge=0.0, le=1e12, description='by which the cost is multiplied')
+    weight: float = Field(1.0, ge=0.0, le=1e12, description='factor of the cost')
     half: float | None = Field(None, gt=0.0, le=1e12, description=(
-        'makes it cost / (cost + half), so that what is far does not dominate'))
+        'saturate the cost as cost / (cost + half), so that distant states do not dominate'))
 
     @abstractmethod
     def cost(self, means: Means) -> Cost:
@@ -146,10 +147,12 @@ class _Term(StrictModel):
 class QuadraticChoice(_Term):
     """Squared deviations from the goal, and squared commands."""
 
-    kind: Literal['quadratic'] = Field(description='weighted squares of deviations from the goal')
-    position: Weight | Weights = Field(0.0, description='of coordinates: one, or one for each')
-    velocity: Weight | Weights = Field(0.0, description='of velocities: one, or one for each')
-    command: float = Field(0.0, ge=0.0, description='weight of each command over its limit')
+    kind: Literal['quadratic'] = Field(description='weighted squared deviations from the goal')
+    position: Weight | Weights = Field(0.0, description=(
+        'weights of coordinates: one number, or one per coordinate'))
+    velocity: Weight | Weights = Field(0.0, description=(
+        'weights of velocities: one number, or one per coordinate'))
+    command: float = Field(0.0, ge=0.0, description='weight of each command relative to its limit')
 
     def cost(self, means: Means) -> Cost:
         """Return the cost."""
@@ -163,7 +166,7 @@ class QuadraticChoice(_Term):
 class EffortChoice(_Term):
     """Squared commands."""
 
-    kind: Literal['effort'] = Field(description='the squares of commands over their limits')
+    kind: Literal['effort'] = Field(description='squared commands relative to their limits')
 
     def cost(self, means: Means) -> Cost:
         """Return the cost."""
@@ -176,7 +179,7 @@ class RegulatedChoice(_Term):
     """The cost-to-go of the linear regulator."""
 
     kind: Literal['regulated'] = Field(description=(
-        'x . P x of the linear regulator: its cost from here on, for the end of a plan'))
+        'cost-to-go x^T P x of the linear regulator, for the end of a plan'))
 
     def cost(self, means: Means) -> Cost:
         """Return the cost."""
@@ -188,7 +191,7 @@ class RegulatedChoice(_Term):
 class EnergyCostChoice(_Term):
     """The squared deviation from the goal's energy."""
 
-    kind: Literal['energy'] = Field(description='(H - H*)^2, H* that of the goal')
+    kind: Literal['energy'] = Field(description='(H - H*)^2 with the energy H* of the goal')
 
     def cost(self, means: Means) -> Cost:
         """Return the cost."""
@@ -198,7 +201,7 @@ class EnergyCostChoice(_Term):
 class KineticChoice(_Term):
     """The kinetic energy."""
 
-    kind: Literal['kinetic'] = Field(description='the kinetic energy [J]')
+    kind: Literal['kinetic'] = Field(description='kinetic energy [J]')
 
     def cost(self, means: Means) -> Cost:
         """Return the cost."""
@@ -208,10 +211,11 @@ class KineticChoice(_Term):
 class PointChoice(_Term):
     """The squared distance of a point of a robot from its goal."""
 
-    kind: Literal['point'] = Field(description='the squared distance of a point of a URDF')
-    link: Name = Field(description='that carries the point')
-    goal: Place = Field(description='where it is to be, in the frame of the root [m]')
-    offset: Place = Field([0.0, 0.0, 0.0], description='the point in the frame of the link [m]')
+    kind: Literal['point'] = Field(description=(
+        'squared distance of a point of a URDF from its goal'))
+    link: Name = Field(description='link of the point')
+    goal: Place = Field(description='goal of the point in the frame of the root [m]')
+    offset: Place = Field([0.0, 0.0, 0.0], description='point in the frame of the link [m]')
     length: float = Field(1.0, gt=0.0, description='unit of the distance [m]')
 
     def cost(self, means: Means) -> Cost:
@@ -223,10 +227,11 @@ class TipChoice(_Term):
     """The squared distance of the tip of a chain of rods from its goal."""
 
     kind: Literal['tip'] = Field(description=(
-        'the squared distance of the tip of hanging rods, over their length'))
-    lengths: Weights = Field(description='of the rods [m]; the first coordinates are their angles')
-    goal: Place = Field(description='x, y and height above the first joint [m]')
-    relative: bool = Field(False, description='whether angles are those between rods')
+        'squared distance of the tip of hanging rods from its goal, relative to their length'))
+    lengths: Weights = Field(description=(
+        'lengths of the rods [m]; the first coordinates are their angles'))
+    goal: Place = Field(description='x, y and height of the tip above the first joint [m]')
+    relative: bool = Field(False, description='measure angles from the previous rod')
 
     def cost(self, means: Means) -> Cost:
         """Return the cost."""
@@ -242,7 +247,7 @@ Costs = Annotated[list[CostChoice], Field(min_length=1, max_length=20)]
 class LqrChoice(StrictModel):
     """The linear regulator; use it near the goal, and one of the others to get there."""
 
-    kind: Literal['lqr'] = Field(description='the linear regulator of the goal')
+    kind: Literal['lqr'] = Field(description='linear regulator of the goal')
 
     def make(self, means: Means) -> Controller:
         """Return the controller."""
@@ -253,10 +258,11 @@ class EnergyShapingChoice(StrictModel):
     """Energy shaping for swing-ups; it needs no horizon, but a regulator at the goal."""
 
     kind: Literal['energy_shaping'] = Field(description=(
-        'the energy of the goal, by what commands pump in; near the goal the linear regulator'))
+        'commands drive the energy to that of the goal; near the goal the linear regulator takes '
+        'over'))
     gain: float = Field(1.0, gt=0.0, le=1e9, description='command per energy and velocity [s]')
     stiffness: float = Field(0.0, ge=0.0, le=1e9, description=(
-        'of springs that hold the driven coordinates near the goal [N/m] or [N m/rad]'))
+        'stiffness of springs that keep the driven coordinates near the goal [N/m] or [N m/rad]'))
 
     def make(self, means: Means) -> Controller:
         """Return the controller."""
@@ -266,35 +272,35 @@ class EnergyShapingChoice(StrictModel):
 class HoverChoice(StrictModel):
     """Flight of a quadrotor to a position."""
 
-    kind: Literal['hover'] = Field(description='a quadrotor flies to a place and stays there')
-    place: Place = Field(description='x, y and z, upwards [m]')
+    kind: Literal['hover'] = Field(description='a quadrotor flies to a position and hovers there')
+    place: Place = Field(description='position x, y and z (upwards) [m]')
 
     def make(self, means: Means) -> Controller:
         """Return the controller."""
         body = means.scene.hamiltonian
         if body.kind != 'quadrotor' or [*means.task.inputs] != _ROTORS:
-            raise ValueError(f'hover flies a quadrotor by the inputs {listed(_ROTORS)}, not '
-                             f'{body.kind} by {listed(means.task.inputs)}')
+            raise ValueError(f'hover requires a quadrotor with the inputs {listed(_ROTORS)}, not '
+                             f'{body.kind} with {listed(means.task.inputs)}')
         return Hover(body.mass, body.mass * body.gravity, body.inertia, self.place)
 
 
 class _Planning(StrictModel):
     """Common options of planners over a horizon."""
 
-    horizon: int = Field(ge=2, le=10_000, description='commands of a plan')
-    running: Costs = Field(description='costs of each state and command, which are added')
-    final: Costs = Field(description='costs of the last state')
-    seed: int = Field(0, ge=0, lt=2**63, description='of random commands')
+    horizon: int = Field(ge=2, le=10_000, description='number of commands in a plan')
+    running: Costs = Field(description='costs of each state and command; they are added')
+    final: Costs = Field(description='costs of the last state; they are added')
+    seed: int = Field(0, ge=0, lt=2**63, description='seed of the random commands')
 
     def parts(self, means: Means) -> tuple[BatchStep, Cost, Cost, int, Any]:
         """Return the arguments that planners have in common."""
         d, c = means.steps.dimension, means.steps.commands
         # Random plans store states and commands; a plan of iLQR stores derivatives as well.
         each = max(getattr(self, 'samples', 1), means.steps.hold * 2 * d) * (2 * d + c)
-        if (size := 8 * self.horizon * each) > _MOST_MEMORY:
-            raise ValueError(f'a plan of {self.horizon} commands takes {1e-9 * size:.3g} GB, at '
-                             f'most {1e-9 * _MOST_MEMORY:.2g}; lower horizon or samples, or take '
-                             'larger steps of the model by stepping')
+        if (size := 8 * self.horizon * each) > _MAX_PLAN_BYTES:
+            raise ValueError(f'a plan of {self.horizon} commands requires {1e-9 * size:.3g} GB, '
+                             f'at most {1e-9 * _MAX_PLAN_BYTES:.2g} GB; reduce horizon or '
+                             'samples, or set a larger step size in stepping')
         running, final = (reduce(add, [term.make(means) for term in terms])
                           for terms in (self.running, self.final))
         return means.steps, running, final, self.horizon, (-means.limits, means.limits)
@@ -303,12 +309,14 @@ class _Planning(StrictModel):
 class IlqrChoice(_Planning):
     """iLQR: planning with derivatives; the first choice if the model is differentiable."""
 
-    kind: Literal['ilqr'] = Field(description='a plan that derivatives improve, anew each period')
-    budget: float = Field(gt=0.0, le=1e3, description='time for a plan [s]')
+    kind: Literal['ilqr'] = Field(description=(
+        'a plan that is improved with derivatives in each period'))
+    budget: float = Field(gt=0.0, le=1e3, description='time limit of a plan [s]')
     regulate_below: float | None = Field(None, gt=0.0, description=(
-        'the linear regulator takes over where the running cost stays below this in a rollout'))
-    restarts: int = Field(24, ge=1, le=10_000, description='random plans after a disturbance')
-    refined: int = Field(4, ge=1, le=1000, description='how many of them are improved')
+        'let the linear regulator take over if the running cost stays below this in a rollout'))
+    restarts: int = Field(24, ge=1, le=10_000, description=(
+        'number of random plans after a disturbance'))
+    refined: int = Field(4, ge=1, le=1000, description='number of these plans that are improved')
 
     def make(self, means: Means) -> Controller:
         """Return the controller."""
@@ -321,10 +329,12 @@ class IlqrChoice(_Planning):
 class MppiChoice(_Planning):
     """MPPI: planning with random commands, for models without derivatives."""
 
-    kind: Literal['mppi'] = Field(description='the weighted mean of random plans')
-    spread: float = Field(0.3, gt=0.0, le=10.0, description='of random commands [limits]')
-    temperature: float = Field(gt=0.0, description='in units of the cost')
-    samples: int = Field(256, ge=1, le=100_000, description='random plans in a period')
+    kind: Literal['mppi'] = Field(description='weighted mean of random plans')
+    spread: float = Field(0.3, gt=0.0, le=10.0, description=(
+        'standard deviation of random commands, relative to the limits [1]'))
+    temperature: float = Field(gt=0.0, description=(
+        'temperature of the weights, in units of the cost'))
+    samples: int = Field(256, ge=1, le=100_000, description='number of random plans in a period')
 
     def make(self, means: Means) -> Controller:
         """Return the controller."""
@@ -337,33 +347,33 @@ class Task(StrictModel):
 
     description: str = Field('', max_length=1000, description='one line for lists and titles')
     scene: str = Field(min_length=1, max_length=4096, description=(
-        'the model: name of a shipped scene, or a YAML file, from the folder of this one'))
+        'the model: name of a shipped scene, or path of a YAML file relative to this one'))
     inputs: dict[Name, Annotated[float, Field(gt=0.0, le=1e12)]] = Field(
         min_length=1, max_length=100, description=(
-            'the coordinates that motors drive, and the largest size of each command [N], [N m]'))
-    period: float = Field(gt=0.0, le=1e3, description='from one command to the next [s]')
+            'driven coordinates, and the maximum magnitude of each command [N], [N m]'))
+    period: float = Field(gt=0.0, le=1e3, description='interval between commands [s]')
     plan_time: float = Field(0.0, ge=0.0, le=10.0, description=(
-        'from a state to when its command is sent, no sooner: time for a plan, at most a period; '
-        'the model predicts the state then [s]'))
+        'time from a state until its command is sent, at most a period; the plan starts from the '
+        'state predicted for then [s]'))
     delay: float = Field(0.0, ge=0.0, le=10.0, description=(
-        'from there to when the command acts, by the machine and the way to it; predicted too '
+        'further delay until the command acts, in the machine and on the way to it; predicted too '
         '[s]'))
     silence: float = Field(0.2, ge=0.01, le=1e6, description=(
-        'wall time without a usable state, after which the commands are as `on_silence` says [s]'))
+        'wall time without a usable state after which `on_silence` applies [s]'))
     on_silence: Literal['stop', 'hold'] = Field('stop', description=(
-        'stop: they are zero; hold: the last one is repeated'))
-    goal: Goal | None = Field(None, description='the state at rest to reach')
-    stepping: Stepping | None = Field(None, description='the steps of the model')
+        'stop: commands become zero; hold: the last command is repeated'))
+    goal: Goal | None = Field(None, description='state at rest to reach')
+    stepping: Stepping | None = Field(None, description='integrator and step size of the model')
     controller: LqrChoice | EnergyShapingChoice | HoverChoice | IlqrChoice | MppiChoice = Field(
-        discriminator='kind', description='what computes the commands')
+        discriminator='kind', description='algorithm that computes the commands')
 
     @model_validator(mode='after')
     def _check_times(self) -> Self:
         if self.plan_time > self.period:
-            raise ValueError(f'plan_time: {self.plan_time:g} s are more than the period, '
+            raise ValueError(f'plan_time: {self.plan_time:g} s is longer than the period, '
                              f'{self.period:g} s')
         if self.delay > 100.0 * self.period:
-            raise ValueError(f'delay: {self.delay:g} s are more than 100 periods of '
+            raise ValueError(f'delay: {self.delay:g} s is longer than 100 periods of '
                              f'{self.period:g} s')
         return self
 
@@ -393,7 +403,7 @@ class Assignment(NamedTuple):
     scene: Scene
     hamiltonian: Hamiltonian
     controller: Controller
-    prediction: 'Prediction'
+    prediction: 'CommandPrediction'
     numbers: Sequence[str]
 
     @property
@@ -402,7 +412,7 @@ class Assignment(NamedTuple):
         return np.array([*self.task.inputs.values()])
 
 
-class Prediction:
+class CommandPrediction:
     """
     Prediction of the state at which a command will act, under the commands sent before.
 
@@ -421,7 +431,7 @@ class Prediction:
         # Times at which commands act, and the commands, newest last.
         self._sent: deque[tuple[float, np.ndarray]] = deque()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Discard pending commands."""
         self._sent.clear()
 
@@ -470,7 +480,8 @@ def load_task(task: str | Path) -> tuple[Task, KeyPlaces, Path]:
     return loaded, places, path.parent
 
 
-def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
+def assign(task: str | Path, scene: str | Path | Scene = '', lockstep: bool = False
+           ) -> Assignment:
     """
     Return a task with its controller, which is compiled on its first call.
 
@@ -480,6 +491,9 @@ def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
         See ``load_task``.
     scene : str, Path or Scene, optional
         Model that replaces the task's; its coordinates must have the same names.
+    lockstep : bool, optional
+        True if the machine waits for commands: they act at once, and plans are limited by their
+        number of iterations instead of time.
 
     Raises
     ------
@@ -490,6 +504,10 @@ def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
 
     """
     loaded, places, folder = load_task(task)
+    if lockstep:
+        endless = {'budget': math.inf} if hasattr(loaded.controller, 'budget') else {}
+        loaded = loaded.model_copy(update={
+            'plan_time': 0.0, 'controller': loaded.controller.model_copy(update=endless)})
     if not isinstance(scene, Scene):
         beside = folder / loaded.scene
         try:
@@ -506,17 +524,17 @@ def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
     h = model.known_step_size
     hold = round(loaded.period / h)
     with _placed(places, 'period'):
-        if hold < 1 or abs(hold * h - loaded.period) > _FITS * loaded.period:
-            raise ValueError(f'{loaded.period:g} s must be a multiple of the step size of the '
-                             f'model, {h:g} s; see stepping')
-        if hold > _MOST_STEPS:
-            raise ValueError(f'{hold} steps of the model, {h:g} s each, while a command is held: '
-                             f'at most {_MOST_STEPS}; take larger ones by stepping')
+        if hold < 1 or abs(hold * h - loaded.period) > _HOLD_TOLERANCE * loaded.period:
+            raise ValueError(f"{loaded.period:g} s must be a multiple of the model's step size, "
+                             f'{h:g} s; change it in stepping')
+        if hold > _MAX_STEPS:
+            raise ValueError(f'{hold} model steps of {h:g} s per command, at most {_MAX_STEPS}; '
+                             'set a larger step size in stepping')
     with _placed(places, 'controller'):
         controller = loaded.controller.make(Means(loaded, model, hold))
     with _placed(places, 'delay'):
         delay = loaded.plan_time + loaded.delay
-        prediction = Prediction(BatchStep(model) if delay else None, delay)
+        prediction = CommandPrediction(BatchStep(model) if delay else None, delay)
     own = next((effect.coordinates for effect in scene.effects
                 if effect.kind == 'external_force'), None) or [*loaded.inputs]
     numbers = [*own, *(name for name in loaded.inputs if name not in own)]

@@ -11,7 +11,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.control import assign, Assignment, Planner
 from hnn_vi_ros.effects import select
-from hnn_vi_ros.errors import listed
+from hnn_vi_ros.errors import listed, ParameterError
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.recording import MOMENTUM
@@ -42,16 +42,16 @@ from std_msgs.msg import Float64MultiArray, Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 # Number of commands whose plan times enter the diagnostics, and the period of these [s].
-_RECENT, _REPORT = 1000, 1.0
+_PLAN_TIMES, _REPORT_PERIOD = 1000, 1.0
 # Number of states whose lags, from time stamp to arrival, are compared.
 _LAGS = 20
 # Number of intervals between commands, and the median above which to warn [periods].
-_GAPS, _SELDOM = 100, 1.5
+_INTERVALS, _MAX_INTERVAL = 100, 1.5
 # Tolerated earliness of a state relative to the end of the period [periods].
-_EARLY = 0.01
+_MAX_EARLINESS = 0.01
 # Most calls that compile a controller, the least time of such a call [s], and the number of fast
 # calls that show that all is compiled.
-_WARM_CALLS, _COMPILING, _FAST_CALLS = 20, 0.5, 4
+_MAX_WARM_CALLS, _MIN_COMPILE_TIME, _FAST_CALLS = 20, 0.5, 4
 
 # Sensor-like QoS. The newest of the waiting states is answered, so that no plan begins at an older
 # one; the depth keeps all parts of a state.
@@ -81,7 +81,7 @@ def state_of(message: JointState, hamiltonian: Hamiltonian) -> tuple[np.ndarray,
         q, p = np.split(numbers, [len(names)])
         return q, hamiltonian.gradient(q, p)[1]
     if hamiltonian.rotations:
-        raise ValueError('no joint states make a state of bodies that turn: give ~/state of a '
+        raise ValueError('joint states cannot describe rotating bodies: provide ~/state of a '
                          'simulator')
     q, v = select(seen, names)
     if np.isnan(v).any():
@@ -112,6 +112,9 @@ class ControllerNode(ManagedNode):
         self.settings = declare_parameters(self, ControllerSettings)
         name = self._simulator = node_name(self, 'simulator', self.settings.simulator)
         self._topic = f'{name}/{self.settings.commands}'
+        if self.settings.lockstep and self.settings.commands != 'joint_commands':
+            raise ParameterError('parameter lockstep: only joint_commands carry stamps; set '
+                                 'commands to joint_commands')
         refuse_unknown(self, CONTROLLER_PARAMETERS, [
             Endpoint('joint_states', 'subscription'), Endpoint(f'{name}/state', 'subscription'),
             Endpoint(f'{name}/scene', 'subscription'),
@@ -127,7 +130,7 @@ class ControllerNode(ManagedNode):
         """Read the task, compile its controller, and open the topics; serve in the meantime."""
         settings, begin = self.settings, time.monotonic()
         assignment: Assignment = await self.in_thread(
-            lambda: _warm(assign(settings.task, settings.scene)))
+            lambda: _warm(assign(settings.task, settings.scene, settings.lockstep)))
         self._assignment = assignment
         # For a task with a long period, the states between two answers are not a silence.
         self._silence = max(assignment.task.silence, assignment.task.period)
@@ -156,8 +159,8 @@ class ControllerNode(ManagedNode):
         self._hearing.hear(Input(self._states, JointState, frozenset(), None, _STATES),
                            self._on_state, then=self._answer)
         self._timers = [steady_timer(self, 0.25 * self._silence, self._watch),
-                        steady_timer(self, _REPORT, self._report)]
-        self._times: deque[float] = deque(maxlen=_RECENT)
+                        steady_timer(self, _REPORT_PERIOD, self._report)]
+        self._times: deque[float] = deque(maxlen=_PLAN_TIMES)
         self._sent = self._late = self._reported_late = 0
         self._forget()
         self.get_logger().info(
@@ -173,7 +176,7 @@ class ControllerNode(ManagedNode):
         self._active, self._silent, self._refused = True, False, False
         # Wall times of the arrival of the last state, and of the last answered one [s].
         self._heard = self._answered = math.inf
-        self.get_logger().info(f'answers {self._states} on {self._topic}')
+        self.get_logger().info(f'receives {self._states}, publishes commands on {self._topic}')
         return SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -209,11 +212,11 @@ class ControllerNode(ManagedNode):
 
     def _forget(self) -> None:
         """Discard what is known of earlier states, so that the next one is answered."""
-        self._assigned.prediction.forget()
+        self._assigned.prediction.reset()
         self._due = -1
         self._next: tuple[int, np.ndarray, np.ndarray] | None = None
         self._lags: deque[float] = deque(maxlen=_LAGS)
-        self._gaps: deque[float] = deque(maxlen=_GAPS)
+        self._gaps: deque[float] = deque(maxlen=_INTERVALS)
 
     def _on_state(self, message: JointState) -> None:
         if not self._active:
@@ -222,7 +225,12 @@ class ControllerNode(ManagedNode):
         if (joined := self._joiner(message)) is None:
             return
         q, v = state_of(joined, self._assigned.hamiltonian)
-        self._next = self._stamps.accept(nanoseconds(joined.header.stamp)), q, v
+        stamp = nanoseconds(joined.header.stamp)
+        if self.settings.lockstep and self._sent and stamp == self._stamp:
+            # The simulator repeats a state whose answer it still awaits.
+            self._send(self._last)
+        else:
+            self._next = self._stamps.accept(stamp), q, v
         self._refused = False
 
     def _answer(self) -> None:
@@ -235,11 +243,14 @@ class ControllerNode(ManagedNode):
             # The simulator has restarted, or the clock was set back.
             self._forget()
         if stamp < self._due:
+            if self.settings.lockstep:
+                self._stamp = stamp
+                self._send(self._last)
             return
         if self._due >= 0:
             self._gaps.append((stamp - self._stamp) / 1e9)
         period = round(assigned.task.period * 1e9)
-        self._due = stamp + period - round(_EARLY * period)
+        self._due = stamp + period - round(_MAX_EARLINESS * period)
         t = stamp / 1e9
         u = np.asarray(assigned.controller(
             *assigned.prediction(t, q, v), t + assigned.prediction.delay))
@@ -250,19 +261,19 @@ class ControllerNode(ManagedNode):
         # Arrivals are delayed at random; the smallest recent lag gives the time of the state.
         self._lags.append(begin - t)
         sooner = min(begin, t + min(self._lags)) + assigned.task.plan_time - time.monotonic()
-        if sooner > 0.0:
+        if sooner > 0.0 and not self.settings.lockstep:
             time.sleep(sooner)
         self._stamp = stamp
         self._send(np.clip(u, -assigned.limits, assigned.limits))
         assigned.prediction.send(t, self._last)
         if self._silent:
-            self.get_logger().info(f'{self._states}: states again, after '
+            self.get_logger().info(f'{self._states}: usable states again after '
                                    f'{begin - self._answered:.3g} s', throttle_duration_sec=1.0)
         # Measured after the plan, since a long plan is not a silence.
         self._answered, self._silent = time.monotonic(), False
         self._times.append(spent)
         self._sent += 1
-        self._late += spent > self._time
+        self._late += spent > self._time and not self.settings.lockstep
         if self._plans.get_subscription_count():
             self._send_plan(t + assigned.prediction.delay)
 
@@ -297,14 +308,16 @@ class ControllerNode(ManagedNode):
 
     def _watch(self) -> None:
         """Send zeros or hold the last command if no state comes, and log that once."""
-        if not self._active or time.monotonic() - self._answered < self._silence:
+        # In lockstep, simulated time waits, so that silence on the wall clock means nothing.
+        if not self._active or self.settings.lockstep \
+                or time.monotonic() - self._answered < self._silence:
             return
         cause = self._cause
         self._stamps.settle(paused=not cause)
         hold = self._assigned.task.on_silence == 'hold' and self._sent
         if not self._silent:
             self._silent = True
-            self._assigned.prediction.forget()
+            self._assigned.prediction.reset()
             self.get_logger().warning(
                 f'{self._states}: no usable state for {self._silence:g} s{cause}: '
                 f'{"the last command is repeated" if hold else "commands are zero"} until one '
@@ -320,7 +333,7 @@ class ControllerNode(ManagedNode):
         if time.monotonic() - self._heard >= self._silence:
             return ''
         why = self._hearing.reasons.get(self._states, '') if self._refused else (
-            'their stamps rise by less than a period; raise silence for a slow simulator')
+            'their stamps advance by less than a period; increase silence for a slow simulator')
         return f' ({why})' if why else ''
 
     @property
@@ -331,8 +344,8 @@ class ControllerNode(ManagedNode):
         if not sources or {*sources} & {*commanded} or self._answered == math.inf:
             return ''
         states, topic = map(self.resolve_topic_name, (self._states, self._topic))
-        return (f'{states} comes from {listed(sources)}, and {topic} goes to '
-                f'{listed(commanded) or "no node"}: is the parameter simulator right?')
+        return (f'{states} comes from {listed(sources)}, but {topic} goes to '
+                f'{listed(commanded) or "no node"}: check the parameter simulator')
 
     def _report(self) -> None:
         """Publish the status of the controller."""
@@ -346,9 +359,10 @@ class ControllerNode(ManagedNode):
         crowd = self._warn_of_crowd(crowded(self, [
             *[self._states] * whole, self._topic, *[CLOCK_TOPIC] * follows_clock(self)]))
         apart = float(np.median(self._gaps)) if self._gaps else math.nan
-        seldom = self._warn_of_gaps('' if not apart > _SELDOM * assigned.task.period else (
-            f'{self._states}: states come less often than a period of {assigned.task.period:g} s; '
-            'publish them more often, by smaller steps of /clock, or relieve this machine'))
+        seldom = self._warn_of_gaps('' if not apart > _MAX_INTERVAL * assigned.task.period else (
+            f'{self._states}: states arrive less often than every period of '
+            f'{assigned.task.period:g} s; publish them more often, use smaller steps of /clock, '
+            'or reduce the load of this machine'))
         if not self._active:
             message = 'inactive'
         elif self._silent:
@@ -358,7 +372,7 @@ class ControllerNode(ManagedNode):
             level, message = WARN, 'no usable state yet'
         elif late:
             level, message = WARN, (f'{late} plans since the last report took longer than their '
-                                    f'time, {self._time:g} s, and act late')
+                                    f'limit, {self._time:g} s, and act late')
         elif crowd or (stranger and not self._commands.get_subscription_count()):
             level, message = WARN, crowd or stranger
         elif seldom:
@@ -385,12 +399,12 @@ def _warm(assignment: Assignment) -> Assignment:
                                       assignment.scene.initial_state.p))
     v = assignment.hamiltonian.gradient(q, p)[1]
     fast = 0
-    for k in range(-_WARM_CALLS, 0):
+    for k in range(-_MAX_WARM_CALLS, 0):
         begin, t = time.monotonic(), k * assignment.task.period
         # A state off the plan forces the controller to plan again.
         assignment.controller(*assignment.prediction(t, q, v + 0.1 * (k % 3)), t)
         # A compilation uses up the budget of a plan, which then ends before all is compiled.
-        fast = fast + 1 if time.monotonic() - begin < _COMPILING else 0
+        fast = fast + 1 if time.monotonic() - begin < _MIN_COMPILE_TIME else 0
         if fast == _FAST_CALLS:
             break
     return assignment

@@ -25,7 +25,7 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
     Parameters
     ----------
     message : JointState
-        Message with every coordinate once, in any order.
+        Message with every coordinate once, in any order; joints that follow them are not used.
     hamiltonian : Hamiltonian
         Hamiltonian that gives the momenta of the velocities.
     p0 : np.ndarray, shape (d,)
@@ -43,14 +43,14 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
 
     """
     if hamiltonian.rotations:
-        raise ValueError('no joint states make a state of bodies that turn; write it into the '
-                         "scene's initial_state")
+        raise ValueError('joint states cannot describe rotating bodies; set initial_state in the '
+                         'scene')
     places = places_of(hamiltonian.coordinates, message.name, 'name')
     values = []
     for field in ('position', 'velocity'):
         array = np.array(getattr(message, field), dtype=np.float64)
-        if array.shape != (len(places),) or not np.isfinite(array).all():
-            raise ValueError(f'{field} must be {len(places)} finite numbers')
+        if array.shape != (len(message.name),) or not np.isfinite(array).all():
+            raise ValueError(f'{field} must be {len(message.name)} finite numbers')
         values.append(array[places])
     q, velocity = values
     with np.errstate(all='ignore'):
@@ -63,7 +63,7 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
 
 
 # Maximum length of an answer [characters].
-_LONGEST = 1000
+_MAX_ANSWER_LENGTH = 1000
 
 
 def hear_initial_states(node: Node, topics: Topics, run: Run, reset: Callable[[], Answer | None]
@@ -88,22 +88,22 @@ def hear_initial_states(node: Node, topics: Topics, run: Run, reset: Callable[[]
     answers = DiagnosticsPublisher(node, partial(topics.send, STATE_SET), run.scene.name)
 
     def answer(level: bytes, text: str, values: dict[str, str]) -> None:
-        answers.publish([Status('initial_state', level, text[:_LONGEST], values)],
+        answers.publish([Status('initial_state', level, text[:_MAX_ANSWER_LENGTH], values)],
                         run.sampler.stamp)
 
     def take(message: JointState) -> None:
         try:
             if not run.simulation.rescue_ready:
-                raise ValueError('what turns velocities into momenta is still being compiled: '
-                                 'send it again in some seconds')
+                raise ValueError('the conversion of velocities to momenta is still being '
+                                 'compiled: send it again in a few seconds')
             q, p = initial_state(message, run.simulation.hamiltonian, run.start[1])
             run.simulation.check_state(q, p)
             run.start = q, p
-            done, text = reset(), 'taken for the next reset'
+            done, text = reset(), 'used at the next reset'
             if done is not None:
                 if not done.success:
                     raise ValueError(done.message)
-                text = 'reset to it'
+                text = 'reset to this state'
         except ValueError as problem:
             answer(ERROR, ' '.join(str(problem).split()), {})
             raise

@@ -30,9 +30,9 @@ import yaml
 # Arguments besides the parameters: name, default and description.
 _COMMON = (
     ('namespace', '', 'namespace of the node'),
-    ('params_file', '', 'parameter file; what is given as an argument as well counts for more'),
-    ('use_sim_time', '', 'whether the time of ROS is that of /clock: true or false'),
-    ('log_level', 'info', 'debug, info, warn, error or fatal'),
+    ('params_file', '', 'parameter file; arguments override it'),
+    ('use_sim_time', '', 'take the time of ROS from /clock: true or false'),
+    ('log_level', 'info', 'log level: debug, info, warn, error or fatal'),
 )
 
 
@@ -86,7 +86,7 @@ def _misspelt(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
     They are not errors: a launch file that includes this one may have arguments of its own.
     """
     words = [word.partition(':=')[0] for word in argv if ':=' in word]
-    return [LogInfo(msg=f'argument {word} is none of this node{hint}') for word in words
+    return [LogInfo(msg=f'this node has no argument {word}{hint}') for word in words
             if word not in known and (hint := did_you_mean(word, known))]
 
 
@@ -114,7 +114,7 @@ def _watch(node: Any) -> Any:
     """Return a handler that ends the launch with status 1 if a node's exit status is not 0."""
     def on_exit(event: Any, context: Any) -> None:
         if event.returncode != 0 and not context.is_shutdown:
-            raise RuntimeError(f'{event.process_name} has ended with status {event.returncode}')
+            raise RuntimeError(f'{event.process_name} ended with status {event.returncode}')
 
     return RegisterEventHandler(OnProcessExit(target_action=node, on_exit=on_exit))
 
@@ -127,7 +127,7 @@ def _transitions(node: Any) -> list[Any]:
 
     def fail(context: Any) -> None:
         # Only an exception in a launch file gives `ros2 launch` an exit status.
-        raise RuntimeError('the node could not be configured; it says above why')
+        raise RuntimeError('the node could not be configured; its log above states the reason')
 
     return [
         RegisterEventHandler(OnProcessStart(
@@ -148,10 +148,10 @@ def _text(value: object) -> str:
 
 # Name, default in config/robots, and description of each argument.
 _ARGUMENTS = (
-    ('scene', 'six_joint_arm.yaml', 'scene of the robot, whose servos take commands'),
-    ('robot', 'six_joint_arm.urdf', 'its URDF, with a block for ros2_control'),
+    ('scene', 'six_joint_arm.yaml', 'scene of the robot, with servos that accept commands'),
+    ('robot', 'six_joint_arm.urdf', 'URDF of the robot, with a ros2_control block'),
     ('controllers', 'six_joint_arm.controllers.yaml', 'parameters of controller_manager'))
-_RATE = ('rate', '250.0', 'how often joint states are published [Hz]')
+_RATE = ('rate', '250.0', 'publish rate of joint states [Hz]')
 # The packages of ros2_control that drive the robot.
 _CONTROL = ('controller_manager', 'joint_state_topic_hardware_interface',
             'joint_state_broadcaster', 'joint_trajectory_controller')
@@ -182,12 +182,12 @@ def _robot_entities(given: dict[str, str]) -> list[Any]:
         (['robot_state_publisher'], 'no frames are published', [
             Node(package='robot_state_publisher', executable='robot_state_publisher',
                  parameters=[description])]),
-        (_CONTROL, 'no controller runs; ~/joint_commands and ~/joint_trajectory take commands', [
+        (_CONTROL, 'no controller runs; send commands to ~/joint_commands or ~/joint_trajectory', [
             Node(package='controller_manager', executable='ros2_control_node', output='screen',
                  parameters=[description, given['controllers']]),
             Node(package='controller_manager', executable='spawner',
                  arguments=['joint_state_broadcaster', 'joint_trajectory_controller'])]),
-        (['rviz2'], 'no picture is shown', [Node(package='rviz2', executable='rviz2')]))
+        (['rviz2'], 'nothing is visualised', [Node(package='rviz2', executable='rviz2')]))
     lines: list[Any] = []
     nodes: list[Any] = []
     for packages, lost, own in beside:

@@ -71,12 +71,12 @@ def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterab
             continue
         hint, valid = _remedy(name, own, policies)
         if name not in shared:
-            raise ParameterError(f'parameter {name}: {node.get_name()} has none of this name'
-                                 f'{hint or valid}')
+            raise ParameterError(f'parameter {name}: {node.get_name()} has no such '
+                                 f'parameter{hint or valid}')
         if hint:
             node.get_logger().warning(
-                f'parameter {name}, which a file gives to several nodes, is none of this node'
-                f'{hint}')
+                f'parameter {name}, set for several nodes in a file: this node has no such '
+                f'parameter{hint}')
 
 
 def _remedy(name: str, own: Sequence[str], policies: Sequence[str]) -> tuple[str, str]:
@@ -91,7 +91,7 @@ def _remedy(name: str, own: Sequence[str], policies: Sequence[str]) -> tuple[str
         known.setdefault(there, []).append(rest)
     if topic in known:
         return did_you_mean(policy, known[topic]), f'; {topic} has: {", ".join(known[topic])}'
-    return did_you_mean(topic, known), f'; QoS can be set of: {", ".join(known) or "none"}'
+    return did_you_mean(topic, known), f'; QoS can be set for: {", ".join(known) or "none"}'
 
 
 def _warn_of_misspelt_node(node: Node, sections: Sequence[str]) -> None:
@@ -99,7 +99,8 @@ def _warn_of_misspelt_node(node: Node, sections: Sequence[str]) -> None:
     if not any(section == name or '*' in section for section in sections):
         for section in filter(lambda section: did_you_mean(section, [name]), sections):
             node.get_logger().warning(
-                f'parameters of {section} in a file are not of this node; did you mean {name}?')
+                f'the parameter file has a section {section}, which is not this node; did you '
+                f'mean {name}?')
 
 
 def _sections(arguments: Sequence[str]) -> Iterator[tuple[str, object]]:
@@ -250,7 +251,7 @@ def _check_clock(settings: Settings, follows: bool) -> None:
         raise ParameterError('parameter use_sim_time = true: the simulator cannot follow the '
                              '/clock that it publishes; set it, or publish_clock, to false')
     if follows and not settings.real_time_factor:
-        raise ParameterError('parameter use_sim_time = true: real_time_factor = 0 follows no '
+        raise ParameterError('parameter use_sim_time = true: real_time_factor = 0 ignores the '
                              'clock; set it to the simulated seconds per second of /clock')
 
 
@@ -266,7 +267,7 @@ def _descriptor(item: Specification) -> ParameterDescriptor:
     unit = f' [{item.unit}]' if item.unit else ''
     constraints = [f'one of: {", ".join(item.choices)}'] if item.choices else []
     if item.changes == UNCONFIGURED:
-        constraints.append('can be set while the node is unconfigured')
+        constraints.append('can only be set while the node is unconfigured')
     descriptor = ParameterDescriptor(
         description=f'{item.description}{unit}', read_only=item.changes == START,
         additional_constraints='; '.join(constraints))

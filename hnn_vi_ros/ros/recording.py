@@ -74,7 +74,7 @@ class Sink(ABC):
         """Begin, also again after ``close``; return True if the sink wants any data."""
 
     @abstractmethod
-    def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
+    def write(self, sample: Sample, payloads: Sequence[bytes | None]) -> None:
         """Record a sample and its published messages."""
 
     @abstractmethod
@@ -156,7 +156,7 @@ class BagOutput(Sink):
         self._bags.append(bag)
         self.greeting = f'recording to {self.target}'
 
-    def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
+    def write(self, sample: Sample, payloads: Sequence[bytes | None]) -> None:
         self._sink.write(sample.stamp, payloads)
 
     def write_other(self, topic: Topic, stamp: int, payload: bytes) -> None:
@@ -204,7 +204,7 @@ class PictureOutput(Sink):
         if settings.rerun_sink != 'none':
             # Imported lazily: a run without a picture needs no viewer libraries. An error about
             # missing ones is raised before anything is recorded.
-            with optional('rerun', f'rerun_sink = {settings.rerun_sink} (none does without)'):
+            with optional('rerun', f'rerun_sink = {settings.rerun_sink} (none: no visualisation)'):
                 from hnn_vi_ros.recording import RerunSink
             self._make = RerunSink
 
@@ -231,7 +231,7 @@ class PictureOutput(Sink):
             interval=round((pace or 1.0) / _FRAME_RATE * 1e9))
         return True
 
-    def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
+    def write(self, sample: Sample, payloads: Sequence[bytes | None]) -> None:
         self._sink.write(sample)
 
     def event(self, text: str, level: str, at: tuple[int, int] | None) -> None:
@@ -248,7 +248,7 @@ class PictureOutput(Sink):
         return picture_lines(self._path) if self._path is not None else []
 
 
-class Recording:
+class RunRecording:
     """
     Sinks of the samples of a run besides ROS, such as a bag and a picture.
 
@@ -325,7 +325,7 @@ class Recording:
     def start_bag(self) -> str:
         """Start a new bag and return its absolute path, or raise RecordingError."""
         if self._bag in self._open:
-            raise RecordingError(f'{self._bag.target}: is being recorded already')
+            raise RecordingError(f'{self._bag.target}: is already being recorded')
         self._bag.start()
         self._open.insert(0, self._bag)
         return str(self._bag.target)
@@ -347,7 +347,7 @@ class Recording:
         """Flush the files to the operating system, when no sample follows for a while."""
         self._each(lambda sink: sink.flush())
 
-    def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
+    def write(self, sample: Sample, payloads: Sequence[bytes | None]) -> None:
         """Record and display one sample."""
         self.samples += 1
         self._each(lambda sink: sink.write(sample, payloads))
@@ -406,4 +406,4 @@ class Recording:
 
     def _give_up(self, problem: RecordingError, ended: bool = False) -> None:
         self.problem = str(problem)
-        self._logger.error(self.problem if ended else f'{problem}; the simulation goes on')
+        self._logger.error(self.problem if ended else f'{problem}; the simulation continues')

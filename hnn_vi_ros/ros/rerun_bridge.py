@@ -15,7 +15,7 @@ from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.files import expand_user, numbered
 from hnn_vi_ros.hamiltonians import MECHANISMS, momentum
 from hnn_vi_ros.phase_space import momentum_rates
-from hnn_vi_ros.recording import decode_state, RerunSink, Sample, State, Target
+from hnn_vi_ros.recording import decode_state, RerunSink, Sample, StateMessage, Target
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import spin, take_once
@@ -41,9 +41,9 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 # Simulated time that fits into the picture [s].
-_SEEN = 30.0
+_PREVIEW_TIME = 30.0
 # Largest step number that the viewer accepts.
-_MOST_STEPS = 2.0**63
+_MAX_STEP_NUMBER = 2.0**63
 
 
 class BridgePicture:
@@ -74,12 +74,12 @@ class BridgePicture:
         self.samples = 0
         self._sink = RerunSink(
             name, target, hamiltonian, simulation.q.copy(), simulation.p.copy(),
-            box=hamiltonian.box or look_ahead(simulation, _SEEN),
+            box=hamiltonian.box or look_ahead(simulation, _PREVIEW_TIME),
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
             effects=simulation.effects, step_size=simulation.step_size,
             conservative=simulation.conservative, modified=self._modified)
 
-    def show(self, state: State) -> None:
+    def show(self, state: StateMessage) -> None:
         """Display a sample; without ~/state its energy is computed with the scene's H."""
         simulation, hamiltonian = self._simulation, self._hamiltonian
         h, energy0 = simulation.step_size, self._energy0
@@ -94,9 +94,9 @@ class BridgePicture:
             modified = simulation.integrator.modified_energy(
                 hamiltonian, h, state.q, state.p, state.energy, -state.dp_dt, dH_dp)
         step = state.stamp * 1e-9 / h
-        if not step < _MOST_STEPS:
-            raise RecordingError(f'its scene has steps of {h:g} s, of which its stamps are more '
-                                 'than can be counted; is its step_size right?')
+        if not step < _MAX_STEP_NUMBER:
+            raise RecordingError(f'its scene has steps of {h:g} s, so its stamps exceed the '
+                                 'countable number of steps; check its step_size')
         balance = state.energy - energy0 - state.work
         self._sink.write(Sample(
             step=round(step), stamp=state.stamp, q=state.q,
@@ -138,7 +138,7 @@ class BridgePicture:
         d = len(order)
         points = [(point.positions, point.velocities) for point in message.points]
         if any(len(half) != d for point in points for half in point):
-            raise ValueError(f'a point has no {d} positions and velocities')
+            raise ValueError(f'a point must have {d} positions and velocities')
         q, v = np.array(points, dtype=np.float64).reshape(-1, 2, d)[:, :, order].swapaxes(0, 1)
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ValueError('a position or a velocity is not finite')
@@ -167,7 +167,7 @@ def target_of(settings: BridgeSettings) -> Target:
 
 _QUEUE = QoSProfile(depth=1000)
 # Time limit for the display of queued samples at the end [s].
-_LONGEST_END = 3.0
+_MAX_END_TIME = 3.0
 
 
 class RerunBridge(RobustNode):
@@ -307,7 +307,7 @@ def _show_simulator(node: RerunBridge, received: list[int]) -> None:
     node.listen()
     executor = spin(node, lambda: received or node.problem)
     # Display the messages received by then, unless that takes long or another signal comes.
-    deadline, signals = time.monotonic() + _LONGEST_END, len(received)
+    deadline, signals = time.monotonic() + _MAX_END_TIME, len(received)
     while len(received) == signals and node.problem is None and time.monotonic() < deadline:
         if not take_once(executor):
             return

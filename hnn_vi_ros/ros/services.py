@@ -26,7 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 ACTION = 'SimulateSteps'
 _FAILED = 'RESULT_OPERATION_FAILED'
 # Least wall time between two feedback messages [s], as each step would flood the client.
-_PERIOD = 0.02
+_FEEDBACK_PERIOD = 0.02
 
 
 _INTERFACES = 'simulation_interfaces'
@@ -150,7 +150,7 @@ class SimulationServices:
             raise WorldError('RESULT_INCORRECT_STATE', 'the node is not active: use its lifecycle '
                              'services, or load_world')
         if wanted == self._now():
-            raise WorldError('ALREADY_IN_TARGET_STATE', 'already in that state')
+            raise WorldError('ALREADY_IN_TARGET_STATE', 'already in this state')
         control.set_paused(wanted != states.STATE_PLAYING)
         if wanted == states.STATE_STOPPED:
             _done(control.reset(True), 'STATE_TRANSITION_ERROR')
@@ -164,7 +164,7 @@ class SimulationServices:
             scope = scopes.SCOPE_TIME | scopes.SCOPE_STATE
         if scope & ~(scopes.SCOPE_TIME | scopes.SCOPE_STATE):
             raise WorldError('RESULT_FEATURE_UNSUPPORTED',
-                             f'scope {scope}: expected that of time, state, both or all')
+                             f'scope {scope}: expected SCOPE_TIME, SCOPE_STATE, both or SCOPE_ALL')
         _done(control.reset_time() if scope == scopes.SCOPE_TIME
               else control.reset(bool(scope & scopes.SCOPE_TIME)))
 
@@ -240,7 +240,7 @@ class SimulationServices:
         def tell(done: int, left: int) -> None:
             nonlocal last
             now = time.monotonic()
-            if left == 0 or now - last >= _PERIOD:
+            if left == 0 or now - last >= _FEEDBACK_PERIOD:
                 last = now
                 goal.publish_feedback(
                     self._offered[ACTION].Feedback(completed_steps=done, remaining_steps=left))

@@ -17,7 +17,7 @@ Value = str | bool | int | float
 # Times at which a parameter can be changed.
 START, UNCONFIGURED, ALWAYS = 'at the start', 'unconfigured', 'always'
 # Maximum length of a string [characters].
-_LONGEST = 4096
+_MAX_LENGTH = 4096
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,8 @@ class Specification:
         if kind in (int, float) and isinstance(value, int | float):
             good = good and self.smallest <= value <= self.largest
         elif isinstance(value, str):
-            good = good and len(value) <= _LONGEST and (not self.choices or value in self.choices)
+            good = good and len(value) <= _MAX_LENGTH and (
+                not self.choices or value in self.choices)
         if not (good and isinstance(value, Value)):
             raise ParameterError(f'parameter {self.name} = {repr(value)[:80]}: {self.expected}')
         return value
@@ -71,7 +72,7 @@ class Specification:
     def expected(self) -> str:
         """Return a description of valid values."""
         if type(self.default) in (int, float):
-            kind = 'a whole number' if type(self.default) is int else 'a number'
+            kind = 'an integer' if type(self.default) is int else 'a number'
             return (f'expected {kind} from {self.smallest:g} to {self.largest:g}'
                     + (f' [{self.unit}]' if self.unit else ''))
         if self.choices:
@@ -94,62 +95,77 @@ class Settings:
     """Parameters of the simulator node: defaults, ranges, descriptions."""
 
     autostart: bool = parameter(
-        True, 'configure and activate without being asked to; false leaves that to a lifecycle '
+        True, 'configure and activate at the start; false leaves this to a lifecycle '
         'manager', changes=START)
     scene: str = parameter(
         'harmonic_oscillator', 'name of a shipped scene, or path of a scene file (.yaml)')
     resume: str = parameter(
-        '', 'bag to go on from: its last state, and the scene that it was recorded from in the '
-        'place of `scene`; empty begins anew')
+        '', 'bag from which to resume, with its last state and its recorded scene instead of '
+        '`scene`; empty: start a new run')
     trust_code: bool = parameter(
-        False, 'run Python code that the scene in the bag of `resume` names')
+        False, 'run the Python code named in the scene of the bag of `resume`')
     real_time_factor: float = parameter(
-        1.0, 'simulated seconds per wall second; 0 runs as fast as possible', '1', 0.0, 1e6,
+        1.0, 'simulated seconds per second of wall time; 0: as fast as possible', '1', 0.0, 1e6,
         changes=ALWAYS)
     publish_rate: float = parameter(
-        100.0, 'samples per simulated second; a whole number of steps lies between two samples, '
-        'so it is rounded to what the step size allows', 'Hz', 1e-3, 1e6)
+        100.0, 'samples per simulated second; rounded so that the sampling interval is a whole '
+        'number of steps', 'Hz', 1e-3, 1e6)
     duration: float = parameter(
-        0.0, 'simulated time after which the node ends; 0 runs until it is stopped', 's', 0.0, 1e9)
+        0.0, 'simulated time after which the node ends; 0: run until stopped', 's', 0.0, 1e9)
     discovery_time: float = parameter(
-        2.0, 'the first step waits at most this long for subscribers that are there already, so '
-        'that they miss no sample', 's', 0.0, 60.0)
-    start_paused: bool = parameter(False, 'begin in a pause')
+        2.0, 'maximum wait of the first step for the discovery of existing subscribers, so that '
+        'they miss no sample', 's', 0.0, 60.0)
+    start_paused: bool = parameter(False, 'start paused')
     step_count: int = parameter(
-        1, 'steps that one call of `~/step` takes', '1', 1, 1e9, changes=ALWAYS)
+        1, 'number of steps per call of `~/step`', '1', 1, 1e9, changes=ALWAYS)
     reset_time: bool = parameter(
-        False, '`~/reset` sets simulated time back to zero as well; else it goes on',
+        False, 'let `~/reset` also set simulated time to zero; otherwise time continues',
         changes=ALWAYS)
     reset_on_initial_state: bool = parameter(
-        False, '`~/initial_state` resets to its state at once; else the next `~/reset` does',
+        False, 'let `~/initial_state` reset to its state at once; otherwise the next `~/reset` '
+        'does',
         changes=ALWAYS)
     publish_clock: bool = parameter(False, 'publish `/clock`')
-    step_size: float = parameter(0.0, "step size h; 0 takes the scene's", 's', 0.0, 1e6)
-    integrator: str = parameter('', "name of the integrator; empty takes the scene's")
+    step_size: float = parameter(0.0, 'step size h; 0: that of the scene', 's', 0.0, 1e6)
+    integrator: str = parameter('', 'name of the integrator; empty: that of the scene')
     record: bool = parameter(True, 'write an MCAP bag')
     record_path: str = parameter(
-        '', 'folder of the bag, which must not exist; empty makes `runs/<scene>-<UTC time>/bag` '
-        'under the working directory')
+        '', 'folder of the bag, which must not exist; empty: `runs/<scene>-<UTC time>/bag` in the '
+        'working directory')
     rerun_sink: str = parameter(
-        'file', 'where the picture goes: to a file, to a running viewer, to viewers that connect',
+        'file', 'visualisation with rerun: write a file, connect to a running viewer, or serve '
+        'viewers',
         choices=('file', 'connect', 'serve', 'none'))
     rerun_path: str = parameter(
-        '', 'file: the .rrd file, which must not exist; empty makes `runs/<scene>-<UTC '
-        'time>/recording.rrd`. connect: URL of the viewer; empty takes the local one')
+        '', 'file: the .rrd file, which must not exist; empty: `runs/<scene>-<UTC '
+        'time>/recording.rrd`. connect: URL of the viewer; empty: the local viewer')
+    lockstep: bool = parameter(
+        False, 'wait after the samples of each control period for the command on '
+        '`~/joint_commands` that carries their stamp')
+    lockstep_period: float = parameter(
+        0.0, 'control period in lockstep, a whole number of samples; 0: every sample', 's', 0.0,
+        1e6)
+    lockstep_timeout: float = parameter(
+        60.0, 'longest wait for such a command', 's', 1e-3, 1e9)
+    on_lockstep_timeout: str = parameter(
+        'stop', 'after that wait, end the run, or go on with the last command and warn',
+        choices=('stop', 'hold'))
     publish_accuracy: bool = parameter(False, 'publish and record `~/accuracy`')
+    publish_loop_forces: bool = parameter(
+        False, 'publish and record `~/loop_forces`, in a scene with loops')
     stop_outside_box: bool = parameter(
-        False, 'end the run, with status 1, at the first sample outside of the box that the '
-        'model was trained in; else it is only reported', changes=ALWAYS)
+        False, 'end the run with status 1 at the first sample outside the training box of the '
+        'model; otherwise it is only reported', changes=ALWAYS)
     energy_band_limit: float = parameter(
-        0.05, 'band of the modified energy, over the energies in play, from which on a '
+        0.05, 'minimum band of the modified energy, relative to the energy scale, at which a '
         'conservative run counts as under-resolved', '1', 1e-15, 1e6, changes=ALWAYS)
     energy_change_limit: float = parameter(
-        0.02, 'lasting change of the energy, over the energies in play, that no work accounts '
-        'for, from which on energy counts as lost or gained', '1', 1e-15, 1e6, changes=ALWAYS)
+        0.02, 'minimum lasting change of the energy minus work, relative to the energy scale, at '
+        'which energy counts as lost or gained', '1', 1e-15, 1e6, changes=ALWAYS)
     explain: bool = parameter(
-        False, 'measure what each effect adds before the first step; compiles one kernel for '
-        'each effect')
-    frame_id: str = parameter('world', 'frame that `~/markers` are drawn in')
+        False, 'measure the contribution of each effect before the first step; compiles one '
+        'kernel per effect')
+    frame_id: str = parameter('world', 'frame of `~/markers`')
 
 
 @dataclass(frozen=True)
@@ -158,16 +174,16 @@ class BridgeSettings:
 
     simulator: str = parameter('hnn_simulator', 'name of the simulator node')
     controller: str = parameter(
-        'hnn_controller', 'name of the controller node, whose plans are shown')
+        'hnn_controller', 'name of the controller node whose plans are shown')
     rerun_sink: str = parameter(
-        'connect', 'where the picture goes: to a file, to a running viewer, to viewers that '
-        'connect', choices=('file', 'connect', 'serve'))
+        'connect', 'visualisation with rerun: write a file, connect to a running viewer, or serve '
+        'viewers', choices=('file', 'connect', 'serve'))
     rerun_path: str = parameter(
-        '', 'file: the .rrd file, which must not exist. connect: URL of the viewer; empty takes '
-        'the local one. serve: the port; empty takes 9876')
+        '', 'file: the .rrd file, which must not exist. connect: URL of the viewer; empty: the '
+        'local viewer. serve: the port; empty: 9876')
     trust_code: bool = parameter(
-        False, 'run Python code that the scene on `~/scene` or in the bag names; `--trust-code` '
-        'sets it')
+        False, 'run the Python code named in the scene on `~/scene` or in the bag; set by '
+        '`--trust-code`')
 
 
 @dataclass(frozen=True)
@@ -175,22 +191,22 @@ class ReplaySettings:
     """Parameters of the replay node."""
 
     rate: float = parameter(1.0, 'seconds of the bag per second of wall time', '1', 1e-3, 1e3)
-    loop: bool = parameter(False, 'begin again at the end')
+    loop: bool = parameter(False, 'restart at the end')
     start_offset: float = parameter(
-        0.0, 'time of the bag that is left out at its start', 's', 0.0, 1e9)
+        0.0, 'time of the bag that is skipped at its start', 's', 0.0, 1e9)
     duration: float = parameter(
-        0.0, 'time of the bag that is played; 0 plays to its end', 's', 0.0, 1e9)
+        0.0, 'time of the bag that is played; 0: until its end', 's', 0.0, 1e9)
     topics: str = parameter(
-        '', 'names of the topics to publish, separated by commas; empty publishes all but the '
-        'commands that a simulator heard')
-    publish_clock: bool = parameter(False, "publish the bag's time on `/clock`, each 10 ms of it")
-    start_paused: bool = parameter(False, 'begin paused')
+        '', 'names of the topics to publish, separated by commas; empty: all except the commands '
+        'that a simulator received')
+    publish_clock: bool = parameter(False, 'publish the time of the bag on `/clock`, every 10 ms')
+    start_paused: bool = parameter(False, 'start paused')
     longest_pause: float = parameter(
-        0.0, 'of a longer time without any message the rest is skipped; 0 skips nothing', 's',
+        0.0, 'maximum wait in a gap without messages, whose rest is skipped; 0: skip nothing', 's',
         0.0, 1e9)
     discovery_time: float = parameter(
-        2.0, 'the first message waits at most this long for subscribers that are there already, '
-        'so that they miss none', 's', 0.0, 60.0)
+        2.0, 'maximum wait of the first message for the discovery of existing subscribers, so '
+        'that they miss none', 's', 0.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -198,16 +214,18 @@ class ControllerSettings:
     """Parameters of the controller node."""
 
     autostart: bool = parameter(
-        True, 'configure and activate without being asked to; false leaves that to a lifecycle '
-        'manager')
+        True, 'configure and activate at the start; false leaves this to a lifecycle manager')
     task: str = parameter('swing_up', 'name of a shipped task, or path of a task file (.yaml)')
-    scene: str = parameter('', "the model, a scene by its name or path; empty takes the task's")
+    scene: str = parameter('', 'name or path of the scene used as model; empty: that of the task')
     simulator: str = parameter(
-        'hnn_simulator', 'name of the node that takes the commands, a simulator; relative to the '
-        'namespace unless it begins with /')
+        'hnn_simulator', 'name of the node that receives the commands, such as a simulator; '
+        'relative to the namespace unless it begins with /')
     commands: str = parameter(
-        'joint_commands', 'topic of that node: joint_commands, efforts of the driven joints by '
-        'name, or commands, the numbers of all of them', choices=('joint_commands', 'commands'))
+        'joint_commands', 'topic of that node: joint_commands (efforts of the driven joints by '
+        'name) or commands (an array of all of them)', choices=('joint_commands', 'commands'))
+    lockstep: bool = parameter(
+        False, 'for a simulator in lockstep: answer every state, and limit plans by iterations '
+        'instead of time')
 
 
 PARAMETERS = specifications(Settings)

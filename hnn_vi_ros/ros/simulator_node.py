@@ -28,9 +28,9 @@ from lifecycle_msgs.msg import State
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 # Wall time between two log lines during a long configuration [s].
-_PROGRESS = 5.0
+_PROGRESS_PERIOD = 5.0
 # Wait at the end for files that are being opened [s].
-_OPENING_TIME = 5.0
+_OPENING_TIMEOUT = 5.0
 
 
 class SimulatorNode(Simulator):
@@ -67,7 +67,7 @@ class SimulatorNode(Simulator):
     def refusal(self) -> str:
         """Return the reason that there is no run to act on."""
         if self.state == State.TRANSITION_STATE_CONFIGURING:
-            return f'configuring: {self._stage}; call again when the node is configured'
+            return f'configuring: {self._stage}; call again once the node is configured'
         return 'the node is not configured: use the transition configure first'
 
     @property
@@ -83,7 +83,7 @@ class SimulatorNode(Simulator):
         """Load and compile the scene and open the files; serve in the meantime."""
         self._declared.configured = True
         settings, begin = self.settings, time.monotonic()
-        progress = steady_timer(self, _PROGRESS, lambda: self.get_logger().info(
+        progress = steady_timer(self, _PROGRESS_PERIOD, lambda: self.get_logger().info(
             f'configuring: {self._stage}, {time.monotonic() - begin:.0f} s so far'))
         try:
             # Created at once, so that other nodes discover them while the kernel is compiled.
@@ -109,7 +109,7 @@ class SimulatorNode(Simulator):
     async def _compile_rest(self, simulation: Simulation) -> None:
         """Compile, during the run, functions that it may need later."""
         logger = self.get_logger()
-        with announced(lambda line: logger.info(f'{line}, while it runs')):
+        with announced(lambda line: logger.info(f'{line}, in the background')):
             await self.in_thread(lambda: compile_rest(simulation))
         # Exclude the compiled objects from garbage collection, as in Control.
         gc.freeze()
@@ -176,7 +176,7 @@ class SimulatorNode(Simulator):
     def _close_prepared(self) -> None:
         """Close the files of a run that has not begun, including those being opened."""
         if self._stage == OPENING:
-            self.wait(_OPENING_TIME)
+            self.wait(_OPENING_TIMEOUT)
         if self._prepared is not None:
             self._prepared.recording.close()
 

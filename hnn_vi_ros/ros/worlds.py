@@ -14,7 +14,7 @@ from hnn_vi_ros.scene import load_scene, Scene
 
 _PACKAGE, _FOLDER, _SUFFIXES = 'hnn_vi_ros', '/config/scenes/', ('.yaml', '.yml')
 # Most files that are read in one folder.
-_MOST_FILES = 200
+_MAX_FILES = 200
 
 
 class WorldError(HnnViRosError):
@@ -30,8 +30,8 @@ class WorldError(HnnViRosError):
 
     """
 
-    remedy = ('name a world by the URI that `GetAvailableWorlds` returns; a folder of '
-              'scenes is searched when the request names it')
+    remedy = ('load a world by a URI that `GetAvailableWorlds` returns; folders of scenes are '
+              'searched if the request names them')
 
     def __init__(self, code: str, message: str):
         self.code = code
@@ -92,8 +92,8 @@ def open_world(uri: str) -> tuple[Scene, str]:
         raise WorldError('UNSUPPORTED_FORMAT', f'{_shown(uri)}: expected a scene file (.yaml)')
     if is_path('scene', name):
         if not os.path.isfile(name):
-            raise WorldError('RESULT_NOT_FOUND', f'{_shown(uri)}: {no_file(Path(name))}; '
-                             'give a scene file (.yaml)')
+            raise WorldError('RESULT_NOT_FOUND', f'{_shown(uri)}: {no_file(Path(name))}; name a '
+                                                 'scene file (.yaml)')
     elif name not in shipped_names('scene'):
         raise WorldError('RESULT_NOT_FOUND',
                          f'{_shown(uri)}: no such scene; ~/get_available_worlds lists them')
@@ -103,8 +103,8 @@ def open_world(uri: str) -> tuple[Scene, str]:
         raise WorldError('RESOURCE_PARSE_ERROR', str(problem)) from problem
     if scene.hamiltonian.kind == 'python':
         raise WorldError('UNSUPPORTED_ELEMENTS', (
-            f'{scene.place("hamiltonian", "factory")}: runs code, which no service may ask for; '
-            'set the parameter scene'))
+            f'{scene.place("hamiltonian", "factory")}: runs code, which services may not request; '
+            'set the parameter scene instead'))
     try:
         scene.model_files()
     except ModelError as problem:
@@ -168,11 +168,11 @@ def _files_in(folder: str) -> list[str]:
         files = sorted(file for file in path.iterdir() if file.suffix in _SUFFIXES)
     except (OSError, ValueError, WorldError) as problem:
         raise WorldError('RESULT_NOT_FOUND',
-                         f'{_shown(folder)}: no folder that can be read') from problem
-    if len(files) > _MOST_FILES:
+                         f'{_shown(folder)}: not a readable folder') from problem
+    if len(files) > _MAX_FILES:
         raise WorldError('RESULT_OPERATION_FAILED', (
-            f'{_shown(folder)}: {len(files)} files are more than {_MOST_FILES}; put scenes into '
-            'a folder of their own'))
+            f'{_shown(folder)}: {len(files)} files exceed the limit of {_MAX_FILES}; put scenes '
+            'into a separate folder'))
     return [str(file) for file in files]
 
 

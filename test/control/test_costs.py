@@ -7,9 +7,11 @@ from hnn_vi_ros.control import Energy, Kinetic, Point, Quadratic
 from hnn_vi_ros.control.costs import Cost
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from messages import refused
 import numpy as np
 import pytest
+from urdf_robots import ROOT
 
 Q, R = np.diag([2.0, 1.0, 0.5, 0.0]), np.array([[0.3]])
 
@@ -79,6 +81,15 @@ def test_points_are_those_of_rods_and_of_a_urdf():
     # The URDF turns both joints about y: positive angles move what hangs towards -x.
     expected = [-np.sin(turned) @ [0.4, 0.3], np.full(5, 0.125), -np.cos(turned) @ [0.4, 0.3]]
     assert np.abs(end.place(q) - np.transpose(expected)).max() < 1e-14
+
+
+def test_point_of_a_link_that_follows_moves_with_the_leader():
+    gripper = RigidBodyTree(str(ROOT / 'config' / 'robots' / 'gripper.urdf'))
+    cost, q = Point(gripper, 'right_tip', [0.0, 0.0, 0.0]), np.array([[0.2], [0.7]])
+    # Both fingers open, and the tips stay upright.
+    expected = np.hstack([0.0 * q, -0.03 - 0.08 * np.sin(q), -0.08 * np.cos(q)])
+    assert np.abs(cost.place(q) - expected).max() < 1e-16
+    assert_slopes(cost, np.hstack([q, 0.0 * q]), np.zeros((2, 1)), 1e-10)
 
 
 def test_points_of_an_arm_have_exact_derivatives():

@@ -40,7 +40,7 @@ def test_a_small_pendulum_does_not_stand_under_more_torque_than_its_weight_holds
     together = formula(f'{SWUNG} - s*m*g*l*x', [1.5], 'rad', **SMALL, s=1.02)
     for scene in (together, formula(SWUNG, [1.5], 'rad', pull, **SMALL)):
         for near in (0.3, 1.5, 1.57, np.pi / 2):
-            with pytest.raises(StateError, match='no equilibrium is found'):
+            with pytest.raises(StateError, match='no equilibrium was found'):
                 find_equilibrium(scene, [near])
 
 
@@ -58,7 +58,7 @@ def test_atoms_of_argon_rest_where_the_potential_of_lennard_and_jones_is_least()
                    [0.0, 1.2 * numbers['s']], **numbers)
     z, _ = find_equilibrium(pair, [0.0, 1.2 * numbers['s']])
     assert (z[1] - z[0]) / numbers['s'] == pytest.approx(2.0**(1 / 6), rel=1e-12)
-    with pytest.raises(StateError, match='no equilibrium is found'):
+    with pytest.raises(StateError, match='no equilibrium was found'):
         # Beyond the point of inflection every step leads further away.
         find_equilibrium(pair, [0.0, 1.5 * numbers['s']])
 
@@ -163,7 +163,7 @@ def test_commands_hold_a_pendulum_aside():
     z, u = find_equilibrium(scene, [0.5], free=[], commands=True)
     slope = scene.create_hamiltonian().gradient(z[:1], z[1:])[0]
     assert z[0] == 0.5 and u == pytest.approx(slope, rel=1e-12) and u[0] > 0.0
-    with pytest.raises(StateError, match='no equilibrium is found'):
+    with pytest.raises(StateError, match='no equilibrium was found'):
         find_equilibrium(scene, [0.5], free=[])
     with pytest.raises(ValueError, match='among the coordinates: angle'):
         find_equilibrium(scene, [0.5], free=['elbow'])

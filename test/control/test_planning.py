@@ -8,7 +8,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.control import (
     BatchStep, find_equilibrium, Ilqr, Kinetic, linearise, lqr, Mppi, Point, Quadratic, Regulator,
     velocity)
-from hnn_vi_ros.control.riccati import Stages, sweep
+from hnn_vi_ros.control.riccati import riccati_sweep, Stages
 from messages import refused
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def swept(of: Stages) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     _, count, n, c = of.f_u.shape
     changes, gains = np.zeros((1, count, c)), np.zeros((1, count, c, n))
     gained = np.zeros((1, 2))
-    sweep(of, changes, gains, gained)
+    riccati_sweep(of, changes, gains, gained)
     return changes[0], gains[0], gained[0]
 
 
@@ -83,18 +83,6 @@ def test_the_sweep_minimises_a_quadratic_cost_in_a_box(limit):
     assert gained.sum() == pytest.approx(cost(changes[0]), rel=1e-12)
     assert cost(changes[0]) <= found.fun + 1e-9 * abs(found.fun)
     assert np.abs(changes).max() <= limit
-
-
-def test_python_control_has_the_same_regulator():
-    control = pytest.importorskip('control', minversion='0.10',
-                                  reason='python-control is not installed')
-    of = stages(2, 1, 4, 2, np.inf)
-    arguments = of.f_z[0, 0], of.f_u[0, 0], of.l_zz[0, 0], of.l_uu[0, 0]
-    for discrete, theirs in ((True, control.dlqr), (False, control.lqr)):
-        gain, cost = lqr(*arguments, discrete=discrete)
-        other, solution, _ = theirs(*arguments, method='scipy')
-        assert np.abs(gain - other).max() < 1e-10 * np.abs(gain).max()
-        assert np.abs(cost - solution).max() < 1e-10 * np.abs(cost).max()
 
 
 def test_a_rollout_is_steps_one_after_another_with_feedback_and_limits(pendulum):

@@ -6,7 +6,7 @@ import json
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.control import BatchStep, velocity
-from hnn_vi_ros.control.task import assign, load_task, Prediction, Task
+from hnn_vi_ros.control.task import assign, CommandPrediction, load_task, Task
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.resources import share_folder, shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_file import json_schema
@@ -73,7 +73,7 @@ def test_task_of_another_scene_needs_its_coordinates_by_name():
 
 def test_prediction_is_the_run_under_the_commands_that_are_under_way():
     scene, delay, chance = load_scene('motor_pendulum'), 0.03, np.random.default_rng(1)
-    run, predict = build(scene), Prediction(BatchStep(scene), delay)
+    run, predict = build(scene), CommandPrediction(BatchStep(scene), delay)
     steps, told, wanted = BatchStep(scene), [], []
     for k in range(20):
         # A command to the state of k * 0.01 s acts from 0.03 s later on.
@@ -87,7 +87,7 @@ def test_prediction_is_the_run_under_the_commands_that_are_under_way():
         told.append(chance.uniform(-4.0, 4.0, 1))
         predict.send(k * 0.01, told[-1])
         run.advance(5)
-    predict.forget()
+    predict.reset()
     assert predict(0.0, np.array([np.pi]), np.zeros(1))[0] == pytest.approx(np.pi)
 
 

@@ -171,7 +171,7 @@ def assert_agrees(bag: Path, samples: int | None = None) -> None:
     """Assert that a bag agrees bit by bit with its run simulated again, in so many samples."""
     verdict = check_replay(bag)
     assert verdict.good, verdict.text
-    assert samples is None or f'{samples} samples agree bit by bit' in verdict.text, verdict.text
+    assert samples is None or f'{samples} samples are bit-identical' in verdict.text, verdict.text
 
 
 def recorded_messages(bag: Path) -> dict[str, list[bytes]]:

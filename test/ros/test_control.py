@@ -21,6 +21,7 @@ class Steps:
 
     # Whether a step fails, and what takes it is still being compiled.
     waits = False
+    lockstep, locked = None, False
 
     def __init__(self):
         self.simulation = SimpleNamespace(
@@ -92,7 +93,7 @@ def test_answer_to_a_request_for_steps_says_how_many_it_took_and_where_the_run_s
 
 
 @pytest.mark.parametrize('end, reason', [
-    (lambda control, future: control.set_paused(False), 'the pause was ended'),
+    (lambda control, future: control.set_paused(False), 'the pause has ended'),
     (lambda control, future: control.reset(False), 'the simulation was reset'),
     (lambda control, future: control.cancel_steps(future), 'cancelled'),
     (lambda control, future: control.deactivate(), 'the node was deactivated')])
@@ -168,7 +169,7 @@ def test_clocks_are_started_anew_whenever_the_run_is_halted_or_goes_on(control, 
 
 
 def test_messages_of_a_sample_leave_before_the_figures_are_evaluated():
-    run = Mock()
+    run = Mock(lockstep=None)
     Run._hand_out(run)
     calls = [name for name, _, _ in run.mock_calls]
     order = [calls.index(name) for name in (

@@ -99,8 +99,9 @@ def test_controller_swings_up_a_pendulum_and_what_neither_can_use_changes_nothin
         for process in (controller, simulator):
             process.send_signal(signal.SIGINT)
             assert finish(process)[0] == 0
-    # It says once that it has nothing to answer, and ends with zeros.
-    assert standard_error(controller).count('no usable state') == 1
+    # It says once per silence that it has nothing to answer; a busy machine adds some.
+    error = standard_error(controller)
+    assert 0 <= error.count('no usable state') - error.count('usable states again') <= 1
     bag = tmp_path / 'bag-3'
     assert_agrees(bag)
     topics = {topic for _, topic, _ in RecordedRun(bag).commands()}

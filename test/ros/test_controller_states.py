@@ -235,7 +235,7 @@ def test_states_that_come_less_often_than_a_period_are_told_once(
         driven.hear(state(SECOND + k * SECOND // 100), apart=every * PERIOD)
         status = driven.status
     assert status.level == level
-    lines = [line for line in driven.log if 'less often than a period of 0.01 s' in line]
+    lines = [line for line in driven.log if 'less often than every period of 0.01 s' in line]
     assert len(lines) == (level == WARN)
     assert values_of(status)['from_command_to_command [s]'] == f'{every * PERIOD:g}'
 
@@ -281,11 +281,12 @@ def test_second_publisher_of_states_commands_or_clock_is_told_once(driven: Drive
         assert told(driven) == (OK, [])
     with endpoints(driven, arm=machine, other=machine[:1]):
         level, (line,) = told(driven)
-        assert level == WARN and line.startswith(f'{STATES} has 2 publishers, /arm, /other: ')
+        assert level == WARN and line.startswith(
+            f'{STATES} has 2 publishers, /arm, /other, whose messages ')
     with endpoints(driven, arm=machine, other=[f'publisher {COMMANDS}']):
         level, (line,) = told(driven)
         assert level == WARN and line.startswith(
-            f'{COMMANDS} has 2 publishers, /hnn_controller, /other: ')
+            f'{COMMANDS} has 2 publishers, /hnn_controller, /other, whose messages ')
     with endpoints(driven, arm=machine):
         assert told(driven) == (OK, [])
 
@@ -293,8 +294,8 @@ def test_second_publisher_of_states_commands_or_clock_is_told_once(driven: Drive
 def test_commands_to_another_node_than_states_come_from_are_told_once(driven: Driven):
     with endpoints(driven, arm=[f'publisher {STATES}'], other=[f'subscription {COMMANDS}']):
         assert told(driven) == (OK, [
-            f'{STATES} comes from /arm, and {COMMANDS} goes to /other: is the parameter simulator '
-            'right?'])
+            f'{STATES} comes from /arm, but {COMMANDS} goes to /other: check the parameter '
+            'simulator'])
     with endpoints(driven, arm=[f'publisher {STATES}']):
         level, (line,) = told(driven)
         assert level == WARN and f'{COMMANDS} goes to no node' in line

@@ -4,6 +4,7 @@
 
 from datetime import datetime
 from pathlib import Path
+import re
 import shutil
 import signal
 import subprocess
@@ -94,7 +95,7 @@ MOMENTS = {'simulator': 1.5, 'replay': 0.5, 'rerun_bridge': 0.0, 'listener': 0.5
 def test_executable_that_is_interrupted_at_its_start_ends_without_a_traceback(
         tmp_path, executable, delay):
     words = {'simulator': ['--ros-args', '-p', f'scene:={SCENE}'], 'replay': ['bag'],
-             'train': ['--config', 'pendulum'], 'scene': ['--list']}.get(executable, [])
+             'train': ['--config', 'pendulum'], 'scene': ['--schema']}.get(executable, [])
     code = BEGUN.format(executable=executable)
     with subprocess.Popen([sys.executable, '-c', code, *words], cwd=tmp_path,
                           stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -129,8 +130,11 @@ def test_log_tells_lifecycle_changes_pauses_and_where_the_bag_is(tmp_path):
         assert other.change_state(DEACTIVATE)
     error = finish(process)[2]
     lines = [line.split(']: ', 1)[1] for line in error.splitlines() if '[INFO]' in line]
+    # The time of day in local time.
+    assert re.search(r'^\[INFO\] \[2\d{3}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3}\] \[', error)
     bag = tmp_path / 'bag'
-    told = [f'recording to {bag}', 'unconfigured -> inactive', 'paused until ~/set_pause ends it',
+    told = [f'recording to {bag}', 'unconfigured -> inactive',
+            'paused until resumed with ~/set_pause',
             'inactive -> active', 'pause ended', 'paused', f'recording to {bag}-2', 'reset',
             'active -> inactive', 'stopped by SIGINT']
     assert [line for line in lines if line in told] == told
@@ -188,7 +192,7 @@ def test_security_without_its_libraries_is_one_line(tmp_path, monkeypatch):
         monkeypatch.setenv('ROS_SECURITY_KEYSTORE', str(keystore))
         for executable in ('simulator', 'listener'):
             line = refusal(executable)
-            assert line.startswith(f'{executable}: ROS: ') and 'ROS_SECURITY_ENABLE' in line
+            assert line.startswith(f'hnn {executable}: ROS: ') and 'ROS_SECURITY_ENABLE' in line
 
 
 def test_folder_for_logs_that_cannot_be_made_is_refused_with_the_remedy(tmp_path, monkeypatch):

@@ -85,7 +85,7 @@ def test_doctor_names_the_distribution_and_where_it_was_found(prefix, monkeypatc
     doctor.main([])
     line = next(line for line in capsys.readouterr().out.splitlines() if ' ROS 2 ' in line)
     assert line.startswith('ok') and re.search(f' (jazzy|kilted), .*{prefix}', line)
-    assert line.count('as found by the prefix of this Python') == 1
+    assert line.count('found from the prefix of this Python') == 1
 
 
 @from_wheels

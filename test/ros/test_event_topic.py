@@ -38,8 +38,10 @@ def test_events_are_published_recorded_shown_and_end_the_run(tmp_path, monkeypat
     with peer() as other:
         heard = other.hear(DiagnosticArray, '~/events', EVENTS.qos)
         other.spin_until(lambda: len(heard) == 2)
-        status, output = finish(process)[:2]
+        status, output, error = finish(process)
     assert status == 0, output
+    # It has ended, not paused.
+    assert 'stopped by the event v_x = 0' in error and 'paused' not in error
     reader = BagReader(tmp_path / 'bag')
     channel, = (number for number, channel in reader.channels.items()
                 if channel.topic == f'{SIMULATOR}/events')

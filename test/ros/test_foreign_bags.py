@@ -191,7 +191,7 @@ def test_bag_with_an_unreadable_chunk_is_not_verified(many_chunks, tmp_path):
     bag = damaged(many_chunks, tmp_path / 'damaged', 0.5)
     whole, verdict = check_replay(many_chunks), check_replay(bag)
     assert whole.good and not verdict.good
-    assert 'samples agree bit by bit' in verdict.text and '\n' not in verdict.text
+    assert 'samples are bit-identical' in verdict.text and '\n' not in verdict.text
     gap = re.search(r'BUT (\d+) samples are missing in 1 gaps, the first from t = ([\d.]+) s',
                     verdict.text)
     reader = BagReader(bag)
@@ -213,7 +213,7 @@ def test_bag_that_lacks_samples_is_not_verified(tmp_path, lost, there):
                         lambda message: not lost(message.time // 10**7))
     verdict = check_replay(thinned)
     assert not verdict.good
-    assert f'of {there} samples agree' in verdict.text
+    assert f'of {there} samples are bit-identical' in verdict.text
     assert f'BUT {100 - there} samples are missing' in verdict.text
 
 

@@ -24,7 +24,7 @@ from hnn_vi_ros.run.timing import OverrunGuard, Pacer
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
-from hnn_vi_ros.simulation.guards.base import Alarm, Block, Guard
+from hnn_vi_ros.simulation.guards.base import Alarm, Guard, SampleBlock
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
@@ -68,19 +68,20 @@ PROVOCATIONS = {
         {'publish_rate': 20}, 'step failed', ERROR, 'not finite', 1),
     # 7.5 is close to the edge of the box, and the momentum of a pendulum grows nowhere beyond.
     'outside': Provocation(LEAVING, {'duration': 2}, 'out of the training box', WARN,
-                           'outside of the box'),
+                           'outside the training domain'),
     'outside at the start': Provocation(
         scene_text('hnn, model: harmonic_oscillator', '', 'variational_euler', q=[3.0]),
-        {'duration': 1}, 'out of the training box', WARN, 'of its half-width'),
+        {'duration': 1}, 'out of the training box', WARN, 'half-widths outside'),
     'outside, to stop': Provocation(LEAVING, {'stop_outside_box': 'true'},
-                                    'out of the training box', ERROR, 'outside of the box', 1),
+                                    'out of the training box', ERROR,
+                                    'outside the training domain', 1),
     # A close encounter at h = 0.01; see case 4 of the hard cases.
     'under-resolved': Provocation(KEPLER, {'duration': 7}, 'under-resolved', WARN,
                                   'use a smaller step_size, or a method of higher order'),
     # Explicit Euler multiplies the energy of an oscillator by 1 + h^2 in each step.
     'gain': Provocation(
         scene_text(integrator='explicit_euler'),
-        {'duration': 200}, 'energy not accounted for', ERROR, 'beyond the work that was done'),
+        {'duration': 200}, 'energy not accounted for', ERROR, 'apart from the work done'),
     # 9e-4 J below it, which h = 0.1 does not resolve.
     'separatrix': Provocation(
         scene_text('pendulum, gravity: 1.0', '', 'variational_euler', 0.1, [3.1]),
@@ -181,7 +182,7 @@ def test_bag_of_a_run_without_alarm_holds_no_diagnostics(tmp_path):
     assert TOPIC not in read_bag(tmp_path / 'bag')
 
 
-def fixed(scale: float) -> Callable[[Block], np.ndarray]:
+def fixed(scale: float) -> Callable[[SampleBlock], np.ndarray]:
     """Return a scale that is the same at all samples [J]."""
     return lambda block: np.full(len(block.step), scale)
 
@@ -331,7 +332,7 @@ def watched(guard: Guard, samples: Sequence[Sample]) -> Parts:
 def test_box_alarm_says_how_far_outside_the_newest_sample_is():
     guard, samples = BoxGuard(BOX), [at(q, step) for step, q in enumerate((0.9, 1.01, 1.5, 1.25))]
     status = watched(guard, samples).health.status(samples[-1])
-    assert 'by 0.25 of its half-width' in status.message
+    assert '0.25 half-widths outside' in status.message
     kind = BoxGuard.kind
     assert status.values[f'{kind}: value [half-widths]'] == pytest.approx(0.25)
     assert (status.values[f'{kind}: step [1]'], status.values[f'{kind}: t [s]']) == (3, '5.03')
@@ -343,12 +344,12 @@ def test_box_alarm_that_is_over_says_so_and_how_far_outside_the_state_was():
     samples = [at(q, step) for step, q in enumerate((1.01, 1.5, 0.5))]
     status = watched(BoxGuard(BOX), samples).health.status(samples[-1])
     assert status.level == WARN and status.values[f'{BoxGuard.kind}: value [half-widths]'] == 0.0
-    assert status.message.startswith('inside again, but was up to 0.5 of its half-width outside')
+    assert 'inside the training domain again, after up to 0.5 half-widths' in status.message
 
 
 @pytest.mark.parametrize('guard, text', [
     (ResolutionGuard(0.1, fixed(0.5)), 'energy error exceeds 10 % of the energy scale'),
-    (BarrierGuard('separatrix', 0.55), 'only to 0.4 J'),
+    (BarrierGuard('separatrix', 0.55), 'the energy error is 0.4 J'),
     (EnergyGuard(0.02, fixed(0.02)), 'changed by more than 1000 % of the energy scale')])
 def test_alarm_of_energy_has_the_values_of_the_newest_sample(guard, text):
     samples = [at(1.0, step, 0.5 + change) for step, change in enumerate((0.0, 0.25, 0.4))]
@@ -378,7 +379,7 @@ def test_overrun_guard_speaks_once_for_each_overrun():
 
 
 @pytest.mark.parametrize(('led', 'cause'), [
-    (True, '/clock has jumped, as with two publishers'), (False, 'use a lower real_time_factor')])
+    (True, '/clock jumped, for example because of two'), (False, 'use a lower real_time_factor')])
 def test_overrun_names_its_cause(led: bool, cause: str):
     now = 0.0
     pacer = Pacer(0.01, 1.0, lambda: now, lambda: led)

@@ -173,7 +173,7 @@ def test_simulator_does_what_joints_are_told_and_its_bag_is_verified(tmp_path, a
         count = len(feedback)
         other.spin_until(lambda: len(feedback) > count + 60)
     error = standard_error(process)
-    assert "~/joint_commands: message ignored: no joint 'wrist' is driven so" in error
+    assert "~/joint_commands: message ignored: joint 'wrist' does not accept this" in error
     # It has come to the last point, and stays there.
     assert list(feedback[count - 1].points[0].positions) == [0.0, 0.6]
     for name in ('bag', 'bag-2'):
@@ -216,4 +216,4 @@ def test_commands_that_were_refused_are_so_again_where_others_recorded_them(tmp_
     run = RecordedRun(bag)
     assert run.stamped and not run.own
     verdict = check_replay(bag)
-    assert '40 samples agree bit by bit' in verdict.text
+    assert '40 samples are bit-identical' in verdict.text

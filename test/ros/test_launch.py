@@ -98,7 +98,7 @@ def test_launch_file_forwards_every_argument_to_its_node_in_its_type(launch, nam
 def test_launch_file_tells_of_misspelt_arguments_and_leaves_those_of_others(launch):
     argv = ['topic:=a', 'params_fil:=a.yaml', 'params_file:=b.yaml', 'params_fil', 'mine:=1']
     told = [entity.msg for entity in launch(argv) if entity.kind == 'log']
-    assert 'argument params_fil is none of this node; did you mean params_file?' in told
+    assert 'this node has no argument params_fil; did you mean params_file?' in told
     assert not any('mine' in line or 'params_file is' in line for line in told)
     assert not [entity for entity in launch() if entity.kind == 'log']
 

@@ -82,7 +82,7 @@ def test_lifecycle_goes_round_twice_and_refuses_what_is_illegal(folder):
         assert other.change_state(UNCONFIGURED_SHUTDOWN)
     status, _, error = finish(process)
     assert status == 0
-    assert 'refused: the node is' in error and 'shut down' in error
+    assert 'rejected: the node is' in error and 'shut down' in error
 
 
 @pytest.mark.parametrize('transition, first', [

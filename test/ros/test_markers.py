@@ -5,7 +5,7 @@
 from collections.abc import Iterator
 import time
 
-from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, Box, Trail
+from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, Cuboid, Trail
 from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.ros.topics.poses import MarkerEncoder
@@ -56,8 +56,8 @@ def check_geometry(marker: Marker, part) -> None:
     # Colours are float32 in the message.
     np.testing.assert_allclose([color.r, color.g, color.b, color.a],
                                [*np.array(part.color) / 255.0, 1.0], rtol=1e-7)
-    if isinstance(part, (Box, Ball)):
-        kind, halves = (Marker.CUBE, part.half_size) if isinstance(part, Box) else (
+    if isinstance(part, (Cuboid, Ball)):
+        kind, halves = (Marker.CUBE, part.half_size) if isinstance(part, Cuboid) else (
             Marker.SPHERE, [part.radius] * 3)
         place, scale = marker.pose.position, marker.scale
         assert (marker.type, [place.x, place.y, place.z]) == (kind, part.center.tolist())

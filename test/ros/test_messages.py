@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The messages of a tick, and what the log says of their topics."""
 
+from dataclasses import replace
 import sys
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.phase_space import Coordinate, Follower
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.ros.topics import messages
+from hnn_vi_ros.ros.topics.inputs import places_of
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
 from messages import refused
 import numpy as np
@@ -67,6 +69,26 @@ def test_messages_equal_the_sample_bit_for_bit(samples):
             assert field.tobytes() == values.tobytes()
         assert np.float64(energy.data).tobytes() == np.float64(sample.energy).tobytes()
         assert joints.name == names
+
+
+def test_joint_states_have_all_joints_and_efforts_are_those_of_the_leaders():
+    thumb = Coordinate('thumb', followers=(Follower('tip', -0.5, 0.25), Follower('pad', 2.0, 0.0)))
+    encode = encode_sample([Coordinate('wrist'), thumb])
+    sample = Sample(0, 0, np.array([1.0, 3.0]), *np.zeros((2, 2)), np.array([5.0, 7.0]), 0.0, 0.0,
+                    0.0, motors=np.array([8.0, 9.0]))
+    joints = decode(encode(sample))[-1]
+    assert joints.name == ['wrist', 'thumb', 'tip', 'pad']
+    assert list(joints.position) == [1.0, 3.0, -1.25, 6.0]
+    assert list(joints.velocity) == [5.0, 7.0, -3.5, 14.0]
+    assert list(joints.effort) == [8.0, 9.0, 0.0, 0.0]
+    assert list(decode(encode(replace(sample, motors=None)))[-1].effort) == [0.0] * 4
+
+
+def test_initial_state_may_name_joints_that_follow_others():
+    joint = Coordinate('wrist'), Coordinate('thumb', followers=(Follower('tip', -0.5, 0.25),))
+    assert places_of(joint, ['tip', 'thumb', 'wrist'], 'name') == [2, 1]
+    with refused(ValueError):
+        places_of(joint, ['tip', 'wrist'], 'name')
 
 
 @pytest.mark.parametrize('motors, effort', [(None, 0.0), (np.array([8.0]), 8.0)])

@@ -163,7 +163,7 @@ def test_long_pause_is_skipped_or_told_with_the_parameter_that_skips_it():
                                 tell=told.append)
     player.join(60.0)
     assert [stamp for stamp, _ in heard] == [0, 54 * year, 54 * year + MS]
-    assert told == ['no message in the bag for 1.70294e+09 s: 1.70294e+09 s are skipped']
+    assert told == ['no message in the bag for 1.70294e+09 s: skipping 1.70294e+09 s']
     # What is left of the pause is waited for, and on /clock.
     assert heard[1][1] - heard[0][1] >= 20 * MS
     assert len(clock) == 3 and clock == sorted(clock)
@@ -171,5 +171,5 @@ def test_long_pause_is_skipped_or_told_with_the_parameter_that_skips_it():
     player, _, _ = play([0, 1800 * 10**9], tell=told.append)
     wait_until(lambda: told)
     player.stop()
-    assert told == ['no message in the bag for 1800 s: 1800 s to wait; the parameter '
-                    'longest_pause skips it']
+    assert told == ['no message in the bag for 1800 s: waiting 1800 s; set longest_pause to skip '
+                    'this']

@@ -38,5 +38,5 @@ def test_recorded_bag_is_had_again_bit_by_bit(bag, tmp_path, monkeypatch):
     there, here = BagReader(bag).metadata('hnn_vi_ros'), identity()
     if all(there[name] == here[name] for name in BITS):
         # Other sources alone would let replay explain a difference by round-off.
-        assert f' of {SAMPLES.get(bag.name, 50)} samples agree bit by bit' in verdict.text
+        assert f' of {SAMPLES.get(bag.name, 50)} samples are bit-identical' in verdict.text
         assert '; then ' not in verdict.text

@@ -92,10 +92,10 @@ def test_recording_that_fails_is_an_error_diagnostic_while_the_simulation_goes_o
         status, _, error = finish(process)
     # The process ends with the status of an incomplete recording, and says why once.
     assert status == 1
-    assert error.count('the simulation goes on') == 1 and reason in error
+    assert error.count('the simulation continues') == 1 and reason in error
     # Of what is there still, something is left to be done; of what is not, nothing.
     bag = tmp_path / 'bag'
-    assert error.count(f'ros2 run hnn_vi_ros recover_bag {bag}') == bag.exists()
+    assert error.count(f'hnn recover_bag {bag}') == bag.exists()
 
 
 def test_disk_that_is_full_at_the_end_is_told_without_words_of_the_library(tmp_path: Path):
@@ -108,7 +108,7 @@ def test_disk_that_is_full_at_the_end_is_told_without_words_of_the_library(tmp_p
         process.send_signal(signal.SIGINT)
         status, out, error = finish(process)
     assert status == 1
-    assert 'the simulation goes on' not in error
+    assert 'the simulation continues' not in error
     # One line for each file, which the node says, and what to do about the bag.
     assert sum('[ERROR]' in line for line in error.splitlines()) == 2
     assert f'recover_bag {tmp_path / "bag"}' in error and 'picture.rrd' in error
@@ -126,7 +126,7 @@ def test_picture_that_cannot_be_written_is_told_while_the_simulation_goes_on(tmp
         assert 'picture.rrd: the rerun recording stopped' in failures(heard)[0]
         process.send_signal(signal.SIGINT)
         status, _, error = finish(process)
-    assert status == 1 and error.count('the simulation goes on') == 1
+    assert status == 1 and error.count('the simulation continues') == 1
 
 
 def test_recording_into_a_folder_that_cannot_be_made_is_refused_and_the_simulation_goes_on(

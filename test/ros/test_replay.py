@@ -146,7 +146,7 @@ def test_commands_are_played_only_if_they_are_named(tmp_path, options, published
     status, _, log = finish(start_replay(driven, '--discovery-time', 0, *options))
     assert status == 0 and f'{published} messages published' in log
     for topic in ('commands', 'wrench'):
-        assert (f'/hnn_simulator/{topic} is left out' in log) == (not options)
+        assert (f'/hnn_simulator/{topic} is omitted' in log) == (not options)
 
 
 def foreign_bag(path: Path, *types: str, encoding: str = 'cdr') -> Path:
@@ -164,9 +164,9 @@ def test_topic_whose_type_is_not_installed_is_left_out_with_a_warning(tmp_path):
                        'std_msgs/msg/Int8', 'std_msgs/msg/Int32')
     status, _, log = finish(start_replay(path, '--discovery-time', 0))
     assert status == 0
-    assert '/topic0 is left out: its type nobody_msgs/msg/Nothing is not installed' in log
-    assert '/topic1 is left out' in log
-    assert '/topic2 is left out: std_msgs/msg/Int8 was recorded with another definition' in log
+    assert '/topic0 is omitted: its type nobody_msgs/msg/Nothing is not installed' in log
+    assert '/topic1 is omitted' in log
+    assert '/topic2 is omitted: the installed definition of std_msgs/msg/Int8 differs' in log
     assert '1 messages published' in log
 
 

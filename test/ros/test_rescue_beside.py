@@ -79,7 +79,7 @@ def test_step_waits_for_what_takes_it_while_services_answer_and_changes_no_bit(f
         other.spin_until(future.done)
         assert not future.result().success
         assert future.result().message.startswith(
-            'a step fails, and what takes such steps is being compiled: ask again: {"steps": 0, ')
+            'a step failed, and its rescue is being compiled: try again: {"steps": 0, ')
         (folder / 'go').touch()
         other.spin_until(lambda: other.trigger('step').success)
         assert other.trigger('step').message.startswith('{"steps": 1, "step": 4, ')

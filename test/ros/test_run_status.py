@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from executables import Executable
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import RecordingError, StepFailure
-from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.recording import RunRecording
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, WARN
@@ -132,7 +132,7 @@ class Run:
             self.simulation, self.sampler.every, self.sampler.tick, tolerance,
             lambda text, first: self.warnings.append((text, first)))
         settings = Settings(record=False, rerun_sink='none')
-        self.recording = Recording(
+        self.recording = RunRecording(
             rclpy.logging.get_logger('test'), scene, self.simulation, settings, None, None, {},
             self.sampler)
         self.health = Health(self.sampler.stamp_at, [], SimpleNamespace(
@@ -159,7 +159,7 @@ def pacer(overruns: int = 0, asked: float = 1.0) -> SimpleNamespace:
 def test_statuses_before_the_first_step_are_well():
     run = Run()
     assert [status.level for status in run.status.statuses(pacer())] == [OK] * 6
-    assert run.told('recorder') == (OK, 'nothing is recorded, as asked')
+    assert run.told('recorder') == (OK, 'nothing is recorded, as requested')
     assert run.told('model') == (OK, 'exact: harmonic_oscillator')
 
 
@@ -174,14 +174,14 @@ def test_timing_warns_of_a_pace_that_cannot_be_held():
     run.monitor.timing.add_sample(1e-3)
     run.advance(1)
     level, message = run.told('timing')
-    assert level == WARN and 'cannot hold 1e+06 x real time' in message
+    assert level == WARN and 'cannot run at 1e+06 x real time' in message
     run.advance(1)
 
 
 def test_timing_warns_of_a_clock_of_large_steps_and_of_its_jumps():
     run = Run()
     clock = SimpleNamespace(overruns=0, asked=1.0, led=True, burst=1.0)
-    for overruns, burst, expected in ((0, 2.0, 'holds 1 x /clock'), (
+    for overruns, burst, expected in ((0, 2.0, 'runs at 1 x /clock'), (
             0, 8.0, '/clock advances 8 samples at a time'), (1, 8.0, 'which may have jumped'), (
             1, 2.0, 'waits for /clock')):
         run.advance(expected != 'waits for /clock')
@@ -214,7 +214,7 @@ def test_energy_warns_of_a_tolerance_that_is_exceeded_and_the_run_once():
     assert run.told('energy') == (OK, 'energy_error within its tolerance')
     run.advance(95)
     level, message = run.told('energy')
-    assert level == WARN and 'energy_error 0.005' in message and 'allowed is 0.001' in message
+    assert level == WARN and 'energy_error 0.005' in message and 'the limit is 0.001' in message
     (_, first), = run.warnings
     assert first
 

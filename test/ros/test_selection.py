@@ -46,7 +46,7 @@ def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
     assert explained in error
     # A node that another test has killed may still be found.
     assert not [line for line in error.splitlines()
-                if 'WARN' in line and 'of the graph are called' not in line
+                if 'WARN' in line and 'of the graph have the name' not in line
                 and 'publishers, /hnn_simulator, /hnn_simulator' not in line]
     events = [event[1:] for event in events_of(tmp_path / 'picture.rrd')]
     assert ('INFO', explained) in events
@@ -70,7 +70,7 @@ def test_tolerance_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, cho
                                     rerun_path='picture.rrd'))
     assert status == 0
     line, = [line for line in error.splitlines() if 'the tolerance is exceeded' in line]
-    assert '[WARN]' in line and 'energy_error 0.001' in line and 'allowed is 0.001' in line
+    assert '[WARN]' in line and 'energy_error 0.001' in line and 'the limit is 0.001' in line
     assert [text in line for _, level, text in events_of(tmp_path / 'picture.rrd')
             if level == 'WARN' and 'tolerance' in text] == [True]
 
@@ -81,5 +81,6 @@ def test_choice_that_cannot_keep_the_pace_is_warned_of_before_the_run():
     assert [event.level for event in report(TOLERANCE, choice, 3.9)] == ['INFO']
     _, warning = report(TOLERANCE, choice, 4.1)
     assert warning.level == 'WARN'
-    assert 'no method holds energy_error 0.001 up to 10 s at real_time_factor 4.1' in warning.text
+    assert 'no integrator achieves energy_error 0.001 up to 10 s' in warning.text
+    assert 'at real_time_factor 4.1' in warning.text
     assert 'at most about 4,' in warning.text

@@ -55,7 +55,7 @@ def test_initial_state_is_the_mirror_image_of_joint_states_and_is_used_at_the_ne
         def taken() -> bool:
             # It is refused while what turns velocities into momenta is being compiled.
             publisher.publish(wanted)
-            return '~/initial_state: taken' in standard_error(process)
+            return '~/initial_state: used at the next reset' in standard_error(process)
         other.spin_until(taken)
         # Nonsense that comes after it leaves it as it is.
         for bad in ({'name': ['a', 'b']}, {'name': list(seen.name)[:1]}, {'name': []},
@@ -102,7 +102,7 @@ def test_initial_state_is_answered_and_can_reset_at_once(folder):
 
         good = answer(position=[2.0], velocity=[0.25])
         assert (good.name, good.level, good.message) == (
-            'hnn_simulator: initial_state', b'\0', 'reset to it')
+            'hnn_simulator: initial_state', b'\0', 'reset to this state')
         assert values_of(good) == {'x': '2.0', 'p_x': '0.5'}
         assert stamp(answers[-1]) == 0
         for bad, why in (({'position': [-1.0], 'velocity': [0.0]}, 'x = -1.0 is behind the wall'),
@@ -114,7 +114,7 @@ def test_initial_state_is_answered_and_can_reset_at_once(folder):
             assert response.success, response.message
             assert_goes_on(other, 0.25)
         assert other.set_parameters(reset_on_initial_state=False).successful
-        assert answer(position=[3.0], velocity=[0.5]).message == 'taken for the next reset'
+        assert answer(position=[3.0], velocity=[0.5]).message == 'used at the next reset'
         assert_goes_on(other, 0.25)
         assert other.trigger('reset').success
         assert_goes_on(other, 0.5)
@@ -154,7 +154,7 @@ def test_recording_is_started_and_stopped_by_service(folder):
             assert (answer.success, answer.message) == (True, str(folder / name))
             again = other.trigger('start_recording')
             assert not again.success
-            assert again.message == f'{folder / name}: is being recorded already'
+            assert again.message == f'{folder / name}: is already being recorded'
             # First those that were published before, and have not been heard yet.
             other.spin(0.5)
             count = len(other.states)

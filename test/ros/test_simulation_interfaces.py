@@ -125,7 +125,7 @@ def test_action_tells_how_far_it_is_and_can_be_cancelled(folder):
         assert other.pause(False).success
         status, result = client.end_of(client.send(3))
         assert (status, result.result) == (ABORTED, RESULT.RESULT_OPERATION_FAILED)
-        assert 'only in a pause' in result.error_message
+        assert 'only possible while' in result.error_message
 
 
 @pytest.mark.skipif(not hasattr(srv, 'LoadWorld'), reason='this version knows no worlds')

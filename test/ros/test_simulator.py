@@ -212,4 +212,4 @@ def test_simulator_mistake_is_one_line_on_stderr_and_status_1(folder, parameters
     status, out, error = finish(start(folder, **parameters))
     assert (status, out) == (1, '')
     (line,) = [line for line in error.splitlines() if '[INFO]' not in line]
-    assert line.startswith('simulator: ')
+    assert line.startswith('hnn simulator: ')

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from unittest.mock import Mock
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.recording import Recording, Sink
+from hnn_vi_ros.ros.recording import RunRecording, Sink
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.run.run_folder import RunFiles
 import pytest
@@ -26,10 +26,10 @@ def sink_of(name: str, fails_at: str = '') -> Mock:
     return sink
 
 
-def recording_of(*sinks: Mock) -> Recording:
-    recording = Recording(Mock(), SimpleNamespace(name='scene'),
-                          Mock(**{'snapshot.return_value': {}}),
-                          Settings(record=False, rerun_sink='none'), None, None, {}, None)
+def recording_of(*sinks: Mock) -> RunRecording:
+    recording = RunRecording(Mock(), SimpleNamespace(name='scene'),
+                             Mock(**{'snapshot.return_value': {}}),
+                             Settings(record=False, rerun_sink='none'), None, None, {}, None)
     recording._sinks = sinks
     recording.renew(None, {}, None)
     return recording
@@ -44,7 +44,7 @@ def test_sink_that_fails_is_given_up_and_the_others_go_on(method, values, capsys
         getattr(recording, method)(*values)
     assert [getattr(sink, method).call_count for sink in sinks] == [2, 1, 2]
     assert (recording.problem, list(recording.targets)) == ('bad is full', ['first', 'last'])
-    recording._logger.error.assert_called_once_with('bad is full; the simulation goes on')
+    recording._logger.error.assert_called_once_with('bad is full; the simulation continues')
     # All are opened again, and closed once each.
     recording.renew(None, {}, None)
     assert list(recording.targets) == ['first', 'bad', 'last']

@@ -118,11 +118,11 @@ def test_step_takes_exactly_so_many_steps_and_only_in_a_pause(folder):
         other.spin_until(pending.done)
         assert not pending.result().success
         reason, _, figures = pending.result().message.partition(': ')
-        assert 'pause was ended' in reason
+        assert 'pause has ended' in reason
         taken = json.loads(figures)
         assert 1 < taken['steps'] < 10**8 and taken['step'] == total + taken['steps']
         refused = other.trigger('step')
-        assert not refused.success and 'only in a pause' in refused.message
+        assert not refused.success and 'only possible while' in refused.message
     recorded = [s for s, _ in read_bag(folder / 'bag')['/hnn_simulator/p']]
     # 1, 3, 5, 12, 17 steps, where requests ended, and every fifth step.
     assert [s // 2_000_000 for s in recorded[:8]] == [1, 3, 5, 10, 12, 15, 17, 20]
@@ -384,8 +384,8 @@ def left_for_others(monkeypatch, phase: float, seconds: float, slow: int) -> tup
         taken += 1
         return 1
     pacer = Pacer(0.001, 1.0, lambda: now)
-    run = SimpleNamespace(at_sample=True, pacer=pacer, step=step, simulation=SimpleNamespace(
-        motors=SimpleNamespace(takes=())))
+    run = SimpleNamespace(at_sample=True, pacer=pacer, step=step, locked=False,
+                          simulation=SimpleNamespace(motors=SimpleNamespace(takes=())))
     monkeypatch.setattr(control, 'time', SimpleNamespace(monotonic=lambda: now, sleep=sleep))
     now += phase
     control.Control._on_timer(SimpleNamespace(active=True, paused=False, run=run))

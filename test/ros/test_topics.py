@@ -30,6 +30,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from scene_files import FAILING, scene_text
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 OSCILLATOR = scene_text()
@@ -182,6 +183,17 @@ def test_accuracy_ends_with_the_invariants_of_the_scene(tmp_path, nodes):
     assert message.data[-1] == 0.75 == simulation.q[0] * simulation.p[1]
 
 
+def test_forces_in_loops_are_those_of_the_last_step(nodes):
+    simulation = build(load_scene('four_bar'))
+    topics = Topics(nodes[0], Settings(publish_loop_forces=True))
+    open_topics(topics, simulation)
+    simulation.advance(10)
+    message = deserialize_message(topics.publish(sample_of(simulation))[-1], JointState)
+    assert message.name == [f'coupler-rocker.{kind}.{axis}' for kind in ('force', 'moment')
+                            for axis in 'xyz']
+    assert np.array_equal(message.position, simulation.loop_forces.ravel())
+
+
 @pytest.fixture
 def commanded(tmp_path, nodes):
     """Give a simulation that hears commands, and a function that sends one."""
@@ -259,7 +271,7 @@ def test_scene_report_names_effects_and_what_they_cost(tmp_path):
     report = scene_report(scene, simulation, origin=5)
     assert report['effects'] == [
         {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT, 'model': None,
-         'member': None, 'initial': None}]
+         'member': None, 'initial': None, 'gain': 1.0, 'offset': 0.0}]
     assert report['conservative'] is False
     assert (report['origin'], report['first_step']) == (5, 0)
     assert report['hamiltonian'] == {'kind': 'free_particle', 'mass': MASS, 'names': ['x']}

@@ -6,7 +6,6 @@ import ast
 from collections.abc import Callable, Iterator
 from pathlib import Path
 import shutil
-import signal
 import sys
 from types import SimpleNamespace
 
@@ -20,7 +19,6 @@ from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import find_type, main as replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
-from hnn_vi_ros.ros.topics.outputs import LATCHED
 from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.description import described_scene
@@ -28,10 +26,9 @@ from hnn_vi_ros.simulation.construction import build
 from messages import refused
 from peer import ros
 from processes import (
-    finish, simulator_words, standard_error, start, start_executable, to_file, wait_until)
+    finish, simulator_words, start_executable, to_file)
 from pydantic import ValidationError
 import pytest
-import rclpy
 from recorded import record_run
 from scene_files import write_scene
 from std_msgs.msg import String
@@ -40,7 +37,6 @@ PYTHON = {'hamiltonian': {'kind': 'python', 'factory': 'marker:make'}}
 LAGRANGIAN = {'integrator': {'kind': 'discrete_euler_lagrange',
                              'discrete_lagrangian': 'marker:make'}}
 NAMED = [PYTHON, LAGRANGIAN]
-ABORT = {'hamiltonian': {'kind': 'python', 'factory': 'os:abort'}}
 MARKER = """\
 from pathlib import Path
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
@@ -121,29 +117,6 @@ def test_code_is_refused_wherever_nobody_says_that_it_is_trusted(named):
         with pytest.raises(ValidationError, match='is code'):
             Scene.model_validate(scene, context=context)
     assert Scene.model_validate(scene, context=trusting(True))
-
-
-def test_executables_survive_a_bag_that_names_os_abort(tmp_path):
-    bag = record(tmp_path, **ABORT)
-    for process in (
-            start_executable('replay', bag, '--verify'),
-            start_executable('rerun_bridge', bag, *to_file(tmp_path / 'a.rrd')),
-            start(tmp_path, scene='harmonic_oscillator', resume=bag)):
-        status, _, error = finish(process)
-        assert status == 1
-        assert "'os:abort' is code" in error.splitlines()[-1]
-        assert '--trust-code' in error.splitlines()[-1]
-
-
-def test_bridge_survives_a_message_that_names_os_abort(tmp_path):
-    with ros():
-        publisher = rclpy.create_node('sender').create_publisher(
-            String, '/hnn_simulator/scene', LATCHED)
-        publisher.publish(String(data=described(**ABORT)))
-        bridge = start_executable('rerun_bridge', *to_file(tmp_path / 'a.rrd'))
-        wait_until(lambda: "'os:abort' is code" in standard_error(bridge))
-        bridge.send_signal(signal.SIGINT)
-        assert finish(bridge)[0] == 0
 
 
 def test_trusted_code_is_run_from_the_path_of_python(tmp_path, marker, on_path):

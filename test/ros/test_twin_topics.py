@@ -104,7 +104,8 @@ def test_twin_without_observations_for_its_time_out_is_a_warning_once(
         now[0] += SECOND
         for _ in range(2):
             assert topic.status()[1:3] == (WARN, 'no observation for 1 s')
-    assert warned == ['~/observations: no observation for 1 s: the simulation goes on alone'] * 2
+    assert warned == ['~/observations: no observation for 1 s: the simulation continues without '
+                      'observations'] * 2
     # The clock that paces it may stand still as well.
     twin.heard(twin.newest)
     wall[0] += 6.0
@@ -160,7 +161,7 @@ def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observat
     names = {status.name.rpartition(': ')[2] for message in told for status in message.status}
     assert {'twin', 'uncertainty'} <= names
     # It comes with the first sample, when nobody need listen yet.
-    assert 'the members of the ensemble are' in error
+    assert 'the members of the ensemble differ' in error
     assert_agrees(tmp_path / 'bag')
     check_bag(tmp_path / 'bag')
 
@@ -205,11 +206,16 @@ def test_twin_goes_on_after_absurd_observations_and_its_bag_is_verified(tmp_path
                 return len(other.states) > count + 20 and np.abs(np.angle(np.exp(1j * np.subtract(
                     other.states[-1].position, right.position)))).max() < 0.2
             other.spin_until(is_back)
-        other.spin_until(lambda: any(
-            (value.key == 'last ignored' and 'velocity_limit = 20' in value.value)
-            or 'from the simulated time' in value.value
-            for message in told for status in message.status for value in status.values))
-    assert 'stands still' not in standard_error(process)
+
+        def is_told() -> bool:
+            # Best effort: one message alone may be lost.
+            machine.publish(observation([1e9, 1e9], ('angle1', 'angle2')))
+            other.spin(0.02)
+            return any(
+                value.key == 'last ignored' and 'velocity_limit = 20' in value.value
+                for message in told for status in message.status for value in status.values)
+        other.spin_until(is_told)
+    assert 'at the last good state' not in standard_error(process)
     assert_agrees(tmp_path / 'bag')
 
 

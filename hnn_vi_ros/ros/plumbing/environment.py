@@ -24,7 +24,8 @@ def settle_ros_environment() -> None:
     """
     Add ROS from this environment to AMENT_PREFIX_PATH if needed, and check the variables of ROS.
 
-    ROS ignores or misreads some invalid values: a domain of -1, a misspelt discovery range.
+    Logs have clock times, unless RCUTILS_CONSOLE_OUTPUT_FORMAT is set. ROS ignores or misreads
+    some invalid values: a domain of -1, a misspelt discovery range.
 
     Raises
     ------
@@ -32,6 +33,8 @@ def settle_ros_environment() -> None:
         A variable has an invalid value, or no ROS installation is found.
 
     """
+    os.environ.setdefault('RCUTILS_CONSOLE_OUTPUT_FORMAT',
+                          '[{severity}] [{date_time_with_ms}] [{name}]: {message}')
     if not any(_middlewares()):
         # A workspace may be sourced without the ROS installation that it builds on.
         prefixes = [*_prefixes(), sys.prefix]
@@ -46,19 +49,19 @@ def settle_ros_environment() -> None:
                 'its wheels into this environment')
     domain = os.environ.get('ROS_DOMAIN_ID', '')
     if domain and not (domain.isascii() and domain.isdigit() and int(domain) <= _LARGEST_DOMAIN):
-        raise ParameterError(f'ROS_DOMAIN_ID={domain!r} is no domain of ROS; set a number from 0 '
-                             f'to {_LARGEST_DOMAIN}, or unset it, which is 0')
+        raise ParameterError(f'ROS_DOMAIN_ID={domain!r} is not a valid domain; set a number from '
+                             f'0 to {_LARGEST_DOMAIN}, or unset it to use 0')
     reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '')
     if reach and reach not in _RANGES:
         raise ParameterError(
-            f'ROS_AUTOMATIC_DISCOVERY_RANGE={reach!r} is none{did_you_mean(reach, _RANGES)}; '
-            f'valid: {", ".join(_RANGES)}')
+            f'ROS_AUTOMATIC_DISCOVERY_RANGE={reach!r} is unknown'
+            f'{did_you_mean(reach, _RANGES)}; valid: {", ".join(_RANGES)}')
     middleware, installed = os.environ.get('RMW_IMPLEMENTATION', ''), sorted({*_middlewares()})
     if middleware and installed and middleware not in installed:
         raise ParameterError(
             f'RMW_IMPLEMENTATION={middleware!r} is not installed'
-            f'{did_you_mean(middleware, installed)}; there: {", ".join(installed)}; set one of '
-            'them, or unset it')
+            f'{did_you_mean(middleware, installed)}; installed: {", ".join(installed)}; set one '
+            'of them, or unset it')
 
 
 def distribution() -> str:

@@ -20,9 +20,9 @@ THREAD_TURN = 2e-4
 # Wall time between two counts of the subscribers [s].
 DISCOVERY_PERIOD = 0.02
 # Discovery is complete once the number of subscribers has not changed for this time [s].
-_SETTLED = 0.5
+_DISCOVERY_SILENCE = 0.5
 # Timeouts of the delivery of the last messages [s], and the period at which signals are checked.
-_DELIVERY, _DELIVERY_AFTER_SIGNAL = 10.0, 1.0
+_MAX_DELIVERY, _MAX_DELIVERY_ENDING = 10.0, 1.0
 _DELIVERY_TURN = 0.1
 
 
@@ -61,7 +61,7 @@ class Discovery:
         if found != self._count:
             self._count, self._since = found, now
             return False
-        return now >= self._until or (found > 0 and now - self._since > _SETTLED)
+        return now >= self._until or (found > 0 and now - self._since > _DISCOVERY_SILENCE)
 
 
 def nodes_of(endpoints: Iterable[TopicEndpointInfo]) -> list[str]:
@@ -74,8 +74,8 @@ def crowded(node: Node, topics: Iterable[str]) -> str:
     found = {node.resolve_topic_name(topic): nodes_of(node.get_publishers_info_by_topic(topic))
              for topic in topics}
     return '; '.join(
-        f'{topic} has {len(nodes)} publishers, {listed(nodes)}: their messages mix; end all but '
-        'one, or remap its topic' for topic, nodes in found.items() if len(nodes) > 1)
+        f'{topic} has {len(nodes)} publishers, {listed(nodes)}, whose messages are mixed; stop '
+        'all but one, or remap their topics' for topic, nodes in found.items() if len(nodes) > 1)
 
 
 class Lasting:
@@ -124,12 +124,12 @@ def wait_for_delivery(node: Node, publishers: Iterable[Publisher], received: Seq
     begin, late = time.monotonic(), []
     for publisher in publishers:
         while not publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_TURN)):
-            if time.monotonic() - begin > (_DELIVERY_AFTER_SIGNAL if received else _DELIVERY):
+            if time.monotonic() - begin > (_MAX_DELIVERY_ENDING if received else _MAX_DELIVERY):
                 late.append(publisher.topic_name)
                 break
     if late:
-        node.get_logger().warning('a subscriber was too slow to receive all that was published '
-                                  f'of {", ".join(late)}')
+        node.get_logger().warning('a subscriber was too slow to receive all messages of '
+                                  f'{", ".join(late)}')
 
 
 def spin(node: Node, over: Callable[[], object]) -> SingleThreadedExecutor:

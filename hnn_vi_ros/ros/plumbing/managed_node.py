@@ -34,7 +34,7 @@ from rosgraph_msgs.msg import Clock
 CLOCK_TOPIC = '/clock'
 # With several publishers of /clock, one is followed until it is silent for this time [s]; a time
 # that goes back, or leaps ahead by more than this [ns], is attributed to another publisher.
-_CLOCK_SILENCE, _CLOCK_STEP = 5.0, 10**9
+_MAX_CLOCK_SILENCE, _MAX_CLOCK_STEP = 5.0, 10**9
 
 
 def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
@@ -106,7 +106,7 @@ class RobustNode(Node):
                 hint = did_you_mean(name, known) or '; it has: ' + ', '.join(
                     own for own in known if not own.startswith(PREFIX))
                 return SetParametersResult(successful=False, reason=(
-                    f'parameter {name[:80]}: {self.get_name()} has none of this name{hint}'))
+                    f'parameter {name[:80]}: {self.get_name()} has no such parameter{hint}'))
         return super().set_parameters_atomically(parameter_list)
 
     def _heeding(self, callback: Callable[[Clock], None]) -> Callable[[Clock], None]:
@@ -122,11 +122,12 @@ class RobustNode(Node):
                 return
             now = time.monotonic()
             # Messages do not identify their publishers.
-            if (now - heard < _CLOCK_SILENCE and not 0 <= at - newest <= _CLOCK_STEP
+            if (now - heard < _MAX_CLOCK_SILENCE and not 0 <= at - newest <= _MAX_CLOCK_STEP
                     and self.count_publishers(CLOCK_TOPIC) > 1):
                 self.get_logger().warning(
                     f'{CLOCK_TOPIC} has several publishers: the first is followed, at '
-                    f'{newest / 1e9:.9g} s, and not one at {at / 1e9:.9g} s; end all but one',
+                    f'{newest / 1e9:.9g} s, and another at {at / 1e9:.9g} s is ignored; stop all '
+                    'but one',
                     once=True)
                 return
             newest, heard = at, now
@@ -137,7 +138,7 @@ class RobustNode(Node):
 
 # Wall time between two checks for signals while the node is idle [s]. Each timeout of a wait
 # costs a turn of the executor, which is half a tick at 1 kHz.
-_LOOK = 0.1
+_SIGNAL_PERIOD = 0.1
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 # Transitions that clients may request; the others are internal steps.
 _PUBLIC = {
@@ -230,7 +231,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
                 self.stop(0, f'stopped by {signal.Signals(received[0]).name}')
                 continue
             try:
-                executor.spin_once(timeout_sec=None if self.ticking else _LOOK)
+                executor.spin_once(timeout_sec=None if self.ticking else _SIGNAL_PERIOD)
             except RCLError as problem:
                 # For example, a client that is gone before its answer: no reason to stop.
                 self.get_logger().warning(
@@ -267,7 +268,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         if transition not in _PUBLIC or transition not in available:
             _, label = self._machine.current_state
             self.get_logger().warning(
-                f'transition {transition} refused: the node is {label}',
+                f'transition {transition} rejected: the node is {label}',
                 throttle_duration_sec=1.0)
             return False
         before = LifecycleState(state_id=self.state, label=self._machine.current_state[1])

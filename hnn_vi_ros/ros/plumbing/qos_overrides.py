@@ -20,7 +20,7 @@ _NAMED = {'durability': DurabilityPolicy, 'history': HistoryPolicy,
 _DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
 POLICIES = (*_NAMED, 'depth', *_DURATIONS)
 # Largest signed integers of 32 bits (messages in the middleware) and 64 bits (ns in rclpy).
-_MOST, _LONGEST = 2**31 - 1, 2**63 - 1
+_MAX_DEPTH, _MAX_DURATION = 2**31 - 1, 2**63 - 1
 
 
 class Endpoint(NamedTuple):
@@ -55,9 +55,10 @@ def expected(name: str, value: object) -> str:
         choices = [key for key in _NAMED[policy].short_keys() if key != 'unknown']
         good = isinstance(value, str) and value.lower() in choices
         return '' if good else f'one of {", ".join(choices)}'
-    smallest, largest, unit = (1, _MOST, '') if policy == 'depth' else (0, _LONGEST, ' [ns]')
+    smallest, largest, unit = (
+        (1, _MAX_DEPTH, '') if policy == 'depth' else (0, _MAX_DURATION, ' [ns]'))
     good = type(value) is int and smallest <= value <= largest
-    return '' if good else f'a whole number from {smallest} to {largest}{unit}'
+    return '' if good else f'an integer from {smallest} to {largest}{unit}'
 
 
 def create_publisher(node: Node, message_type: type, topic: str, qos: QoSProfile) -> Publisher:

@@ -55,8 +55,8 @@ class Stamps:
         last = max(self._accepted, self._newest if stamp == self._newest else -1)
         self._newest = stamp
         if stamp <= last and arrived:
-            raise ValueError(f'it has no stamp, and the clock of ROS stands at {stamp / 1e9:.9g} '
-                             's: publish /clock, or set use_sim_time to false')
+            raise ValueError('it has no stamp, and the ROS clock does not advance from '
+                             f'{stamp / 1e9:.9g} s: publish /clock, or set use_sim_time to false')
         if stamp <= last:
             raise ValueError(f'its stamp, {stamp / 1e9:.9g} s, is not later than that of an '
                              f'earlier message, {last / 1e9:.9g} s: stamp each message with its '

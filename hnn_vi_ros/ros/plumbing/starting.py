@@ -17,7 +17,7 @@ from rclpy.logging import get_logger_effective_level, LoggingSeverity, set_logge
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-_SYNTAX = 'parameters are given as: --ros-args -p NAME:=VALUE, remaps as: --ros-args -r FROM:=TO'
+_SYNTAX = 'set parameters with --ros-args -p NAME:=VALUE, remappings with --ros-args -r FROM:=TO'
 
 
 def own_arguments(argv: Sequence[str]) -> list[str]:
@@ -73,10 +73,11 @@ def plain_ros_errors() -> Iterator[None]:
         if 'rule' in text:
             text += f'; {_SYNTAX}'
         if 'logging' in text:
-            text += '; set ROS_LOG_DIR to a folder that can be written'
+            text += '; set ROS_LOG_DIR to a writable folder'
         if os.environ.get('ROS_SECURITY_ENABLE', '').lower() == 'true':
-            text += ('; security is on, which needs a middleware that was built with it and a '
-                     'keystore: see docs/how-to/security.md, or set ROS_SECURITY_ENABLE=false')
+            text += ('; security is enabled, which requires a keystore and a middleware built '
+                     'with security: see docs/how-to/security.md, or set '
+                     'ROS_SECURITY_ENABLE=false')
         raise ParameterError(f'ROS: {text}') from problem
     finally:
         # Undone here, except where --log-level has set another level.

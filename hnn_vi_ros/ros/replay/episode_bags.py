@@ -5,6 +5,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.recording import McapSink, serialize, Topic
 from hnn_vi_ros.ros.topics.messages import describe_topic
@@ -42,12 +43,15 @@ def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> No
     Raises
     ------
     RecordingError
-        A bag already exists or cannot be written.
+        A bag already exists or cannot be written, or the scene has measurements.
 
     """
     topics = [_topic(*output[:3]) for output in SAMPLED]
     for episode in episodes:
         _, values, scene, simulation, sampler, _ = episode
+        if scene.measurements is not None:
+            raise RecordingError(f'{scene.place("measurements")}: bags of sweeps hold the true '
+                                 'state only; remove measurements')
         report = dump_yaml(scene_report(scene, simulation))
         sink = McapSink(folder / f'episode-{episode.number:06d}', topics, {
             'scene.yaml': report.encode(),

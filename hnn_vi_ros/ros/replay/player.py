@@ -14,19 +14,19 @@ from hnn_vi_ros.ros.topics.messages import CLOCK_PERIOD
 import numpy as np
 
 # Read ahead: number of batches, and the largest number of messages and of bytes in a batch.
-_BATCHES, _MESSAGES, _BYTES = 16, 256, 2**18
+_MAX_BATCHES, _MAX_BATCH_MESSAGES, _MAX_BATCH_BYTES = 16, 256, 2**18
 # Number of timing errors kept for the statistics.
-_ERRORS = 1_000_000
+_MAX_TIMING_ERRORS = 1_000_000
 # A longer wall time between two messages looks like a hang and is reported [s].
-_SILENCE = 5.0
+_MAX_SILENCE = 5.0
 # Timeout of a step [s].
-_LONGEST_STEP = 5.0
+_STEP_TIMEOUT = 5.0
 
 
 def read_ahead(messages: Iterator[Recorded]) -> Iterator[Recorded]:
     """Return an iterator over the same items, which a thread reads in advance from now on."""
     reader = ThreadPoolExecutor(1, 'read ahead')
-    batches = deque(reader.submit(_batch, messages) for _ in range(_BATCHES))
+    batches = deque(reader.submit(_batch, messages) for _ in range(_MAX_BATCHES))
 
     def take() -> Iterator[Recorded]:
         try:
@@ -51,7 +51,7 @@ def _batch(messages: Iterator[Recorded]) -> tuple[list[Recorded], Exception | No
         for message in messages:
             batch.append(message)
             size += len(message.data)
-            if len(batch) == _MESSAGES or size > _BYTES:
+            if len(batch) == _MAX_BATCH_MESSAGES or size > _MAX_BATCH_BYTES:
                 break
     except Exception as problem:
         return batch, problem
@@ -107,7 +107,7 @@ class Player(threading.Thread):
         # Time of the bag, and the time of the steady clock at which it was reached [ns].
         self._position, self._since = first, time.monotonic_ns()
         self._clock_due = 0
-        self._errors: deque[int] = deque(maxlen=_ERRORS)
+        self._errors: deque[int] = deque(maxlen=_MAX_TIMING_ERRORS)
         self.published = 0
         self.problem: Exception | None = None
 
@@ -157,7 +157,7 @@ class Player(threading.Thread):
             self._stepping = True
             self._changed.notify_all()
             done = self._changed.wait_for(
-                lambda: not self._stepping or self._stopped, _LONGEST_STEP)
+                lambda: not self._stepping or self._stopped, _STEP_TIMEOUT)
             return self._position if done else None
 
     def timing_errors(self) -> dict[str, float]:
@@ -210,9 +210,9 @@ class Player(threading.Thread):
             with self._changed:
                 self._position += skipped
             self._clock_due = max(self._clock_due, before + skipped)
-            line = f'{skipped * 1e-9:.6g} s are skipped'
-        elif pause / self._rate > _SILENCE:
-            line = f'{pause / self._rate:.6g} s to wait; the parameter longest_pause skips it'
+            line = f'skipping {skipped * 1e-9:.6g} s'
+        elif pause / self._rate > _MAX_SILENCE:
+            line = f'waiting {pause / self._rate:.6g} s; set longest_pause to skip this'
         if line and self._tell is not None:
             self._tell(f'no message in the bag for {pause:.6g} s: {line}')
 

@@ -12,19 +12,21 @@ from typing import Any
 from hnn_vi_ros.effects import Command
 from hnn_vi_ros.errors import did_you_mean, listed, RecordingError
 from hnn_vi_ros.files import expand_user, parse_mapping
-from hnn_vi_ros.recording import BagReader, decode_state, Recorded, State
+from hnn_vi_ros.recording import BagReader, decode_state, Recorded, StateMessage
 from hnn_vi_ros.ros.topics.inputs import INPUTS
+from hnn_vi_ros.ros.topics.outputs import JOINT_STATES
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
 from hnn_vi_ros.run import nanoseconds_of, stamp_of, steps_between
 from hnn_vi_ros.scene import described_scene, ONE_RUN, only_scene, Scene
 import numpy as np
 from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 # Upper bound on the time between two stamps [ns].
-_LONGEST = 2**63
+_MAX_SPACING = 2**63
 # The last state is searched for in the last part of the bag; increasing lengths of it [ns].
-_BACK = (10**9, 10**11, 2**64)
+_SEARCH_LENGTHS = (10**9, 10**11, 2**64)
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ class RecordedRun:
         """Return the channels of the samples, with the last parts of their topics."""
         return {self._topics[f'{self.node}/{name}']: name for name in self._names}
 
-    def state(self, message: Recorded) -> State:
+    def state(self, message: Recorded) -> StateMessage:
         """Decode a message of ~/state to a sample; RecordingError if it is invalid."""
         try:
             return decode_state(message.data)
@@ -153,10 +155,10 @@ class RecordedRun:
         except RuntimeError as problem:
             topic = self.reader.channels[message.channel].topic
             raise RecordingError(f'{self.reader.path}: the message of {topic} at {message.time} '
-                                 f'ns cannot be read: it is no {kind.__name__}') from problem
+                                 f'ns cannot be read: it is not a {kind.__name__}') from problem
 
     def in_order(self, channels: Collection[int], first: int = 0
-                 ) -> Iterator[tuple[Recorded, State | None]]:
+                 ) -> Iterator[tuple[Recorded, StateMessage | None]]:
         """
         Yield messages from a log time on, each with the sample that it holds or completes.
 
@@ -180,7 +182,7 @@ class RecordedRun:
                 if len(parts) == 2:
                     q, p = (np.array(self.decoded(parts[name], Float64MultiArray).data)
                             for name in 'qp')
-                    state = State(stamp, q, p, np.full(len(p), np.nan), np.nan, np.nan)
+                    state = StateMessage(stamp, q, p, np.full(len(p), np.nan), np.nan, np.nan)
             yield message, state
 
     @property
@@ -188,6 +190,13 @@ class RecordedRun:
         """Return True if log times are stamps of the simulator, as in its own bags."""
         return not self.whole or all(self.state(message).stamp == message.time
                                      for message in self.reader.messages(self.states))
+
+    def joint_states(self) -> Iterator[JointState]:
+        """Yield the messages of joint_states; nothing if the bag holds none."""
+        topic = f'{self.node.rpartition("/")[0]}/{JOINT_STATES.topic}'
+        if topic in self._topics:
+            for message in self.reader.messages([self._topics[topic]]):
+                yield self.decoded(message, JointState)
 
     def commands(self) -> Iterator[tuple[int, str, Command]]:
         """
@@ -224,12 +233,12 @@ class RecordedRun:
         try:
             if isinstance(rate, float | int) and 0 < rate < math.inf:
                 spacing = stamp_of(steps_between(rate, self._step_size), self._step_size)
-                if spacing < _LONGEST:
+                if spacing < _MAX_SPACING:
                     return spacing
         except (OverflowError, ZeroDivisionError):
             # The number of steps between two samples, or the stamp, exceeds the range of a float.
             pass
-        raise RecordingError(f'{where}: publish_rate is no rate')
+        raise RecordingError(f'{where}: publish_rate is not a valid rate')
 
     def stamp_of(self, step: int) -> int:
         """Return the stamp of a step [ns]."""
@@ -240,21 +249,21 @@ class RecordedRun:
         step = round((stamp - self.origin) / nanoseconds_of(self._step_size))
         if self.stamp_of(step) != stamp or step < self.first_step:
             raise RecordingError(
-                f'{self.reader.path}: the stamp {stamp} ns is no whole number of steps of '
-                f'{self.scene.step_size:g} s from {self.origin} ns; was the step size changed, or '
-                'the time set back, while it was recorded?')
+                f'{self.reader.path}: the stamp {stamp} ns is not a whole number of steps of '
+                f'{self.scene.step_size:g} s after {self.origin} ns; was the step size changed, '
+                'or the time set back, during the recording?')
         return step
 
     def resumption(self) -> Resumption:
         """Return the resumption from the last state; RecordingError if there is none."""
         last = None
-        for back in _BACK:
+        for back in _SEARCH_LENGTHS:
             for last in self.samples(max(0, self.reader.last - back)):  # noqa: B007
                 pass
             if last is not None:
                 break
         else:
-            raise RecordingError(f'{self.reader.path}: holds no state to go on from')
+            raise RecordingError(f'{self.reader.path}: contains no state from which to resume')
         stamp, q, p = last
         scene = self.scene.changed({'initial_state': {'q': q.tolist(), 'p': p.tolist()}})
         return Resumption(scene, self.step_of(stamp), self.origin, self.reader.damage)
@@ -262,7 +271,7 @@ class RecordedRun:
     def _count(self, name: str) -> int:
         value = self.described.get(name, 0)
         if type(value) is not int or not 0 <= value < 2**63:
-            raise RecordingError(f'{self._where}: {name} is no count')
+            raise RecordingError(f'{self._where}: {name} is not a valid count')
         return value
 
     def _published_scene(self) -> str:
@@ -273,8 +282,8 @@ class RecordedRun:
                            in self.reader.messages(channels)), name, self.reader.path)
         if not self.whole:
             raise RecordingError(
-                f'{self.reader.path}: holds no {self.node}/state, and q and p have no stamps: '
-                'they cannot be paired by the times at which they came; record that topic too')
+                f'{self.reader.path}: contains no {self.node}/state, and q and p have no stamps, '
+                'so they cannot be paired; record that topic too')
         return text
 
 
@@ -306,8 +315,8 @@ def simulators(reader: BagReader, topics: dict[str, int]) -> tuple[list[str], tu
         if nodes:
             # Other nodes may have a topic of that name, but no scene.
             return [node for node in nodes if f'{node}/scene' in kinds] or nodes[:1], names
-    raise RecordingError(f'{reader.path}: holds no topic state of a simulator, nor q and p; '
-                         f'topics: {listed(sorted(kinds)) or "none"}')
+    raise RecordingError(f'{reader.path}: contains neither a topic state of a simulator nor q '
+                         f'and p; topics: {listed(sorted(kinds)) or "none"}')
 
 
 def _chosen(nodes: Sequence[str], name: str, where: str) -> str:
@@ -316,10 +325,10 @@ def _chosen(nodes: Sequence[str], name: str, where: str) -> str:
         return nodes[0]
     wanted = f'/{name.lstrip("/")}'
     if wanted not in nodes:
-        asked = f'holds no simulator {name}{did_you_mean(wanted, nodes)}' if name else \
-            f'holds {len(nodes)} simulators, of which one must be chosen'
-        raise RecordingError(f'{where}: {asked}; there: {listed(nodes)}; `replay --verify` checks '
-                             'all, `ros2 bag convert` keeps the topics of one')
+        asked = f'contains no simulator {name}{did_you_mean(wanted, nodes)}' if name else \
+            f'contains {len(nodes)} simulators, so one must be chosen'
+        raise RecordingError(f'{where}: {asked}; simulators: {listed(nodes)}; `replay --verify` '
+                             'checks all, `ros2 bag convert` extracts the topics of one')
     return wanted
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate a recorded run again, and compare it with its log bit by bit."""
+"""Simulate a recorded run again, and compare all bits with its log."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -14,24 +14,25 @@ from hnn_vi_ros.phase_space import columns, momentum_rates
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, simulators
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
-from hnn_vi_ros.run import restore_state, STATE_FILE
+from hnn_vi_ros.run import (
+    joint_sensor, joints_of, nanoseconds_of, restore_state, Sampler, STATE_FILE)
 from hnn_vi_ros.simulation import build, Simulation
 import numpy as np
 
 # Relative changes of the initial state: one far above round-off and far below the motion, and
 # no change, which is -0.0 because adding 0.0 would change a -0.0.
-_SHAKE, _NONE = 2.0**-26, -0.0
+_PERTURBATION, _NO_PERTURBATION = 2.0**-26, -0.0
 # Round-off of one step, in units in the last place of the largest coordinate or momentum: the
 # solver stops at a few units, and a network sums hundreds of terms.
-_PLACES = 64.0
+_ROUND_OFF_UNITS = 64.0
 _EPSILON = np.finfo(np.float64).eps
 # Maximum steps per sample, and before the first sample of another recorder. At 1 to 3 us per
 # step, 10^6 steps per sample still run in real time at one sample per second.
-_MOST_STEPS, _MOST_BEFORE = 10**6, 10**8
+_MAX_STEPS_PER_SAMPLE, _MAX_STEPS_BEFORE = 10**6, 10**8
 # Error of a difference of stamps, which are rounded to nanoseconds [ns].
-_ROUNDING = 2
+_STAMP_ROUNDING = 2
 # Minimum number of differences, and minimum share of equal ones, for an evenly spaced grid.
-_LEAST, _SHARE = 3, 0.5
+_MIN_COUNT, _MIN_SHARE = 3, 0.5
 
 
 class Verdict(NamedTuple):
@@ -119,22 +120,25 @@ def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict
               if there.get(name) != value and (name != 'torch' or name in there)}
     where = 'on the machine and with the versions of the log'
     if others:
-        where = 'elsewhere than the log, of which ' + ', '.join(
+        where = 'under conditions other than those of the log, where ' + ', '.join(
             f'{name} is {value}' for name, value in others.items()) if there \
-            else 'of a log that names neither machine nor versions'
+            else 'of a log that states neither machine nor versions'
     begin = simulation.steps
-    samples, difference = _first_difference(run, simulation)
+    readings = _Readings(run, simulation)
+    samples, difference = _first_difference(run, simulation, readings)
     missing = _missing(run, begin)
     if difference is None and not samples:
-        return Verdict(f'{run.reader.path}: holds no samples to compare{missing}', False)
+        return Verdict(f'{run.reader.path}: contains no samples to compare{missing}', False)
     agreed = f'{run.reader.path}: {"q, p, dp/dt, H and work" if run.whole else "q and p"} of ' \
-        f'{samples} samples agree bit by bit, {where}'
+        f'{samples} samples are bit-identical, {where}'
     if difference is None:
+        missing = readings.report() + missing
         return Verdict(f'{agreed}{missing}', not missing)
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
     within = margin.difference <= margin.explained < np.inf
-    commands = '; the scene takes commands, and the log does not say at which step any acted' \
+    commands = ('; the scene takes commands, but the log does not contain the steps at which they '
+                'acted') \
         if simulation.motors.takes and not any(run.commands()) else ''
     return Verdict(
         f'{agreed}; then {difference.name} differs at t = {difference.stamp * 1e-9:.9g} s by '
@@ -209,22 +213,22 @@ def missing_stamps(stamps: Sequence[int] | np.ndarray, spacing: int | None = Non
 
 def _frequent(differences: np.ndarray) -> float | None:
     """Return the most frequent difference; None if less than half of them are equal to it."""
-    if len(differences) < _LEAST:
+    if len(differences) < _MIN_COUNT:
         return None
     values, counts = np.unique(differences, return_counts=True)
     spacing = float(values[np.argmax(counts)])
-    even = np.abs(differences - spacing) <= _ROUNDING
-    return spacing if even.sum() >= max(_LEAST, _SHARE * len(differences)) else None
+    even = np.abs(differences - spacing) <= _STAMP_ROUNDING
+    return spacing if even.sum() >= max(_MIN_COUNT, _MIN_SHARE * len(differences)) else None
 
 
-def _simulation(run: RecordedRun, shake: float = _NONE) -> Simulation:
+def _simulation(run: RecordedRun, shake: float = _NO_PERTURBATION) -> Simulation:
     """Return a simulation at the start of the bag, its state perturbed by a relative change."""
     simulation = build(run.scene)
     for name, value in simulation.hamiltonian.provenance.items():
         if run.described.get(name, value) != value:
             raise RecordingError(
                 f'{run.reader.path}: was recorded with another model: its {name} is '
-                f'{run.described[name]}, that of the one found is {value}')
+                f'{run.described[name]}, but that of the model found is {value}')
     q, p = simulation.q.copy(), simulation.p.copy()
     change = shake * _size(simulation)
     simulation.restart(q + change, p + change, step=run.first_step)
@@ -240,11 +244,12 @@ def _simulated(run: RecordedRun, *simulations: Simulation
     command = next(commands, None)
     for number, (stamp, values) in enumerate(run.reported(), 1):
         step = run.step_of(stamp)
-        if step - run.first_step > _MOST_BEFORE + number * _MOST_STEPS:
+        if step - run.first_step > _MAX_STEPS_BEFORE + number * _MAX_STEPS_PER_SAMPLE:
             raise RecordingError(
-                f'{run.reader.path}: to verify its sample {number} needs {step - run.first_step} '
-                f'steps of {run.scene.step_size:g} s, expected at most {_MOST_STEPS:.0e} a sample '
-                f'and {_MOST_BEFORE:.0e} before them; is the step_size of its scene right?')
+                f'{run.reader.path}: verifying its sample {number} requires '
+                f'{step - run.first_step} steps of {run.scene.step_size:g} s, expected at most '
+                f'{_MAX_STEPS_PER_SAMPLE:.0e} per sample and {_MAX_STEPS_BEFORE:.0e} before the '
+                'first; check the step_size of its scene')
         # A step publishes its state before it takes commands, which act from the next step on.
         while command is not None and command[0] < step:
             for simulation in simulations:
@@ -254,8 +259,8 @@ def _simulated(run: RecordedRun, *simulations: Simulation
         for simulation in simulations:
             _advance(run, simulation, step)
             if simulation.q.shape != values['q'].shape or simulation.p.shape != values['p'].shape:
-                raise RecordingError(f'{run.reader.path}: holds samples of another dimension '
-                                     'than its scene')
+                raise RecordingError(f'{run.reader.path}: the dimension of its samples differs '
+                                     'from that of its scene')
         yield stamp, values
 
 
@@ -269,8 +274,8 @@ def _values(simulation: Simulation) -> dict[str, np.ndarray]:
 
 def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
     if step < simulation.steps:
-        raise RecordingError(f'{run.reader.path}: holds what came at step {step}, before the '
-                             f'state that it begins at, of step {simulation.steps}')
+        raise RecordingError(f'{run.reader.path}: contains a message from step {step}, earlier '
+                             f'than its first state, at step {simulation.steps}')
     try:
         simulation.advance(max(0, step - simulation.steps))
     except StepFailure as failure:
@@ -288,7 +293,42 @@ def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Comm
             raise RecordingError(f'{run.reader.path}: {topic}: {problem}') from problem
 
 
-def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Difference | None]:
+class _Readings:
+    """Readings of the sensor of joint_states in a repeated run, compared with those of its bag."""
+
+    def __init__(self, run: RecordedRun, simulation: Simulation):
+        self._sensor = None
+        # Other recorders may have lost messages.
+        if run.scene.measurements is not None and run.own and run.spacing:
+            every = round(run.spacing / nanoseconds_of(simulation.step_size))
+            self._sensor = joint_sensor(run.scene, simulation, every)
+            self._sampler = Sampler(simulation, 1.0 / (every * simulation.step_size), run.origin)
+            _, self._values = joints_of(simulation.hamiltonian.coordinates)
+            stamps = ((message.header.stamp, message) for message in run.joint_states())
+            self._recorded = {t.sec * 10**9 + t.nanosec: message for t, message in stamps}
+        self._wrong = list[int]()
+
+    def compare(self) -> None:
+        """Compare the reading at the simulation's state."""
+        if self._sensor is None:
+            return
+        sample = self._sampler.sample()
+        found = self._sensor.measure(sample.step, self._values(sample))
+        recorded = self._recorded.pop(sample.stamp, None)
+        own, there = (None if one is None else b''.join(
+            np.asarray(part).tobytes() for part in (one.position, one.velocity, one.effort))
+            for one in (found, recorded))
+        if self._sensor.settled and own != there:
+            self._wrong.append(sample.stamp)
+
+    def report(self) -> str:
+        """Return the report on readings that differ, or ''."""
+        return f'; BUT {len(self._wrong)} readings of joint_states differ, the first at t = ' \
+            f'{self._wrong[0] * 1e-9:.9g} s' if self._wrong else ''
+
+
+def _first_difference(run: RecordedRun, simulation: Simulation, readings: _Readings
+                      ) -> tuple[int, Difference | None]:
     """Return the number of equal samples, counted once per stamp, and the first difference."""
     count, newest = 0, None
     names, momenta = columns(simulation.hamiltonian.coordinates)
@@ -303,6 +343,7 @@ def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Di
                 name = kind if kind in ('H', 'work') else (
                     f'{kind} of {(names if kind == "q" else momenta)[i]}')
                 return count, Difference(stamp, name, float(recorded[i]), float(simulated[i]))
+        readings.compare()
         # A duplicate counts once.
         count, newest = count + (stamp != newest), stamp
     return count, None
@@ -319,11 +360,11 @@ def _margin(run: RecordedRun) -> Margin:
     """
     own = _simulation(run)
     try:
-        shaken = _simulation(run, _SHAKE)
+        shaken = _simulation(run, _PERTURBATION)
     except ValueError:
         # A constraint does not allow the perturbed state; the growth is then unknown.
         shaken = _simulation(run)
-    change = _SHAKE * _size(own)
+    change = _PERTURBATION * _size(own)
     sizes, growths = dict.fromkeys(_values(own), 0.0), dict.fromkeys(_values(own), 0.0)
     growth, slope, worst = 1.0, 0.0, Margin(0.0, 0.0, 0, 'q')
     for stamp, values in _simulated(run, own, shaken):
@@ -333,14 +374,15 @@ def _margin(run: RecordedRun) -> Margin:
             growths[kind] = max(growths[kind], _largest(there[kind] - here[kind]) / change)
         growth = max(growth, growths['q'], growths['p'])
         slope = max(slope, float(np.abs(own.dH_dq).sum() + np.abs(own.dH_dp).sum()))
-        rounded = _PLACES * _EPSILON * max(sizes['q'], sizes['p']) * (own.steps - run.first_step)
+        rounded = _ROUND_OFF_UNITS * _EPSILON * max(sizes['q'], sizes['p']) * (
+            own.steps - run.first_step)
         carried = {'q': growth, 'p': growth, 'dp/dt': growths['dp/dt'], 'H': growth * slope,
                    'work': growth * slope + growths['work']}
         for kind, recorded in values.items():
             difference = _largest(recorded - here[kind])
             explained = rounded * carried[kind]
             if kind not in ('q', 'p'):
-                explained += _PLACES * _EPSILON * sizes[kind]
+                explained += _ROUND_OFF_UNITS * _EPSILON * sizes[kind]
             found = Margin(difference, explained, stamp, kind)
             if np.isnan(difference):
                 # The log holds NaN, which round-off does not explain.

@@ -34,9 +34,9 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
-_DEPTH = 10
+_DEFAULT_DEPTH = 10
 # rosbag2 writes an infinite duration as the largest possible one.
-_FOR_EVER = 9_000_000_000
+_MAX_QOS_SECONDS = 9_000_000_000
 
 
 def recorded_qos(text: str) -> QoSProfile:
@@ -57,7 +57,7 @@ def recorded_qos(text: str) -> QoSProfile:
     depth = profile.get('depth')
     history = _policy(HistoryPolicy, profile.get('history'), HistoryPolicy.KEEP_LAST)
     return QoSProfile(
-        history=history, depth=depth if depth and _is_count(depth, 2**31) else _DEPTH,
+        history=history, depth=depth if depth and _is_count(depth, 2**31) else _DEFAULT_DEPTH,
         reliability=_policy(ReliabilityPolicy, profile.get('reliability'),
                             ReliabilityPolicy.RELIABLE),
         durability=_policy(DurabilityPolicy, profile.get('durability'),
@@ -81,7 +81,7 @@ def _duration(value: object) -> Duration:
     if not isinstance(value, dict):
         return Duration()
     seconds, nanoseconds = value.get('sec', 0), value.get('nsec', 0)
-    if not (_is_count(seconds, _FOR_EVER) and _is_count(nanoseconds, 10**9)):
+    if not (_is_count(seconds, _MAX_QOS_SECONDS) and _is_count(nanoseconds, 10**9)):
         return Duration()
     return Duration(seconds=seconds, nanoseconds=nanoseconds)
 
@@ -174,8 +174,8 @@ class ReplayNode(RobustNode):
         wanted = [name.strip() for name in settings.topics.split(',') if name.strip()]
         known = sorted({channel.topic for channel in self.reader.channels.values()})
         if unknown := [name for name in wanted if name not in known]:
-            raise ParameterError(f'parameter topics: {unknown[0]!r} is not in the bag; it holds: '
-                                 f'{listed(known) or "none"}')
+            raise ParameterError(f'parameter topics: {unknown[0]!r} is not in the bag; it '
+                                 f'contains: {listed(known) or "none"}')
         left_out = {CLOCK_TOPIC} if settings.publish_clock else set()
         if not wanted:
             left_out |= self._heard()
@@ -190,9 +190,9 @@ class ReplayNode(RobustNode):
                     topics[name] = self._publisher(number)
                 publishers[number] = topics[name]
             except RecordingError as problem:
-                self.get_logger().warning(f'{name} is left out: {problem}')
+                self.get_logger().warning(f'{name} is omitted: {problem}')
         if not publishers:
-            raise RecordingError(f'{self.reader.path}: holds no topic that can be published')
+            raise RecordingError(f'{self.reader.path}: contains no topic that can be published')
         return publishers
 
     def _heard(self) -> set[str]:
@@ -202,8 +202,8 @@ class ReplayNode(RobustNode):
                  for one in INPUTS if name.endswith(one.topic[1:])
                  and f'{name.removesuffix(one.topic[1:])}/scene' in topics}
         for name in sorted(heard):
-            self.get_logger().info(f'{name} is left out, since it would drive a simulator that '
-                                   'runs; name it in topics to publish it')
+            self.get_logger().info(f'{name} is omitted, since it would drive a running simulator; '
+                                   'name it in topics to publish it')
         return heard
 
     def _latched(self, first: int) -> Iterator[Recorded]:
@@ -224,8 +224,8 @@ class ReplayNode(RobustNode):
         message_type = find_type(schema.name)
         recorded = channel.metadata.get('topic_type_hash', '')
         if recorded and recorded != type_hash(schema.name):
-            raise RecordingError(f'{schema.name} was recorded with another definition than the '
-                                 'one that is installed')
+            raise RecordingError(f'the installed definition of {schema.name} differs from the '
+                                 'recorded one')
         try:
             return create_publisher(self, message_type, channel.topic, recorded_qos(
                 channel.metadata.get('offered_qos_profiles', '')))
@@ -247,7 +247,7 @@ class ReplayNode(RobustNode):
     def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         stamp = self.player.step()
         response.success = stamp is not None
-        response.message = 'only while it is paused; see ~/set_pause' if stamp is None \
+        response.message = 'only possible while paused; see ~/set_pause' if stamp is None \
             else f't = {stamp * 1e-9:.9f} s'
         return response
 
@@ -265,14 +265,14 @@ def find_type(name: str) -> type:
     try:
         # An import runs code, so that only packages of messages are imported.
         if not (package.isidentifier() and has_resource('rosidl_interfaces', package)):
-            raise ModuleNotFoundError(f'no package of messages {package!r}')
+            raise ModuleNotFoundError(f'no message package {package!r}')
         found = getattr(import_module(f'{package}.msg'), rest.rpartition('/')[2])
         if not hasattr(type(found), '_TYPE_SUPPORT'):
-            raise AttributeError(f'{name} is no type of messages')
+            raise AttributeError(f'{name} is not a message type')
         return found
     except (ImportError, AttributeError) as problem:
         raise RecordingError(f'its type {name} is not installed; source the workspace that '
-                             'has it') from problem
+                             'contains it') from problem
 
 
 def main(argv: list[str]) -> int:
@@ -285,12 +285,12 @@ def main(argv: list[str]) -> int:
     if options.trust_code and not options.verify:
         parser.error('--trust-code: only --verify runs code')
     if options.node and not options.verify:
-        parser.error('--node: chooses what --verify checks; --topics chooses what is published')
+        parser.error('--node: valid only with --verify; --topics selects what is published')
     if options.verify:
         if given or len(words) < len(argv):
             unused = f'--{next(iter(given)).replace("_", "-")}' if given else 'ROS arguments'
-            parser.error(f'--verify: publishes nothing, so that {unused} would be without effect; '
-                         'leave them out')
+            parser.error(f'--verify: nothing is published, so {unused} would have no effect; '
+                         f'remove {unused}')
         # Imported lazily: playback needs no compiler.
         from hnn_vi_ros.ros.replay.replay_check import check_replays
         good = True

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD
 from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer
+from hnn_vi_ros.ros.run.lockstep import REPEAT_PERIOD
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.run import LONGEST_CALL
@@ -21,9 +22,9 @@ from rclpy.timer import Timer
 # Wall time between two messages on /diagnostics [s].
 _DIAGNOSTICS_PERIOD = 1.0
 # Duration of a turn of the executor, which polls all services [s].
-_TURN = 6e-4
+_TURN_TIME = 6e-4
 # Longest wait for the compilation that a failing step needs; services answer within 2 s [s].
-_LONGEST_WAIT = 1.0
+_MAX_COMPILE_WAIT = 1.0
 
 
 class Answer(NamedTuple):
@@ -75,7 +76,7 @@ class Control:
         self._waiting: Future | None = None
         self._progress: Callable[[int, int], None] | None = None
         self._moved, self._led = 0.0, run.pacer.led
-        node.after_clock = self._on_clock
+        node.after_clock, run.on_answer = self._on_clock, self._on_answer
 
     @property
     def running(self) -> bool:
@@ -93,7 +94,7 @@ class Control:
         self.active, self.stopped = True, False
         self._tell_clock()
         if self.paused:
-            self.run.tell('paused until ~/set_pause ends it', 'INFO')
+            self.run.tell('paused until resumed with ~/set_pause', 'INFO')
         if self._timer is None and not self._timers:
             self._add_timer(DISCOVERY_PERIOD, self._start_when_discovered)
         self._schedule()
@@ -122,11 +123,11 @@ class Control:
 
     def set_paused(self, paused: bool) -> Answer:
         """Pause or resume; a resumed run does not catch up on the time of the pause."""
-        word = 'paused' if paused else 'running' if self.active else 'to run once active'
+        word = 'paused' if paused else 'running' if self.active else 'will run once active'
         self.stopped = False
         if paused != self.paused:
             self.paused = self.run.status.paused = paused
-            self._end_request(Answer(False, 'the pause was ended'))
+            self._end_request(Answer(False, 'the pause has ended'))
             self._schedule()
             self.run.tell('paused' if paused else 'pause ended', 'INFO')
             if paused:
@@ -150,9 +151,10 @@ class Control:
         """
         future = Future()
         if not (self.active and self.paused):
-            future.set_result(Answer(False, 'only in a pause of an active node: pause it first'))
+            future.set_result(Answer(False, 'only possible while an active node is paused: pause '
+                                            'it first'))
         elif self._waiting is not None:
-            future.set_result(Answer(False, 'steps are being taken already'))
+            future.set_result(Answer(False, 'steps are already being taken'))
         elif count < 1:
             future.set_result(Answer(False, 'expected at least one step'))
         else:
@@ -173,7 +175,7 @@ class Control:
         try:
             self.run.reset(time_too)
         except (ValueError, StepFailure) as problem:
-            return Answer(False, f'not reset: the initial state is refused: {problem}')
+            return Answer(False, f'not reset: the initial state is invalid: {problem}')
         finally:
             self._schedule()
         self.run.tell('reset', 'INFO')
@@ -218,6 +220,8 @@ class Control:
             self._warn_of_namesakes()
             self.run.watch()
             self._add_timer(_DIAGNOSTICS_PERIOD, self._publish_diagnostics)
+            if self.run.lockstep is not None:
+                self._add_timer(REPEAT_PERIOD, self._watch_lockstep)
             self._timer = self._add_timer(self.run.pacer.timer_period, self._on_timer)
             self._schedule()
 
@@ -233,9 +237,9 @@ class Control:
         before, self._namesakes = self._namesakes, others
         if others > before:
             self.run.tell(
-                f'{others} more of the graph are called {node.get_fully_qualified_name()}: calls '
-                'of services may reach them instead; name one, such as: --ros-args -r '
-                f'__node:={own[0]}_2', 'WARN')
+                f'{others} more nodes of the graph have the name '
+                f'{node.get_fully_qualified_name()}: service calls may reach them instead; rename '
+                f'one, for example with --ros-args -r __node:={own[0]}_2', 'WARN')
 
     def _add_timer(self, period: float, callback: Callable[[], None]) -> Timer:
         timer = steady_timer(self._node, period, callback)
@@ -244,12 +248,22 @@ class Control:
 
     def _tell_clock(self) -> None:
         if self._led:
-            self.run.tell('follows /clock, which use_sim_time asks for', 'INFO')
+            self.run.tell('follows /clock, since use_sim_time is true', 'INFO')
 
     def _on_clock(self) -> None:
         """Follow /clock as soon as it advances."""
         if self._timer is not None and not self._timer.is_canceled():
             self._on_timer()
+
+    def _on_answer(self) -> None:
+        """Go on as soon as the awaited command has come."""
+        if self._timer is not None and self.active and (
+                not self.paused or self._waiting is not None):
+            self._timer.reset()
+            self._on_timer()
+
+    def _watch_lockstep(self) -> None:
+        self.run.watch_lockstep(self.active and (not self.paused or self._waiting is not None))
 
     def _on_timer(self) -> None:
         """
@@ -261,19 +275,27 @@ class Control:
         run, begin = self.run, time.monotonic()
         until = begin + LONGEST_CALL
         while self.active and (now := time.monotonic()) < until:
+            if run.locked:
+                # The command that is awaited starts the timer again.
+                if self._timer is not None:
+                    self._timer.cancel()
+                return
             if self.paused:
                 if self._waiting is None:
                     return
                 self._take_requested()
             elif run.at_sample and not run.pacer.due():
                 wait = run.pacer.wait
-                if now + wait + _TURN > until or (
-                        wait > _TURN and now > begin + 0.8 * LONGEST_CALL):
+                if now + wait + _TURN_TIME > until or (
+                        wait > _TURN_TIME and now > begin + 0.8 * LONGEST_CALL):
                     return
                 time.sleep(max(wait, 0.0))
             elif (taken := run.step()) is None:
                 time.sleep(LONGEST_CALL)
             elif taken == 0:
+                # Otherwise the run has ended, and has said so.
+                if self._node.exit_status is not None:
+                    return
                 self.set_paused(True)
             elif (run.at_sample and run.pacer.asked and not run.pacer.led
                   and run.simulation.motors.takes):
@@ -284,9 +306,9 @@ class Control:
         taken = self.run.step(self._left)
         if taken is None:
             time.sleep(LONGEST_CALL)
-            if time.monotonic() - self._moved > _LONGEST_WAIT and self._progress is None:
-                self._end_request(Answer(False, 'a step fails, and what takes such steps is '
-                                         'being compiled: ask again'))
+            if time.monotonic() - self._moved > _MAX_COMPILE_WAIT and self._progress is None:
+                self._end_request(Answer(False, 'a step failed, and its rescue is being compiled: '
+                                                'try again'))
                 self._schedule()
             return
         self._left, self._moved = self._left - taken, time.monotonic()

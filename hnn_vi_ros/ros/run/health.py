@@ -9,7 +9,7 @@ import time
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.recording import Sample
-from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.recording import RunRecording
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, Status, WARN
 from hnn_vi_ros.run import Monitor, OverrunGuard, Pacer, Sampler
 from hnn_vi_ros.scene import Scene
@@ -17,9 +17,9 @@ from hnn_vi_ros.simulation import Alarm, EnergyGuard, Guard, Simulation
 
 STEP_FAILED = 'step failed'
 # Samples per burst above which to warn: a controller acts on the last sample of a burst only.
-_BURST = 2.5
+_MAX_BURST = 2.5
 # Wall time between two log lines of the same kind [s].
-_REPEATED = 10.0
+_LOG_PERIOD = 10.0
 
 
 class Health:
@@ -44,7 +44,7 @@ class Health:
     """
 
     def __init__(self, stamp_at: Callable[[int], int], guards: Sequence[Guard],
-                 diagnostics: DiagnosticsPublisher, recording: Recording,
+                 diagnostics: DiagnosticsPublisher, recording: RunRecording,
                  log: Callable[[str, str], None],
                  errors: Sequence[str] = (EnergyGuard.kind, STEP_FAILED)):
         self._stamp_at, self._guards, self.errors = stamp_at, guards, errors
@@ -68,7 +68,7 @@ class Health:
         word = 'ERROR' if level == ERROR else 'WARN'
         self._recording.event(f'{alarm.kind}: {alarm.message}', word)
         if time.monotonic() >= self._due.get(alarm.kind, -math.inf):
-            self._due[alarm.kind] = time.monotonic() + _REPEATED
+            self._due[alarm.kind] = time.monotonic() + _LOG_PERIOD
             # The troubleshooting page lists remedies by kind.
             self._log(f'{alarm.kind}: t = {self._time(alarm.step)} s: {alarm.message}', word)
 
@@ -153,7 +153,7 @@ class RunStatus:
     """
 
     def __init__(self, scene: Scene, simulation: Simulation, sampler: Sampler,
-                 monitor: Monitor, recording: Recording, health: Health):
+                 monitor: Monitor, recording: RunRecording, health: Health):
         self._scene, self._simulation, self._sampler = scene, simulation, sampler
         self._monitor, self._recording, self._health = monitor, recording, health
         self.paused = False
@@ -171,22 +171,22 @@ class RunStatus:
         of = '/clock' if pacer.led else 'real time'
         late, self._overruns = overruns - self._overruns, overruns
         steps, self._steps = self._simulation.steps - self._steps, self._simulation.steps
-        level, message = OK, f'holds {asked:g} x {of}' if asked else 'as fast as possible'
+        level, message = OK, f'runs at {asked:g} x {of}' if asked else 'as fast as possible'
         if self.paused:
             message = 'paused'
         elif pacer.led and not steps:
-            message = 'waits for /clock, which stands still or is not published'
+            message = 'waits for /clock, which does not advance or is not published'
         elif late:
             level, message = WARN, (
                 f'{late} overruns since the last report: slower than {asked:g} x {of}'
                 + (', which may have jumped' if pacer.led else ''))
-        elif pacer.led and pacer.burst > _BURST:
+        elif pacer.led and pacer.burst > _MAX_BURST:
             level, message = WARN, (
-                f'/clock advances {pacer.burst:.3g} samples at a time, which come in bursts; use '
-                'a lower publish_rate, or publish /clock more often')
+                f'/clock advances {pacer.burst:.3g} samples at a time, so samples come in bursts; '
+                'reduce publish_rate, or publish /clock more often')
         elif asked and not pacer.led and figures.largest_real_time_factor < asked:
             level, message = WARN, (
-                f'cannot hold {asked:g} x real time, at most '
+                f'cannot run at {asked:g} x real time, at most '
                 f'{figures.largest_real_time_factor:.3g}; use a larger step_size, a cheaper '
                 'integrator or a lower publish_rate')
         return Status('timing', level, message, {
@@ -206,8 +206,8 @@ class RunStatus:
         if failure is not None:
             level, message = ERROR, failure.message
         elif rescued:
-            level, message = WARN, (f'{rescued} steps since the last report converged only in '
-                                    'parts; use a smaller step_size')
+            level, message = WARN, (f'{rescued} steps since the last report had to be rescued; '
+                                    'reduce step_size')
         return Status('integrator', level, message, {
             'integrator': scene.integrator.kind, 'step_size [s]': simulation.step_size,
             'steps [1]': simulation.steps, 'simulated_time [s]': f'{self._sampler.time:.9g}',
@@ -220,7 +220,7 @@ class RunStatus:
             self._monitor.energy, self._monitor.newest, self._monitor.energy.tolerance)
         level, message, allowed = OK, 'conservative', {}
         if not self._simulation.conservative:
-            message = 'not conservative: the error is what the work does not account for'
+            message = 'not conservative: the error is the energy change minus the work'
         if tolerance is not None:
             allowed = {f'tolerance_of_{tolerance.kind}': tolerance.error,
                        f'largest_{tolerance.kind}': record.largest}
@@ -236,7 +236,8 @@ class RunStatus:
 
     def _recorder(self) -> Status:
         recording = self._recording
-        level, message = OK, 'recording' if recording.targets else 'nothing is recorded, as asked'
+        level, message = OK, (
+            'recording' if recording.targets else 'nothing is recorded, as requested')
         if recording.problem:
             level, message = ERROR, recording.problem
         return Status('recorder', level, message, {

@@ -8,16 +8,19 @@ import time
 from typing import Any, NamedTuple
 import warnings
 
-from hnn_vi_ros.effects import OBSERVATION
+from hnn_vi_ros.effects import LoopManifold, OBSERVATION
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.kernels import announced, kept_only, NotKept
 from hnn_vi_ros.recording import BagTopics
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
-from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.recording import RunRecording
+from hnn_vi_ros.ros.run.lockstep import Lockstep
 from hnn_vi_ros.ros.settings import Settings
+from hnn_vi_ros.ros.topics.inputs import JOINT_COMMANDS
 from hnn_vi_ros.ros.topics.remapped_topics import KEY
-from hnn_vi_ros.run import compiled_beside, look_ahead, Members, Sampler, scene_report, Twin
+from hnn_vi_ros.run import (
+    compiled_beside, joint_sensor, JointSensor, look_ahead, Members, Sampler, scene_report, Twin)
 from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation import (
     BandGuard, BoxGuard, build, Choice, Chosen, EnergyGuard, look, PoleGuard, resolve, Simulation,
@@ -58,7 +61,8 @@ def select(scene: Scene, largest_step: float, real_time_factor: float, logger: L
         tolerance = tolerance_of(scene.integrator)
         logger.info(
             f'scene {scene.source}: calibrating for {tolerance.kind} {tolerance.error:g} up to '
-            f'{tolerance.horizon:g} s; some seconds once, longer where methods are to be compiled')
+            f'{tolerance.horizon:g} s; takes some seconds, once, or longer if integrators must be '
+            'compiled')
     scene, chosen = resolve(scene, largest_step)
     return scene, chosen, report(*chosen, real_time_factor) if chosen else []
 
@@ -69,19 +73,19 @@ def report(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> lis
     cost = choice.seconds_per_simulated_second
     if cost * real_time_factor > 1.0:
         lines.append(LogLine(
-            f'no method holds {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s '
-            f'at real_time_factor {real_time_factor:g} on this machine: the cheapest takes '
-            f'{cost:.3g} s for each simulated second; use a real_time_factor of at most about '
-            f'{1.0 / cost:.2g}, or allow a larger error', 'WARN'))
+            f'no integrator achieves {tolerance.kind} {tolerance.error:g} up to '
+            f'{tolerance.horizon:g} s at real_time_factor {real_time_factor:g} on this machine: '
+            f'the cheapest takes {cost:.3g} s per simulated second; use a real_time_factor of at '
+            f'most about {1.0 / cost:.2g}, or allow a larger error', 'WARN'))
     return lines
 
 
 # The last stage, which creates the files.
 OPENING = 'opening the files'
 # Simulated time that fits into the picture, at a real_time_factor of 1 [s].
-_SEEN = 30.0
+_PREVIEW_TIME = 30.0
 # Largest accepted wall time between two samples [s].
-_LONGEST_WAIT = 1e6
+_MAX_SAMPLE_INTERVAL = 1e6
 
 
 class Prepared(NamedTuple):
@@ -110,6 +114,10 @@ class Prepared(NamedTuple):
         Members of an ensemble, if the scene specifies an uncertainty.
     twin : Twin or None
         Twin that compares the run with a machine, if the scene has an observer.
+    sensor : JointSensor or None
+        Sensor whose readings joint_states holds, if the scene has one.
+    lockstep : Lockstep or None
+        Wait for the commands of a controller, if the parameter asks for it.
 
     """
 
@@ -118,11 +126,13 @@ class Prepared(NamedTuple):
     simulation: Simulation
     box: tuple[np.ndarray, np.ndarray]
     report: dict[str, Any]
-    recording: Recording
+    recording: RunRecording
     log_lines: list[LogLine]
     origin: int
     members: Members | None = None
     twin: Twin | None = None
+    sensor: JointSensor | None = None
+    lockstep: Lockstep | None = None
 
 
 def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger: Logger,
@@ -165,20 +175,31 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     simulation, members, twin, ready = _build(scene, settings.publish_accuracy, logger, tell)
     if step:
         simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
+    if settings.publish_loop_forces and not isinstance(
+            simulation.system.constraints, LoopManifold):
+        raise ParameterError('parameter publish_loop_forces: the scene has no loops; remove it')
     sampler = Sampler(simulation, settings.publish_rate, origin)
     if step:
         log_lines.append(LogLine(f'resumed {settings.resume} at t = {sampler.time:.9g} s', 'INFO'))
     if damage:
         log_lines.append(LogLine(damage, 'WARN'))
     sampler.count(settings.duration)
+    sensor = joint_sensor(scene, simulation, sampler.every)
+    lockstep = None
+    if settings.lockstep:
+        if not JOINT_COMMANDS.holds & simulation.motors.takes:
+            raise ParameterError(
+                f'parameter lockstep: the scene takes no commands on {JOINT_COMMANDS.topic}; add '
+                'the effect servo, or external_force with coordinates')
+        lockstep = Lockstep(settings, sampler.every, simulation.step_size)
     check_pace(factor, sampler.tick)
-    begin('looking ahead')
-    seconds = _SEEN * (factor or 1.0)
+    begin('previewing the run')
+    seconds = _PREVIEW_TIME * (factor or 1.0)
     with announced(tell):
         box = simulation.hamiltonian.box or look_ahead(
             simulation, min(seconds, settings.duration or seconds))
     if settings.explain:
-        tell('measuring what each effect adds to a step')
+        tell('measuring the contribution of each effect to a step')
     report = scene_report(scene, simulation, origin, settings.explain, chosen)
     if topics.remapped:
         report[KEY] = dict(topics.remapped)
@@ -187,10 +208,10 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     # Before the files are created, because it takes a while and they must hold all that follows.
     freeze_memory()
     begin(OPENING)
-    recording = Recording(logger, scene, simulation, settings, topics, box, report, sampler)
+    recording = RunRecording(logger, scene, simulation, settings, topics, box, report, sampler)
     simulation.rescue_ready = ready
     return Prepared(scene, chosen, simulation, box, report, recording, log_lines, origin, members,
-                    twin)
+                    twin, sensor, lockstep)
 
 
 def _load(settings: Settings) -> tuple[Scene, int, int, str]:
@@ -200,8 +221,8 @@ def _load(settings: Settings) -> tuple[Scene, int, int, str]:
         return load_scene(settings.scene).with_overrides(step_size, integrator), 0, 0, ''
     if step_size or integrator:
         name = 'step_size' if step_size else 'integrator'
-        raise ParameterError(f'parameter {name}: cannot be changed in a run that '
-                             'is resumed; leave it out, or leave out resume')
+        raise ParameterError(f'parameter {name}: cannot be changed in a resumed run; remove it, '
+                             'or remove resume')
     # Imported lazily: only resumed runs read a bag.
     from hnn_vi_ros.ros.replay.recorded_run import resume
     found = resume(settings.resume, settings.trust_code)
@@ -210,9 +231,9 @@ def _load(settings: Settings) -> tuple[Scene, int, int, str]:
 
 def check_pace(real_time_factor: float, tick: float) -> None:
     """Raise ParameterError for a pace at which samples would be too far apart."""
-    if real_time_factor * _LONGEST_WAIT < tick and real_time_factor > 0.0:
+    if real_time_factor * _MAX_SAMPLE_INTERVAL < tick and real_time_factor > 0.0:
         raise ParameterError(f'parameter real_time_factor = {real_time_factor:g}: more than '
-                             f'{_LONGEST_WAIT:.0e} s would pass between two samples')
+                             f'{_MAX_SAMPLE_INTERVAL:.0e} s would pass between two samples')
 
 
 class _Built(NamedTuple):

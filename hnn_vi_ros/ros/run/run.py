@@ -21,7 +21,7 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import (
     DiagnosticsPublisher, EVENT, OK, state_values, Status, WARN)
-from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
+from hnn_vi_ros.ros.topics.inputs import JOINT_COMMANDS, OBSERVATIONS
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
 from hnn_vi_ros.ros.topics.topics import Topics
@@ -93,12 +93,16 @@ class Run:
             node, partial(topics.send, DIAGNOSTICS), self.scene.name)
         self._status = StatusLine(node.get_logger().info)
         self._warn_of_crowd = Lasting(lambda text: self.tell(text, 'WARN'))
+        self.lockstep = prepared.lockstep
+        # Called when an answer has come, by which the run goes on.
+        self.on_answer: Callable[[], None] = lambda: None
         monitor = self._make_monitor()
         topics.open(
             Material(self.simulation, monitor, prepared.box, self.scene.mechanism,
-                     settings.frame_id, bool(self.scene.events), self._spread),
-            lambda: self.sampler.stamp, self.recording.write_other,
-            *[] if self._joiner is None else [self._joiner])
+                     settings.frame_id, bool(self.scene.events), self._spread,
+                     prepared.sensor),
+            lambda: self.sampler.stamp, self.recording.write_other, self._joiner,
+            None if self.lockstep is None else self._take_answer)
         self._events = DiagnosticsPublisher(node, partial(topics.send, EVENTS), self.scene.name)
         self._begin(monitor)
         self._tell_scene(prepared.report)
@@ -168,8 +172,8 @@ class Run:
         crowd = crowded(self._node, self._topics.sole(
             self.pacer.led, self._joiner is not None and self._joiner.joins))
         if self.pacer.led and not self._node.count_publishers(CLOCK_TOPIC):
-            crowd = (f'{CLOCK_TOPIC} has no publisher, and use_sim_time waits for one: publish '
-                     'it, or set use_sim_time to false')
+            crowd = (f'{CLOCK_TOPIC} has no publisher, but use_sim_time is true: publish it, or '
+                     'set use_sim_time to false')
         crowd = self._warn_of_crowd(crowd)
         if crowd:
             more.append(Status('graph', WARN, crowd, {}))
@@ -187,6 +191,39 @@ class Run:
         """Return True if the next step is the first after a sample."""
         return self.simulation.steps % self.sampler.every == 0
 
+    @property
+    def locked(self) -> bool:
+        """Return True while the answer to a sample is awaited."""
+        return self.lockstep is not None and self.lockstep.awaited is not None
+
+    def watch_lockstep(self, going: bool) -> None:
+        """Publish an awaited state again, and end too long a wait of a run that is `going`."""
+        lockstep, now = self.lockstep, time.monotonic()
+        if lockstep is None or lockstep.awaited is None:
+            return
+        self._topics.publish_again()
+        if not going:
+            lockstep.since = now
+        elif now - lockstep.since > lockstep.timeout:
+            text = (f'lockstep: no command on {JOINT_COMMANDS.topic} with the stamp '
+                    f'{lockstep.awaited / 1e9:.9g} s within {lockstep.timeout:g} s')
+            if not lockstep.holds:
+                self._stop(1, f'stopped: {text}')
+                return
+            self.tell(f'{text}; the last command is held', 'WARN')
+            lockstep.release()
+            self.on_answer()
+
+    def _take_answer(self, stamp: int) -> Callable[[], None]:
+        assert self.lockstep is not None, 'only then are stamps checked'
+        self.lockstep.check(stamp)
+        return self._go_on
+
+    def _go_on(self) -> None:
+        assert self.lockstep is not None, 'only then are answers awaited'
+        self.lockstep.release()
+        self.on_answer()
+
     def step(self, most: float = math.inf) -> int | None:
         """
         Take a batch of steps, at most to the next sample, which is then published.
@@ -194,9 +231,9 @@ class Run:
         Returns
         -------
         int or None
-            Number of steps; 0 if a step failed. A failure ends the process, unless incoming
-            messages may have caused it: these must not end a node. None if a step fails whose
-            rescue is still being compiled: the next call tries it again.
+            Number of steps; 0 if a step failed or an event ended the run. A failure ends the
+            process, unless incoming messages may have caused it: these must not end a node. None
+            if a step fails whose rescue is still being compiled: the next call tries it again.
 
         """
         simulation, every = self.simulation, self.sampler.every
@@ -206,8 +243,8 @@ class Run:
         except RescuePending:
             if not self._waits:
                 self._waits = True
-                self.tell(f'waits at t = {self.sampler.time:.9g} s: a step fails, and what takes '
-                          'such steps is being compiled, once', 'WARN')
+                self.tell(f'waits at t = {self.sampler.time:.9g} s: a step failed, and its rescue '
+                          'is being compiled, once', 'WARN')
             return None
         except StoppedByEvent as stop:
             self._hand_out_events()
@@ -220,7 +257,7 @@ class Run:
             # Incoming messages may have caused the failure.
             if self.simulation.motors.takes or self._began_at is not self._own_start:
                 why = self._twin.unstable if self._twin is not None else ''
-                self.tell(f'stands still {where}{why and f": {why}"}; reset it', 'ERROR')
+                self.tell(f'paused {where}{why and f": {why}"}; reset it', 'ERROR')
             else:
                 self._stop(1, f'stopped {where}')
             return 0
@@ -262,6 +299,10 @@ class Run:
         payloads = self._topics.publish(sample)
         # Slow work follows the publication, which it would otherwise delay.
         self.recording.write(sample, payloads)
+        # The answer to the last sample may come before or after the end, and would change nothing.
+        if self.lockstep is not None and self._topics.has_joint_states \
+                and sample.step < self._last_step:
+            self.lockstep.wait(sample.step, sample.stamp, time.monotonic())
         look, self._look_next = self._look_next, self._monitor.evaluate()
         if self._look_next:
             self.recording.timing(self._monitor.timing.figures)
@@ -318,6 +359,8 @@ class Run:
         q, p = (part.tolist() for part in self._began_at)
         self.scene = self.scene.changed({'initial_state': {'q': q, 'p': p}})
         self.sampler = Sampler(self.simulation, self._settings.publish_rate, origin)
+        if self.lockstep is not None:
+            self.lockstep.release()
         monitor = self._make_monitor()
         self._topics.follow(monitor)
         report = self._report | {

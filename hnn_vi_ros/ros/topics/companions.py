@@ -56,9 +56,9 @@ class SpreadTopic:
         members, value = self._members, self.guard.value
         level, message = OK, 'the members of the ensemble agree'
         if value > self._limit:
-            level, message = WARN, 'the members of the ensemble have come apart'
+            level, message = WARN, 'the members of the ensemble have diverged'
         if members.factors is None:
-            message += '; their spread is not calibrated'
+            message += '; the spread is not calibrated'
         return Status('uncertainty', level, message, {
             'spread [half-widths]': value, 'limit [half-widths]': self._limit,
             **{f'spread of {name}': float(one) for name, one in zip(
@@ -72,7 +72,7 @@ class SpreadTopic:
 # Prefix of the names of prediction errors.
 PREDICTED = 'prediction_'
 # Wall time without an observation that is reported even while simulated time is paused [s].
-_QUIET = 5.0
+_MAX_SILENCE = 5.0
 SCALARS = ('normalised_error', 'running_prediction_time', 'valid_prediction_time')
 
 
@@ -126,19 +126,20 @@ class TwinTopic:
         level, message = OK, ''
         if report is None:
             level, message = WARN, 'no observation yet'
-        elif age > twin.timeout or quiet > max(twin.timeout, _QUIET):
+        elif age > twin.timeout or quiet > max(twin.timeout, _MAX_SILENCE):
             level, message = WARN, f'no observation for {max(age, quiet):.3g} s'
             if not self._silent:
                 self._silent = True
-                self._warn(f'{OBSERVATIONS.topic}: {message}: the simulation goes on alone')
+                self._warn(f'{OBSERVATIONS.topic}: {message}: the simulation continues without '
+                           'observations')
         else:
             median = twin.valid_prediction_time
             message = 'follows the machine' if math.isnan(median) else (
                 f'predicts the machine for {median:.3g} s')
         if twin.outside > 0.0:
             level = WARN
-            message += (f'; {100.0 * twin.outside:.3g} % of the observations are outside of what '
-                        f'the model has seen: {twin.beyond}')
+            message += (f'; {100.0 * twin.outside:.3g} % of the observations are outside the '
+                        f'training domain of the model: {twin.beyond}')
         if ignored or twin.failed:
             level = WARN
             message += f'; {ignored} observations ignored, {twin.failed} predictions failed'

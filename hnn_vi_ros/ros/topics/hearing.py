@@ -21,7 +21,7 @@ LARGEST_MESSAGE = 1 << 20
 # Maximum length of a reason [characters]: room for the names of twelve joints and a remedy.
 LONGEST_REASON = 500
 # Minimum wall time between two log lines about ignored messages of a topic [s].
-_REPEATED = 1.0
+_LOG_PERIOD = 1.0
 
 
 class Hearing:
@@ -74,7 +74,7 @@ class Hearing:
 
         def use(payload: bytes) -> None:
             if len(payload) > LARGEST_MESSAGE:
-                raise ValueError(f'{len(payload)} bytes, at most {LARGEST_MESSAGE} are taken')
+                raise ValueError(f'{len(payload)} bytes, at most {LARGEST_MESSAGE} are accepted')
             take(payload if raw else deserialize_message(payload, one.message_type))
 
         def attempt(what: Callable[..., None], *arguments: bytes) -> None:
@@ -85,7 +85,7 @@ class Hearing:
                 self.ignored[topic] += 1
                 reason = self.reasons[topic] = ' '.join(str(problem).split())[:LONGEST_REASON]
                 if (now := time.monotonic()) >= self._due.get(topic, -math.inf):
-                    self._due[topic] = now + _REPEATED
+                    self._due[topic] = now + _LOG_PERIOD
                     self._node.get_logger().error(
                         f'{topic}: message ignored: {reason} ({self.ignored[topic]} so far)')
 

@@ -10,7 +10,7 @@ from hnn_vi_ros.effects import (
     Command, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION, Observation, PATH, POSITION,
     printable, VELOCITY)
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.phase_space import Coordinate, leaders
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 import numpy as np
 from rclpy.qos import qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
@@ -20,10 +20,10 @@ from trajectory_msgs.msg import JointTrajectory
 
 
 def places_of(coordinates: Sequence[Coordinate], given: Sequence[str], field: str) -> list[int]:
-    """Return the index of each coordinate in a message's names, or raise ValueError."""
-    names = [coordinate.name for coordinate in coordinates]
-    if sorted(given) != sorted(names):
-        raise ValueError(f'{field} = [{printable(given)}] must be the coordinates '
+    """Return each coordinate's index in a message's names; followers may be among them."""
+    names, following = [coordinate.name for coordinate in coordinates], leaders(coordinates)
+    if sorted(name for name in given if name not in following) != sorted(names):
+        raise ValueError(f'{field} = [{printable(given)}] must contain the coordinates '
                          f'{listed(names)}, each once')
     return [list(given).index(name) for name in names]
 
@@ -68,8 +68,8 @@ def command_of(message: WrenchStamped, body: str, names: Sequence[str]) -> list[
 
     """
     if message.header.frame_id != body:
-        raise ValueError(f'frame_id = {message.header.frame_id[:80]!r}: expected {body!r}, along '
-                         'whose axes commands act')
+        raise ValueError(f'frame_id = {message.header.frame_id[:80]!r}: expected {body!r}, since '
+                         'commands act along the axes of the body')
     wrench = message.wrench
     components = {f'{body}_{kind}{axis}': getattr(vector, axis)
                   for kind, vector in (('f', wrench.force), ('r', wrench.torque))
@@ -132,7 +132,7 @@ def _lists(message: JointState, fields: Sequence[str]) -> list[np.ndarray]:
     for name in fields:
         values = np.array(getattr(message, name), dtype=np.float64)
         if values.size not in (0, count):
-            raise ValueError(f'{name} has {values.size} numbers for {count} names: give one for '
+            raise ValueError(f'{name} has {values.size} numbers for {count} names: send one for '
                              'each, or none')
         lists.append(values if values.size else np.full(count, np.nan))
     return lists
@@ -151,7 +151,7 @@ def read_path(message: JointTrajectory, stamp: int) -> JointPath:
         columns.append(np.array(rows, dtype=np.float64) if lengths - {0} else None)
     positions, velocities, accelerations, effort = columns
     if effort is not None:
-        raise ValueError('efforts along a path are not followed: leave them out')
+        raise ValueError('efforts in a trajectory are not supported: remove them')
     if positions is None:
         positions = np.empty((len(points), 0))
     times = [nanoseconds(point.time_from_start) for point in points]
@@ -164,12 +164,12 @@ OBSERVATIONS = Input('~/observations', JointState, frozenset({OBSERVATION}), rea
                      qos_profile_sensor_data)
 WRENCH = Input('~/wrench', WrenchStamped, frozenset(), None, NEWEST)
 INITIAL_STATE = Input('~/initial_state', JointState, frozenset(), None, NEWEST)
+# A best-effort subscription also receives from reliable publishers, such as ros2_control.
+JOINT_COMMANDS = Input('~/joint_commands', JointState, frozenset({POSITION, VELOCITY, EFFORT}),
+                       read_joints, qos_profile_sensor_data)
 INPUTS = (
     Input('~/commands', Float64MultiArray, frozenset({NUMBERS}), read_numbers, NEWEST),
-    # A best-effort subscription also receives from reliable publishers, such as ros2_control.
-    Input('~/joint_commands', JointState, frozenset({POSITION, VELOCITY, EFFORT}), read_joints,
-          qos_profile_sensor_data),
-    OBSERVATIONS,
+    JOINT_COMMANDS, OBSERVATIONS,
     Input('~/joint_trajectory', JointTrajectory, frozenset({PATH}), read_path, NEWEST),
     WRENCH, INITIAL_STATE,
 )

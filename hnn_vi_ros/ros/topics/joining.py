@@ -11,7 +11,7 @@ import numpy as np
 from sensor_msgs.msg import JointState
 
 # Maximum time between the parts of one observation [ns].
-_APART = 50_000_000
+_MAX_APART = 50_000_000
 
 
 class ObservationJoiner:
@@ -70,14 +70,14 @@ class ObservationJoiner:
             self._parts[name] = stamp, seen.position[k], seen.velocity[k]
         stamps = [stamp for stamp, _, _ in self._parts.values()]
         apart = max(stamps) - min(stamps)
-        if len(self._parts) < len(self._names) or apart > _APART:
+        if len(self._parts) < len(self._names) or apart > _MAX_APART:
             if stamp - self._since > self._timeout:
                 missing = [name for name in self._names if name not in self._parts]
                 raise ValueError(
                     f'joints {listed(there)} are observed without {listed(missing)}' if missing
-                    else f'parts of an observation are {apart / 1e9:.3g} s apart, at most '
-                    f'{_APART / 1e9:g} s are joined; send all joints in one message, or more '
-                    'often')
+                    else f'the parts of an observation are {apart / 1e9:.3g} s apart, but at most '
+                         f'{_MAX_APART / 1e9:g} s can be joined; send all joints in one message, '
+                         'or more often')
             return None
         times, positions, velocities = map(np.array, zip(
             *(self._parts[name] for name in self._names), strict=True))

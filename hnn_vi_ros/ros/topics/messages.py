@@ -9,11 +9,12 @@ import math
 import re
 from typing import Any
 
+from hnn_vi_ros.effects import LoopManifold
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import dump_yaml, prefixes
 from hnn_vi_ros.phase_space import columns, Coordinate, momentum_rates, rotations
 from hnn_vi_ros.recording import Sample, state_names, Template, Topic
-from hnn_vi_ros.run import Monitor
+from hnn_vi_ros.run import joints_of, JointSensor, Monitor
 from hnn_vi_ros.simulation import local_error, Simulation
 import numpy as np
 from rclpy.duration import Duration, Infinite
@@ -91,17 +92,27 @@ def encode_joints(coordinates: Sequence[Coordinate]) -> Encode:
     Return the encoder of joint_states, in the form that robots publish.
 
     Position is q, velocity is q', and effort is the output of the motors. Only scalar coordinates
-    are included, because no joint rotates by a quaternion.
+    are included, because no joint rotates by a quaternion. Joints that follow others come last,
+    without effort, because the motor is that of their leader.
     """
-    scalar = [c.name for c in coordinates if c.kind == 'scalar']
-    # A slice is faster than a list of columns.
-    of_q, of_p = (slice(None) if len(scalar) == len(coordinates) else [
-        own.index(name) for name in scalar] for own in columns(coordinates))
-    zeros = array('d', [0.0] * len(scalar))
-    return encode_numbers(
-        JointState(name=scalar, position=zeros, velocity=zeros, effort=zeros),
-        lambda sample: (sample.q[of_q], sample.dH_dp[of_p], 0.0 if sample.motors is None
-                        else sample.motors[of_p]), stamped=True)
+    names, values = joints_of(coordinates)
+    return encode_numbers(_joint_message(names), values, stamped=True)
+
+
+def encode_readings(coordinates: Sequence[Coordinate], sensor: JointSensor) -> Encode:
+    """Return the encoder of joint_states as a sensor reads them; see encode_joints."""
+    names, values = joints_of(coordinates)
+
+    def read(sample: Sample) -> list[np.ndarray] | None:
+        found = sensor.measure(sample.step, values(sample))
+        return found and [part for part in found if part.size]
+    return encode_numbers(_joint_message(names, sensor.has_velocities), read, stamped=True)
+
+
+def _joint_message(names: list[str], velocities: bool = True) -> JointState:
+    zeros = array('d', [0.0] * len(names))
+    return JointState(
+        name=names, position=zeros, velocity=zeros if velocities else [], effort=zeros)
 
 
 def named_numbers(labels: Sequence[str]) -> JointState:
@@ -195,7 +206,7 @@ def type_hash(type_name: str) -> str:
         entries = json.loads(_read_interface(type_name, 'json'))['type_hashes']
         return next(entry['hash_string'] for entry in entries if entry['type_name'] == type_name)
     except (ValueError, LookupError, TypeError, StopIteration) as problem:
-        raise RecordingError(f'{type_name}: its installed description holds no type hash; '
+        raise RecordingError(f'{type_name}: its installed description has no type hash; '
                              f'reinstall {type_name.split("/")[0]}') from problem
 
 
@@ -244,7 +255,15 @@ ENTRIES = (
     'microseconds_per_step_p99', 'gradients_per_step', 'largest_real_time_factor', 'energy_scale',
     'local_error')
 # Samples between estimates of the local error; each estimate takes three additional steps.
-_ESTIMATED = 64
+_ESTIMATE_PERIOD = 64
+
+
+def encode_loop_forces(simulation: Simulation) -> Encode:
+    """Return the encoder of ~/loop_forces, whose sample must be the newest one."""
+    loops = simulation.system.constraints
+    assert isinstance(loops, LoopManifold), 'checked when the run is prepared'
+    return encode_numbers(named_numbers(loops.force_names), lambda sample: [
+        simulation.loop_forces.ravel()], stamped=True)
 
 
 class AccuracyEncoder:
@@ -278,7 +297,7 @@ class AccuracyEncoder:
     def encode(self, sample: Sample) -> list[bytes]:
         """Return the serialised message of a sample, which must be the newest one."""
         steps, gradients = self._simulation.steps, self._simulation.gradients
-        if self._samples % _ESTIMATED == 0:
+        if self._samples % _ESTIMATE_PERIOD == 0:
             self._local_error = local_error(self._simulation)
         self._samples += 1
         taken, spent = steps - self._last[0], gradients - self._last[1]
@@ -308,18 +327,19 @@ def encode_feedback(simulation: Simulation) -> Encode:
 
     """
     motors = simulation.motors
-    assert motors.aim is not None, 'of a servo'
-    names = list(motors.aim.names)
+    assert motors.servo_target is not None, 'of a servo'
+    names = list(motors.servo_target.names)
     zeros = array('d', [0.0] * len(names))
 
     def values(sample: Sample) -> tuple[np.ndarray, ...] | None:
-        aim = motors.aim
-        if aim is None or not aim.on_path:
+        target = motors.servo_target
+        if target is None or not target.on_path:
             return None
-        position, velocity = sample.q[aim.columns], sample.dH_dp[aim.columns]
-        effort = np.zeros(len(aim.names)) if sample.motors is None else sample.motors[aim.columns]
-        return (*aim.targets, position, velocity, effort, aim.targets[0] - position,
-                aim.targets[1] - velocity)
+        position, velocity = sample.q[target.columns], sample.dH_dp[target.columns]
+        effort = np.zeros(len(target.names)) if sample.motors is None else \
+            sample.motors[target.columns]
+        return (*target.targets, position, velocity, effort, target.targets[0] - position,
+                target.targets[1] - velocity)
 
     return encode_numbers(JointTrajectory(joint_names=names, points=[
         JointTrajectoryPoint(positions=zeros, velocities=zeros, accelerations=zeros),

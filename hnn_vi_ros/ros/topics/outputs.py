@@ -15,9 +15,9 @@ from hnn_vi_ros.ros.topics.companions import SpreadTopic
 from hnn_vi_ros.ros.topics.inputs import NEWEST, OBSERVATIONS
 from hnn_vi_ros.ros.topics.messages import (
     AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, encode_array, encode_feedback, encode_joints,
-    encode_numbers, encode_state)
+    encode_loop_forces, encode_numbers, encode_readings, encode_state)
 from hnn_vi_ros.ros.topics.poses import MarkerEncoder, OdometryEncoder
-from hnn_vi_ros.run import Monitor
+from hnn_vi_ros.run import JointSensor, Monitor
 from hnn_vi_ros.simulation import Simulation
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -57,6 +57,8 @@ class Material(NamedTuple):
         True if the scene has events.
     spread : SpreadTopic or None
         Spread of an ensemble whose uncertainty the scene publishes, if any.
+    sensor : JointSensor or None
+        Sensor whose readings joint_states holds, if any.
 
     """
 
@@ -67,6 +69,7 @@ class Material(NamedTuple):
     frame_id: str = 'world'
     events: bool = False
     spread: SpreadTopic | None = None
+    sensor: JointSensor | None = None
 
 
 class Output(NamedTuple):
@@ -86,13 +89,13 @@ class Output(NamedTuple):
         start of the configuration with None for the material, so that other nodes discover the
         topic while the scene is compiled, and again with the material.
     make : callable, optional
-        ``make(material, publisher)`` returns the encoder of the samples. Without one, messages are
-        sent with ``Topics.send``.
+        ``make(material, publisher)`` returns the encoder of the samples, or None. Without one,
+        messages are sent with ``Topics.send``.
     encoder : callable, optional
-        ``encoder(coordinates)`` replaces `make` if the encoder depends on the coordinates alone;
-        bags of sweeps also contain these topics.
+        ``encoder(coordinates)`` returns the encoder, unless `make` does, from the coordinates
+        alone; bags of sweeps also contain these topics.
     recorded : str
-        ``'tick'``: one message in each sample of a bag, in the order of the rows; ``'apart'``: a
+        ``'tick'``: a message in each sample of a bag, in the order of the rows; ``'apart'``: a
         message with its own stamp; empty: not recorded.
 
     """
@@ -101,15 +104,14 @@ class Output(NamedTuple):
     message_type: type
     qos: QoSProfile
     when: Callable[[Settings, Material | None], object] = lambda settings, run: True
-    make: Callable[[Material, Publisher], Encode] | None = None
+    make: Callable[[Material, Publisher], Encode | None] | None = None
     recorded: Literal['', 'tick', 'apart'] = ''
     encoder: Callable[[Sequence[Coordinate]], Encode] | None = None
 
     def encode(self, run: Material, publisher: Publisher) -> Encode | None:
         """Return the encoder of the samples, or None if the topic has none."""
-        if self.encoder is not None:
-            return self.encoder(run.simulation.hamiltonian.coordinates)
-        return self.make and self.make(run, publisher)
+        return (self.make and self.make(run, publisher)) or (
+            self.encoder and self.encoder(run.simulation.hamiltonian.coordinates))
 
 
 SCENE = Output('~/scene', String, LATCHED, recorded='apart')
@@ -126,7 +128,10 @@ PREDICTION_ERROR = Output(
     lambda settings, run: run and OBSERVATIONS.holds & run.simulation.motors.takes,
     recorded='apart')
 STATE_SET = Output('~/state_set', DiagnosticArray, _ALARMS, lambda settings, run: run)
-JOINT_STATES = Output('joint_states', JointState, TICKS, recorded='tick', encoder=encode_joints)
+JOINT_STATES = Output('joint_states', JointState, TICKS, make=lambda run, publisher: (
+    None if run.sensor is None else encode_readings(
+        run.simulation.hamiltonian.coordinates, run.sensor)), recorded='tick',
+    encoder=encode_joints)
 # The topic name that robot_state_publisher uses.
 ROBOT = Output('robot_description', String, LATCHED,
                lambda settings, run: run and run.simulation.hamiltonian.robot)
@@ -156,7 +161,11 @@ OUTPUTS = (
            encode_array(columns(coordinates)[1], lambda sample: sample.p)),
     Output('~/energy', Float64, TICKS, recorded='tick', encoder=lambda coordinates:
            encode_numbers(Float64(), lambda sample: [sample.energy])),
-    JOINT_STATES, ACCURACY,
+    JOINT_STATES,
+    Output('~/loop_forces', JointState, TICKS,
+           lambda settings, run: settings.publish_loop_forces,
+           lambda run, publisher: encode_loop_forces(run.simulation), 'tick'),
+    ACCURACY,
     Output('~/odometry', Odometry, TICKS,
            lambda settings, run: run and run.simulation.hamiltonian.rotations,
            lambda run, publisher: OdometryEncoder(
@@ -164,7 +173,7 @@ OUTPUTS = (
     Output('~/markers', MarkerArray, NEWEST, lambda settings, run: run and run.mechanism,
            _markers),
     Output('~/joint_trajectory_state', JointTrajectory, TICKS,
-           lambda settings, run: run and run.simulation.motors.aim is not None,
+           lambda settings, run: run and run.simulation.motors.servo_target is not None,
            lambda run, publisher: encode_feedback(run.simulation), 'apart'),
     Output('~/uncertainty', JointState, TICKS, lambda settings, run: run and run.spread,
            lambda run, publisher: _spread(run).encode, 'apart'),

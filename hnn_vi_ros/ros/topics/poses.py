@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import time
 
 from geometry_msgs.msg import Point
-from hnn_vi_ros.hamiltonians import Ball, Box, Line, Mechanism, Part, Trail
+from hnn_vi_ros.hamiltonians import Ball, Cuboid, Line, Mechanism, Part, Trail
 from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.recording import Sample, Template
 from nav_msgs.msg import Odometry
@@ -79,9 +79,9 @@ def _to_body(quaternion: Sequence[float], vector: Sequence[float]) -> list[float
 
 
 # Wall time between two messages [s].
-_PERIOD = 1.0 / 30.0
+_MARKER_PERIOD = 1.0 / 30.0
 # Maximum number of points of a trail.
-_LONGEST = 1000
+_MAX_TRAIL_POINTS = 1000
 
 
 class MarkerEncoder:
@@ -116,7 +116,7 @@ class MarkerEncoder:
         now = time.monotonic()
         if now < self._due:
             return []
-        self._due = now + _PERIOD
+        self._due = now + _MARKER_PERIOD
         return [self._message(sample)] if self._subscribers() else []
 
     def _message(self, sample: Sample) -> MarkerArray:
@@ -158,11 +158,11 @@ def _marker(name: str, frame_id: str, part: Part) -> Marker:
 
 
 def _place(marker: Marker, part: Part) -> None:
-    if isinstance(part, (Ball, Box)):
+    if isinstance(part, (Ball, Cuboid)):
         _set(marker.pose.position, part.center.reshape(3))
         return
     if isinstance(part, Trail):
-        marker.points = [*marker.points[-_LONGEST:], Point()]
+        marker.points = [*marker.points[-_MAX_TRAIL_POINTS:], Point()]
         _set(marker.points[-1], part.point.reshape(3))
         return
     for point, place in zip(marker.points, part.points.reshape(-1, 3), strict=True):

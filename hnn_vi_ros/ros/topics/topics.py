@@ -11,10 +11,11 @@ from hnn_vi_ros.recording import BagTopics, Sample, serialize, Topic
 from hnn_vi_ros.ros.plumbing.graph import wait_for_delivery
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
+from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.hearing import Hearing
 from hnn_vi_ros.ros.topics.inputs import (
-    body_of, command_of, INITIAL_STATE, Input, INPUTS, OBSERVATIONS, WRENCH)
+    body_of, command_of, INITIAL_STATE, Input, INPUTS, JOINT_COMMANDS, OBSERVATIONS, WRENCH)
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import (
     DIAGNOSTICS, JOINT_STATES, Material, Output, OUTPUTS, ROBOT, SCENE)
@@ -22,9 +23,11 @@ from hnn_vi_ros.ros.topics.remapped_topics import remapped
 from hnn_vi_ros.run import Monitor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
+_ANSWERS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # All possible topics, including those that a scene does not need and that are not created.
 ENDPOINTS = (
     *(Endpoint(output.topic, 'publisher') for output in OUTPUTS),
@@ -64,7 +67,8 @@ class Topics:
 
     def open(self, material: Material, stamp: Callable[[], int],  # noqa: A003
              record: Callable[[Topic, int, bytes], None],
-             join: Callable[[JointState], JointState | None] = lambda message: message) -> None:
+             join: Callable[[JointState], JointState | None] | None = None,
+             answer: Callable[[int], Callable[[], None]] | None = None) -> None:
         """
         Create the topics that depend on the scene: odometry, markers, robot, commands and others.
 
@@ -78,10 +82,14 @@ class Topics:
             Records a message that is not part of a sample: its topic, its stamp and its bytes.
         join : callable, optional
             Returns the observation that a message of the machine completes, or None.
+        answer : callable, optional
+            In lockstep: checks the stamp of a joint command [ns], and returns a function to call
+            once the command is accepted.
 
         """
         simulation = material.simulation
         self._material, self._stamp, self._record, self._join = material, stamp, record, join
+        self._answer = answer
         self._create(material)
         self._describe(output for output in self._outputs if output.recorded)
         self._encoders = self._make(self._outputs)
@@ -111,19 +119,31 @@ class Topics:
             self._node.destroy_publisher(publisher)
         self.hearing.close()
 
+    @property
+    def has_joint_states(self) -> bool:
+        """Return True if the last sample came with joint states: a sensor may have lost them."""
+        return self._last[[*self._ticks].index(JOINT_STATES)] is not None
+
+    def publish_again(self) -> None:
+        """Publish the last sample once more, for late subscribers; the bag holds it once."""
+        for output, payload in zip(self._ticks, self._last, strict=True):
+            if payload is not None:
+                self._publishers[output.topic].publish(payload)
+
     def publish_scene(self, text: str) -> None:
         """Publish the scene; late subscribers receive it too."""
         self.send(SCENE, serialize(String(data=text)))
 
-    def publish(self, sample: Sample) -> Sequence[bytes]:
-        """Publish a sample; return its serialised messages, as the bag records them."""
-        payloads: list[bytes] = []
+    def publish(self, sample: Sample) -> Sequence[bytes | None]:
+        """Publish a sample; return its messages as the bag records them, None for no message."""
+        payloads: list[bytes | None] = []
         for output, encode in self._encoders.values():
             messages = encode(sample)
             for message in messages:
                 self.send(output, message, sample.stamp)
             if output.recorded == 'tick':
-                payloads += messages
+                payloads += messages or [None]
+        self._last = payloads
         return payloads
 
     @property
@@ -176,18 +196,27 @@ class Topics:
 
     def _hear_commands(self, one: Input) -> None:
         """Subscribe to a topic of commands, and record the accepted commands."""
+        if one is JOINT_COMMANDS and self._answer is not None:
+            # A lost answer would not be repeated.
+            one = one._replace(qos=_ANSWERS)
         heard = self.hearing.hear(one, partial(self._take, one))
         self._described[one.topic] = describe_topic(
             heard.topic_name, one.message_type, heard.qos_profile)
 
     def _take(self, one: Input, message: Any) -> None:
-        if one is OBSERVATIONS and (message := self._join(message)) is None:
-            return
+        if one is OBSERVATIONS and self._join is not None:
+            message = self._join(message)
+            if message is None:
+                return
         stamp = self._stamp()
         assert one.read is not None, 'it holds commands'
+        accepted = self._answer(nanoseconds(message.header.stamp)) if (
+            self._answer is not None and one.topic == JOINT_COMMANDS.topic) else None
         self._material.simulation.set_command(one.read(message, stamp))
         # Serialised again, because the sender's padding bytes differ from run to run.
         self._record(self._described[one.topic], stamp, serialize(message))
+        if accepted is not None:
+            accepted()
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         # The bag records the equivalent command, so that the run can be simulated again from it.
