@@ -6,121 +6,123 @@ from pathlib import Path
 
 from hnn_vi_ros.files import complete_by, Parser
 
-# Layouts of the outputs of an imported network, and orders of its inputs.
-LAYOUTS, ORDERS = ('hnn', 'sum_second_half', 'so3', 'se3'), ('qp', 'pq')
-# Behaviour of measured forces between samples, as in learning/data/motions.py.
-INPUTS = ('held', 'interpolated')
-# Same as in hamiltonians/activations.py, whose import requires the compiler.
+# Layouts of files of bodies that rotate.
+LAYOUTS = ('so3', 'se3')
+# Course of measured forces between samples, as in learning/data/motions.py.
+INPUTS = ('held', 'linear', 'spline')
+# Same as in models/networks/activations.py, whose import requires the compiler.
 ACTIVATIONS = ('tanh', 'sine', 'relu', 'softplus')
 _IMPORTED = """\
-The original HNN code and its forks save the state_dict of a torch module,
-differentiable_model.linear1.weight, ..., the last layer without bias, of several outputs F:
-
-    hnn              2 outputs, H = F_2 (F_1 is the conservative part, which has no H)
-    sum_second_half  2 d outputs, H = F_(d+1) + ... + F_(2 d)
+A file alone must contain the weights and biases of a multilayer perceptron with one output, as of
+torch.nn.Sequential. Any other module comes from a function without arguments that returns it.
 
 The Lie-group Hamiltonian code saves several networks of one body, M_net.linear1.weight, ...:
 
-    so3              a body that turns, M_net, V_net, g_net and, with friction, Dw_net
-    se3              one that moves as well, M_net1, M_net2, V_net, g_net, and Dv_net, Dw_net
+    so3              a rotating body: M_net, V_net, g_net and, with friction, Dw_net
+    se3              a body that also translates: M_net1, M_net2, V_net, g_net, and Dv_net, Dw_net
 
-Nothing of the file but its tensors is unpickled. H is that of the source network: its unit, its
-zero and its box are what its authors say they are."""
+Only the tensors of a file are unpickled. H is that of the module, with the unit, zero and box that
+its authors chose."""
+
 
 def train() -> Parser:
     """Return the parser of ``train``."""
     parser = Parser('train', 'Train a model of a mechanical system.', [
-        'ros2 run hnn_vi_ros train --config pendulum',
-        'ros2 run hnn_vi_ros train --config double_pendulum_bag --data BAG '
+        'hnn train --data swing.csv',
+        'hnn train --config pendulum',
+        'hnn train --config double_pendulum_bag --data BAG '
         '--out models/mine.safetensors'])
-    complete_by(parser.add_argument('--config', required=True, metavar='NAME|FILE', help=(
-        'a shipped training configuration, or a YAML file')), 'training')
+    complete_by(parser.add_argument('--config', metavar='NAME|FILE', help=(
+        'a YAML file, or the name of a shipped training configuration; default: the names of the '
+        'columns in --data give coordinates and forces, and the configuration is printed'
+        )), 'training')
     parser.add_argument('--out', type=Path, metavar='FILE',
-                        help='the model file to write (default: models/<name>.safetensors)')
+                        help='write the model to this file (default: models/<name>.safetensors)')
     parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
-                        help='a measured log, or bags, instead of data.path')
-    parser.add_argument('--seed', type=int, help="instead of the configuration's seed")
+                        help='read this log, or these bags, instead of data.path')
+    parser.add_argument('--seed', type=int, help='override the seed of the configuration')
     parser.add_argument('--ensemble', type=int, metavar='N', help=(
-        'train N members on resampled data, whose mean is the model, and whose spread '
-        'measures its uncertainty'))
+        'train N members on resampled data; their mean is the model, and their spread measures '
+        'its uncertainty'))
     parser.add_argument('--device', choices=('cpu', 'cuda'), default='cpu',
-                        help='where to train (default: cpu)')
+                        help='train on this device (default: cpu)')
     parser.add_argument('--resume', action='store_true',
-                        help='continue a run that was interrupted')
+                        help='resume an interrupted training')
     return parser
 
 
 def evaluate() -> Parser:
     """Return the parser of ``evaluate``."""
     parser = Parser('evaluate', (
-        'Judge a model or a scene by measured motions. It is simulated freely from many '
-        'measured states, with the measured forces.'), [
-            'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data arm.npz',
-            'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data bags/run7 --joints a,b',
-            'ros2 run hnn_vi_ros evaluate arm.yaml --data arm.npz:run7,run8 --horizons 0.1 0.5 2 '
+        'Evaluate a model or a scene on measured motions. It is simulated from many measured '
+        'states, with the measured forces.'), [
+            'hnn evaluate models/arm.safetensors --data arm.npz',
+            'hnn evaluate models/arm.safetensors --data bags/run7 --joints a,b',
+            'hnn evaluate arm.yaml --data arm.npz:run7,run8 --horizons 0.1 0.5 2 '
             '--baselines arm.npz:run1,run2 --json arm.json --out arm'])
     parser.add_argument('model', metavar='MODEL|SCENE', help=(
-        'a .safetensors file, with its friction and a force on each coordinate; or the name or '
-        'the YAML file of a scene'))
+        'a .safetensors file, simulated with its friction and a force on each coordinate; or the '
+        'name or YAML file of a scene'))
     parser.add_argument('--data', nargs='+', default=[], metavar='FILE', help=(
-        'bags with joint states; or NPZ[:RUN,...], arrays of t [s], q, dq/dt and the forces of '
-        'the motors, or RUN/t, ... of several runs; or, with --config, files of its format'))
+        'read bags with joint states; or NPZ[:RUN,...] with arrays t [s], q, dq/dt and motor '
+        'forces, or RUN/t, ... for several runs; or a log with named columns; '
+        'or, with --config, files of its format'))
     complete_by(parser.add_argument('--config', metavar='NAME|FILE', help=(
-        'a training configuration of any family, whose data section says how --data is read, and '
-        'names files or computes motions where there is no --data')), 'training')
+        'read --data as the data section of this training configuration (of any family) '
+        'describes; without --data, use the data that it names or computes')), 'training')
     parser.add_argument('--keys', metavar='T,Q[,V[,TAU]]', help=(
-        'names of the arrays; without V, or with nothing in its place, velocities are estimated '
-        'from q; without TAU no forces act (default: t,q,dq,tau)'))
+        'set the names of the arrays; without V, or with V empty, velocities are estimated from '
+        'q; without TAU no forces act (default: t,q,dq,tau)'))
     parser.add_argument('--joints', metavar='NAME,...', help=(
-        'joints of a bag, one a coordinate (default: the names of the coordinates)'))
+        'read these joints of a bag, one per coordinate (default: the names of the coordinates)'))
     parser.add_argument('--horizons', type=float, nargs='+', default=[0.1, 0.5],
-                        metavar='S', help='after which errors are taken [s] (default: 0.1 0.5)')
+                        metavar='S', help='report errors after these times [s] (default: 0.1 0.5)')
     parser.add_argument('--every', type=float, default=0.05, metavar='S', help=(
-        'from one start to the next [s] (default: 0.05)'))
+        'start a prediction at this interval [s] (default: 0.05)'))
     parser.add_argument('--longest', type=float, default=2.0, metavar='S', help=(
-        'how long predictions last for the valid prediction time [s] (default: 2)'))
+        'predict for at most this time to find the valid prediction time [s] (default: 2)'))
     parser.add_argument('--whole', action='store_true', help=(
-        'also simulate each run once, from its beginning to its end'))
+        'also simulate each run once, from start to end'))
     parser.add_argument('--from', type=int, default=0, metavar='N', dest='first', help=(
-        'with --whole: begin at sample N of each run (default: 0)'))
+        'with --whole: start at sample N of each run (default: 0)'))
     parser.add_argument('--held-out', action='store_true', help=(
-        'with --config: judge by what a training with it holds out'))
+        'with --config: evaluate only on the runs that a training with it holds out'))
     parser.add_argument('--smoothing', type=float, metavar='HZ', help=(
-        'cut-off of the zero-phase filter of the initial states (default: 40)'))
+        'set the cut-off frequency of the zero-phase filter for the initial states (default: 40)'))
     parser.add_argument('--baselines', nargs='+', metavar='FILE', help=(
-        'compare with a linear model, and with a rigid body, that are fitted to these motions'))
+        'compare with a linear model and a rigid body that are fitted to these motions'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
-        'a new folder for a report with this table, a picture of the predictions over what was '
-        'measured, and a recording of both for rerun'))
-    parser.add_argument('--json', type=Path, metavar='FILE', help='write the numbers here')
+        'write a report to this new folder: this table, a plot of predictions and measurements, '
+        'and a recording of both for rerun'))
+    parser.add_argument('--json', type=Path, metavar='FILE', help='write the numbers to this file')
     return parser
 
 
-def import_checkpoint() -> Parser:
-    """Return the parser of ``import_checkpoint``."""
-    parser = Parser('import_checkpoint', (
-        'Convert a network of the original HNN code or its forks.'), [
-            'ros2 run hnn_vi_ros import_checkpoint funnel.tar --layout sum_second_half '
-            '--activation sine --coordinates q1,q2 --box=-6:6,-4:4,-4:4,-4:4'], _IMPORTED)
-    parser.add_argument('file', type=Path, metavar='FILE', help='what torch.save wrote')
-    parser.add_argument('--layout', required=True, choices=LAYOUTS, help='which outputs are H')
-    parser.add_argument('--activation', required=True, choices=ACTIVATIONS,
-                        help='between the layers; the file does not say')
+def import_model() -> Parser:
+    """Return the parser of ``import``."""
+    parser = Parser('import', 'Convert a trained torch module H(q, p) to a model.', [
+        'hnn import my_module.py:make --weights weights.pt --coordinates theta '
+        '--box=-3:3,-2:2', 'hnn import sequential.pt --activation tanh '
+        '--coordinates x,y --box=-1:1'], _IMPORTED)
+    parser.add_argument('source', metavar='FILE.py:FUNCTION|FILE', help=(
+        'a function that returns the module, whose code is run once, or a state_dict written by '
+        'torch.save'))
+    parser.add_argument('--weights', metavar='FILE', help=(
+        'load this state_dict, written by torch.save, into the module'))
+    parser.add_argument('--activation', choices=ACTIVATIONS, help=(
+        'set the activation between the layers of a file without code, which does not contain it'))
     parser.add_argument('--coordinates', required=True, metavar='NAME,...',
-                        help='a name for each coordinate')
-    parser.add_argument('--order', default='qp', choices=ORDERS,
-                        help='of the inputs: coordinates first (default), or momenta first')
-    box = parser.add_mutually_exclusive_group(required=True)
-    box.add_argument('--box', metavar='LOW:HIGH,...', help=(
-        'bounds of the data that the network was trained on: of each coordinate, then of each '
-        'momentum, or one for all; beyond them a simulation raises an alarm'))
-    box.add_argument('--box-of', metavar='NAME|FILE', help=(
-        'instead: the bounds of the data of this training configuration'))
+                        help='name the coordinates')
+    parser.add_argument('--box', required=True, metavar='LOW:HIGH,...', help=(
+        'set the bounds of the training data: one interval for each coordinate, then for each '
+        'momentum, or one for all; outside of them a simulation raises an alarm'))
+    parser.add_argument('--layout', choices=LAYOUTS, help=(
+        'read the networks of a rotating body, see below'))
     parser.add_argument('--epsilon', type=float, metavar='NUMBER', help=(
-        "of so3 and se3: that code's epsilon of M_net, whose root is added to the diagonal of the "
-        'root of M^-1; 0 for none; the file does not say'))
+        'for --layout: set epsilon of M_net, whose root is added to the diagonal of the root '
+        'of M^-1; 0 for none; the file does not contain it'))
     parser.add_argument('--floor', type=float, default=0.0, metavar='NUMBER', help=(
-        'of so3 and se3: what that code adds to the diagonal of M^-1 itself (default: 0)'))
+        'for --layout: add this constant to the diagonal of M^-1 itself (default: 0)'))
     parser.add_argument('--out', type=Path, metavar='FILE',
-                        help='the model file to write (default: models/<name>.safetensors)')
+                        help='write the model to this file (default: models/<name>.safetensors)')
     return parser

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Judge a model or a scene with measured motions: ``ros2 run hnn_vi_ros evaluate``."""
+"""Judge a model or a scene with measured motions: ``hnn evaluate``."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -21,13 +21,16 @@ from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, MotionData, train_and_test
 from hnn_vi_ros.learning.data.sources import (
     guessed, make_dataset, motions_of, MotionSource, read_motions)
-from hnn_vi_ros.learning.families.choices import Trajectory
+from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import BodyConfig, FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.excitation import ExcitationData
-from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
+from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body, positions_alone
+from hnn_vi_ros.learning.fit.shooting import first_noise
 from hnn_vi_ros.learning.judging.evaluation import (
     as_json, Fan, finite, judge, linear_model, names_of, outside, parts_of, Predict, predicted_by,
     simulated, simulation_of, table, unaccounted, variance_of, verdict, whole_records)
+from hnn_vi_ros.learning.judging.residuals import (
+    judged_model, residuals_of, STEP, with_fitted_states)
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models import domain_of, load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
@@ -35,8 +38,7 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
 _KEYS = 't', 'q', 'v', 'tau'
-_NO_FORCES = ('with --keys t,q,dq of arrays, or in the data of --config: forces: none of bags, no '
-              'tau of logs')
+_NO_FORCES = 'with --keys t,q,dq for arrays, or with forces: none in the data of --config'
 
 
 def main(argv: Sequence[str]) -> None:
@@ -49,7 +51,7 @@ def main(argv: Sequence[str]) -> None:
         return
     found = _judged(arguments)
     print(found.text)
-    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'evaluate', *argv])
+    command = shlex.join(['hnn', 'evaluate', *argv])
     try:
         _write(arguments, found, f'{found.text}\n\n`{command}`')
     except OSError as problem:
@@ -70,26 +72,38 @@ def _judged(arguments: Namespace) -> _Judged:
     """Judge a model or scene with scalar coordinates."""
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
     names = names_of(hamiltonian)
-    motions, description, data = _motions(arguments, arguments.data, names)
+    motions, description, data = _motions(arguments, arguments.data, hamiltonian.coordinates)
     if arguments.held_out:
         motions = train_and_test(motions, data.test_runs)[1]
-        description += ', of which what a training with this configuration holds out'
+        description += ', only the runs held out by a training with this configuration'
     effects = _effects_for(arguments.model, effects, motions, description)
     checkpoint = getattr(hamiltonian, 'checkpoint', None)
     if checkpoint is not None and checkpoint.card.mechanical is not None \
             and (delay := checkpoint.card.mechanical.delay):
         motions = [delayed(motion, delay / motion.spacing) for motion in motions]
-        description += f'; forces act {delay:.3g} s later, as in the data of the model'
-    simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions, step_size)
+        description += f'; forces delayed by {delay:.3g} s, as in the data of the model'
+    card = None if checkpoint is None or checkpoint.card.mechanical is None else checkpoint.card
+    judged = card is not None and positions_alone(motions)
+    known: dict[str, Any] = {} if card is None else {'noise': [], 'residuals': {}}
+    simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions,
+                             STEP if judged else step_size)
+    if judged and card is not None:
+        # As in training.
+        error = card.prediction_error
+        noise = np.array(error.noise) if error and error.noise else first_noise(motions)
+        model = judged_model(hamiltonian, effects, motions)
+        residuals = residuals_of(model, motions, noise)
+        motions = with_fitted_states(model, motions, noise, residuals)
+        known = {'noise': noise.tolist(), 'residuals': residuals}
     others = _baselines(arguments, hamiltonian)
     with elapsed('simulating'):
         scores, fans = judge(simulation, effects, motions, arguments.horizons, arguments.every,
                              arguments.longest, others)
-    numbers = as_json(scores)
-    text = (f'{arguments.model} on {description}, simulated freely from a state every '
-            f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, '
-            'median of the valid prediction time,\nand what the energy changes by over each '
-            f'horizon beside the work, as a share of its range{_left_out(effects)}\n\n'
+    numbers = as_json(scores) | known
+    text = (f'{arguments.model} on {description}, simulated from a measured state every '
+            f'{arguments.every:g} s:\nRMS error at the end of each horizon, median of the valid '
+            'prediction time, and energy mismatch\n(change of energy minus work over each '
+            f'horizon, relative to its range){_left_out(effects)}\n\n'
             f'{table(scores, names)}\n\n{verdict(scores)}')
     if arguments.whole:
         whole = whole_records(simulated(
@@ -111,8 +125,8 @@ def _effects_for(model: str, effects: list[Effect], motions: Sequence[EvenMotion
     """Return the effects needed for motions; DataError if external_force is missing."""
     driven = any(motion.tau.any() for motion in motions)
     if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
-        raise DataError(f'{description}: the motions were driven, but {model} has no effect '
-                        'external_force; add it with all coordinates, or leave the forces out, '
+        raise DataError(f'{description}: the motions contain forces, but {model} has no effect '
+                        'external_force; add it with all coordinates, or omit the forces, '
                         f'{_NO_FORCES}')
     # An external_force with an input map would require its own number of forces.
     return [effect for effect in effects
@@ -123,12 +137,12 @@ def _baselines(arguments: Namespace, hamiltonian: Hamiltonian) -> dict[str, Pred
     """Return the baseline predictors, fitted to other motions."""
     if arguments.baselines is None:
         return {}
-    known, _, _ = _motions(arguments, arguments.baselines, names_of(hamiltonian))
+    known, _, _ = _motions(arguments, arguments.baselines, hamiltonian.coordinates)
     others = {'linear model': linear_model(known)}
     if all(coordinate.q_unit == 'rad' for coordinate in hamiltonian.coordinates):
         # Fitted on the default windows of training.
-        rigid = best_rigid_body(Trajectory(), known)
-        others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
+        rigid = best_rigid_body(TrajectoryLoss(), known)
+        others |= {} if rigid is None else {'rigid body': predicted_by(rigid.module)}
     return others
 
 
@@ -141,17 +155,17 @@ def _check_options(arguments: Namespace) -> None:
                 math.isfinite(number) and number > 0.0 for number in values):
             raise ParameterError(f'--{name} {value}: expected positive numbers')
     if arguments.first < 0 or (arguments.first and not arguments.whole):
-        raise ParameterError(f'--from {arguments.first}: expected a sample, counted from 0, with '
-                             '--whole')
+        raise ParameterError(f'--from {arguments.first}: expected the zero-based index of a '
+                             'sample, and --whole')
     if arguments.held_out and arguments.config is None:
-        raise ParameterError('--held-out: what a training holds out is in its configuration; name '
-                             'it with --config')
+        raise ParameterError('--held-out: a training configuration defines the held-out runs; '
+                             'name it with --config')
     if not (arguments.data or arguments.config):
-        raise ParameterError('--data: expected measured motions, or a training configuration with '
-                             '--config that names its own')
+        raise ParameterError('--data: expected measured motions, or --config with a training '
+                             'configuration that names its data')
     if arguments.out is not None and arguments.out == arguments.json:
-        raise ParameterError(f'--out {arguments.out} is a folder, and --json a file of its own; '
-                             'name another')
+        raise ParameterError(f'--out {arguments.out} is a folder, but --json is a file; use '
+                             'different names')
     for option in ('out', 'json'):
         if (path := getattr(arguments, option)) is not None:
             check_new(f'--{option}', path)
@@ -160,7 +174,7 @@ def _check_options(arguments: Namespace) -> None:
 def _whole(errors: Sequence[np.ndarray], motions: Sequence[EvenMotion], names: Sequence[str],
            first: int) -> str:
     """Return the errors over whole runs as a Markdown table."""
-    lines = [f'Simulated once, from sample {first} of each run to its end:', '',
+    lines = [f'Each run simulated once, from sample {first} to its end:', '',
              f'| run | lasts [s] | RMS error: {", ".join(names)} |', '|---|---|---|']
     for motion, error in zip(motions, errors, strict=True):
         rms = ' '.join(f'{value:.4g}' for value in error)
@@ -194,43 +208,48 @@ def _simulation(model: str, hamiltonian: Hamiltonian, integrator: Integrator,
         try:
             simulation.set_command(motions[0].tau[0])
         except ValueError as problem:
-            raise DataError(f'{model}: does not take the {motions[0].tau.shape[1]} forces of the '
-                            'motions, by its input map or one for each coordinate; leave them '
-                            f'out, {_NO_FORCES}') from problem
+            raise DataError(f'{model}: {motions[0].tau.shape[1]} forces in the motions match '
+                            'neither its input map nor its coordinates; omit them, '
+                            f'{_NO_FORCES}') from problem
     return simulation
 
 
 def _left_out(effects: Sequence[Effect]) -> str:
     """Return the reason for a missing energy mismatch, '' if there is one."""
     kinds = unaccounted(effects)
-    return f'\n(not judged: states do not give the work of {", ".join(kinds)})' if kinds else ''
+    return '' if not kinds else (
+        f'\n(no energy mismatch: states do not determine the work of {", ".join(kinds)})')
 
 
-def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
+def _motions(arguments: Namespace, given: Sequence[str], coordinates: Sequence[Coordinate]
              ) -> tuple[list[EvenMotion], str, MotionData]:
     """Read measured motions from the options or a configuration; return also their description."""
     changes: dict[str, object] = {} if arguments.smoothing is None else {
         'smoothing': arguments.smoothing}
     if arguments.config is None:
-        return _read(arguments, Path(given[0]), guessed(given[0]), given, names, changes)
+        return _read(arguments, Path(given[0]), guessed(given[0], coordinates), given,
+                     coordinates, changes)
     source = find_config(arguments.config)
     config = load_config(source)
     if arguments.held_out and not hasattr(config.data, 'test_runs'):
-        raise ParameterError(f'--held-out: {source} holds out states, and no runs; leave it out')
+        raise ParameterError(f'--held-out: {source} holds out states, not runs; remove the option')
     if isinstance(config, FieldConfig):
         _check_format(arguments, config.data)
         data = MotionData.model_validate(changes)
-        return *motions_of(make_dataset(config.data, config.seed, source, given), data), data
+        dataset = make_dataset(config.data, config.seed, source, given,
+                               [one.q_unit for one in config.coordinates])
+        return *motions_of(dataset, data), data
     if isinstance(config, BodyConfig):
-        raise DataError(f'{source}: its data are motions of a body that turns, and '
+        raise DataError(f'{source}: its data are motions of a rotating body, but '
                         f'{arguments.model} is of another family')
     if isinstance(config.data, ExcitationData):
+        names = [one.name for one in coordinates]
         return *config.motions(source, names, given, **changes), config.data
-    return _read(arguments, source, config.data, given, names, changes)
+    return _read(arguments, source, config.data, given, coordinates, changes)
 
 
 def _read(arguments: Namespace, source: Path, data: MotionSource, given: Sequence[str],
-          names: Sequence[str], changes: dict[str, object]
+          coordinates: Sequence[Coordinate], changes: dict[str, object]
           ) -> tuple[list[EvenMotion], str, MotionData]:
     """Read motions with a format that the options modify."""
     _check_format(arguments, data)
@@ -241,14 +260,16 @@ def _read(arguments: Namespace, source: Path, data: MotionSource, given: Sequenc
         changes |= {'time': t, 'q': q, 'v': v, 'tau': tau}
     if arguments.joints is not None:
         changes['joints'] = arguments.joints.split(',')
-    return *read_motions(source, data.model_copy(update=changes), names, given), data
+    return *read_motions(
+        source, data.model_copy(update=changes), [one.name for one in coordinates], given,
+        [one.q_unit for one in coordinates]), data
 
 
 def _check_format(arguments: Namespace, data: object) -> None:
     """Raise ParameterError for options that belong to another data format."""
     if arguments.keys is not None and (len(arguments.keys.split(',')) not in (2, 3, 4)
                                        or not isinstance(data, ArraysData)):
-        raise ParameterError(f'--keys {arguments.keys}: expected those of {", ".join(_KEYS)} in '
-                             'an .npz file')
+        raise ParameterError(f'--keys {arguments.keys}: expected the keys of {", ".join(_KEYS)} '
+                             'in an .npz file')
     if arguments.joints is not None and not isinstance(data, BagMotions):
-        raise ParameterError(f'--joints {arguments.joints}: only a bag has joints')
+        raise ParameterError(f'--joints {arguments.joints}: valid only for bags; remove it')

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Train a model of a mechanical system: ``ros2 run hnn_vi_ros train --config NAME``.
+Train a model of a mechanical system: ``hnn train --config NAME``.
 
 Training minimises the loss of the configuration's family, for the plain network H(q, p) the error
 of (H_p, -H_q) with respect to (dq/dt, dp/dt): first with Adam, which finds a good basin, then with
@@ -19,20 +19,21 @@ import time
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files import check_new
 from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.learning.data.arrays import split_runs
 from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.learning.fit.config import (
-    AnyConfig, BodyConfig, FieldConfig, find_config, load_config, MachineConfig)
+    AnyConfig, BodyConfig, FieldConfig, find_config, guess_config, load_config, MachineConfig)
 from hnn_vi_ros.learning.fit.loop import Fit, Keeper, kept, member_files, members_kept
 from hnn_vi_ros.learning.judging.ensemble import check_count, combined
 from hnn_vi_ros.learning.judging.report import Outputs, write_report
-from hnn_vi_ros.learning.tasks import Task
+from hnn_vi_ros.learning.tasks import TrainingTask
 from hnn_vi_ros.learning.tasks.body import BodyTask
 from hnn_vi_ros.learning.tasks.field import FieldTask
 from hnn_vi_ros.learning.tasks.machine import MachineTask
 from hnn_vi_ros.models import averaged_families, Checkpoint, complete_checkpoint, FAMILIES
 import torch
 
-_TASKS: dict[type[AnyConfig], type[Task]] = {
+_TASKS: dict[type[AnyConfig], type[TrainingTask]] = {
     FieldConfig: FieldTask, MachineConfig: MachineTask, BodyConfig: BodyTask}
 
 
@@ -41,8 +42,7 @@ def main(argv: Sequence[str]) -> None:
     arguments = command_lines.train().parse_args(argv)
     # More threads do not help small networks; one thread makes sums identical on all machines.
     torch.set_num_threads(1)
-    source = find_config(arguments.config)
-    config = load_config(source)
+    source, config = _configuration(arguments)
     _check_options(source, config.family, arguments)
     if arguments.seed is not None:
         config = config.model_copy(update={'seed': arguments.seed})
@@ -51,7 +51,7 @@ def main(argv: Sequence[str]) -> None:
     outputs = Outputs.beside(model, task_class.picture)
     state = _check_outputs(
         (*outputs, *member_files(model, arguments.ensemble or 0)), arguments.resume)
-    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *(
+    command = shlex.join(['hnn', 'train', *(
         part for part in argv if part != '--resume')])
     # Training starts here, including the choice of a model.
     begun, members = time.perf_counter(), list[Checkpoint]()
@@ -83,18 +83,30 @@ def main(argv: Sequence[str]) -> None:
           f'trained in {seconds:.1f} s')
 
 
+def _configuration(arguments: Namespace) -> tuple[Path, AnyConfig]:
+    """Return the path that names the model, and the configuration or the reading of the data."""
+    if arguments.config is not None:
+        source = find_config(arguments.config)
+        return source, load_config(source)
+    if not arguments.data:
+        raise ParameterError('--config or --data: name a configuration, or a log, arrays or bags')
+    config, text = guess_config(arguments.data)
+    print(f'configuration (for --config, with the data at this place):\n\n{text}', flush=True)
+    return split_runs(arguments.data[0])[0], config
+
+
 def _check_options(source: Path, family: FamilyChoice, arguments: Namespace) -> None:
     """Raise ParameterError for options that are invalid or unsupported by the family."""
     refuses = dict(family.refuses)
     row = FAMILIES.get(family.kind)
     if row is not None and not row.averaged:
-        refuses['ensemble'] = ('has momenta or forces of its own, whose mean means nothing; '
+        refuses['ensemble'] = ('has its own momenta or forces, whose mean is meaningless; valid '
                                f'families: {", ".join(averaged_families())}')
     for option, given in (('ensemble', arguments.ensemble is not None),
                           ('device', arguments.device != 'cpu'), ('resume', arguments.resume)):
         if given and option in refuses:
-            raise ParameterError(f'{source}: --{option}: a {family.kind} {refuses[option]}; leave '
-                                 'it out')
+            raise ParameterError(f'{source}: --{option}: the family {family.kind} '
+                                 f'{refuses[option]}; remove the option')
     if arguments.seed is not None and not 0 <= arguments.seed < 2**63:
         raise ParameterError(
             f'--seed {arguments.seed}: expected an integer from 0 to 2^63 - 1')
@@ -103,7 +115,8 @@ def _check_options(source: Path, family: FamilyChoice, arguments: Namespace) -> 
     if arguments.ensemble is not None:
         check_count(arguments.ensemble)
         if arguments.resume:
-            raise ParameterError('--resume: an ensemble is trained anew; leave one of the two out')
+            raise ParameterError('--resume: the training of an ensemble cannot be resumed; remove '
+                                 '--resume or --ensemble')
 
 
 def _check_outputs(outputs: Sequence[Path], resume: bool) -> Path:
@@ -116,6 +129,6 @@ def _check_outputs(outputs: Sequence[Path], resume: bool) -> Path:
     for path in outputs:
         check_new('--out', path)
     if os.path.lexists(state) and not resume:
-        raise ParameterError(f'{state} is a run that was interrupted; go on with it with '
+        raise ParameterError(f'{state} is the state of an interrupted run; resume it with '
                              '--resume, or remove it')
     return state

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.exact_prior import exact_system, exact_systems, functions_of
     from hnn_vi_ros.models.families import FAMILIES
     from hnn_vi_ros.models.features import even_layers, Features, pack_features, see
+    from hnn_vi_ros.models.graphs.graph import Builder, graph_data, read_graph
+    from hnn_vi_ros.models.graphs.hamiltonian import GraphHamiltonian
     from hnn_vi_ros.models.lagrangian import midpoint_action
     from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
     from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
         evaluate_outputs, pack_layers, pack_outputs, PackedOutputs)
     from hnn_vi_ros.models.planar_chain import (
         chain_angles, CHAINS, parameter_names, PLANAR_CHAIN, unit_terms)
+    from hnn_vi_ros.models.priors import prior_kernel
     from hnn_vi_ros.models.rigid_body_card import (
         BaseParameter, EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, tree_card,
         TreeCard, values_of)
@@ -45,6 +48,7 @@ if TYPE_CHECKING:
         CandidateCard, Domain, domain_of, DomainCard, Errors, SelectionCard)
     from hnn_vi_ros.models.separable import SeparableHamiltonian
     from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
+    from hnn_vi_ros.models.torch_module import TorchHamiltonian
     from hnn_vi_ros.models.torch_network import Network
     from hnn_vi_ros.models.variational import VariationalHamiltonian
 

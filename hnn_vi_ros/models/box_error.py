@@ -12,7 +12,7 @@ from pydantic import Field
 _RESAMPLES = 1000
 _LEVEL = 95.0  # per cent
 # With fewer blocks, the variation between blocks is too uncertain.
-_FEWEST_BLOCKS = 10
+_MIN_BLOCKS = 10
 
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Reference = Literal['true energy', 'mean along each trajectory', 'work of forces and friction',
@@ -23,26 +23,26 @@ class EnergyError(StrictModel):
     """Error of H at states of the box, up to a constant, with 95 % bootstrap intervals."""
 
     against: Reference = Field(description=(
-        'what H is compared with: the H of the exact system; or, where that is not known, what '
-        'it should be along each motion of the data: constant, or changed by the work of the '
-        'forces and the friction of the model, or by that of friction fitted to it'))
+        'reference for H: the H of the exact system; or, if that is unknown, its expected value '
+        'along each motion of the data: constant, or changed by the work of the forces and of '
+        'the friction of the model, or of friction fitted to it'))
     rms: float = Field(ge=0.0, description='root mean square [J]')
     rms_interval: Interval | None = Field(None, description=(
-        'none where the errors of too few blocks of time are independent'))
-    sup: float = Field(ge=0.0, description='largest [J]')
+        'none if the errors of too few blocks of time are independent'))
+    sup: float = Field(ge=0.0, description='largest error [J]')
     sup_interval: Interval | None = Field(None, description=(
-        'of the largest among as many states'))
-    spread: float = Field(ge=0.0, description='standard deviation of what it is compared with [J]')
-    states: int = Field(gt=0, description='how many')
+        'interval of the largest error of as many states'))
+    spread: float = Field(ge=0.0, description='standard deviation of the reference [J]')
+    states: int = Field(gt=0, description='number of states')
     friction_power: float | None = Field(None, ge=0.0, description=(
-        'what the fitted friction takes in the mean [W]'))
+        'mean power of the fitted friction [W]'))
 
     @property
     def compared_with(self) -> str:
         """Return a description of the reference for H."""
         if self.friction_power is None:
             return self.against
-        return f'{self.against}, {self.friction_power:.3g} W in the mean'
+        return f'{self.against}, {self.friction_power:.3g} W on average'
 
 
 def interval_text(interval: list[float] | None) -> str:
@@ -111,7 +111,7 @@ def energy_spread(learned: np.ndarray, trajectory: np.ndarray, seed: int,
                  _correlation([squares[rows] - squares.mean() for rows in pieces]))
     blocks = [rows[i:i + length] for rows in pieces for i in range(0, len(rows), length)]
     estimates = None
-    if len(blocks) >= _FEWEST_BLOCKS:
+    if len(blocks) >= _MIN_BLOCKS:
         drawn = np.random.default_rng(seed).integers(0, len(blocks), (_RESAMPLES, len(blocks)))
         sums, largest, sizes = (np.array([function(squares[rows]) for rows in blocks])
                                 for function in (np.sum, np.max, len))

@@ -17,13 +17,14 @@ from dataclasses import dataclass, replace
 import hashlib
 from io import BufferedReader
 from itertools import pairwise
+import json
 import os
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files import (
-    command, in_plain_words, limited, one_line, parse_json, refuse_pointer, replacing,
+    in_plain_words, limited, one_line, parse_json, refuse_pointer, replacing,
     safetensors_header, write_new)
 from hnn_vi_ros.models.model_card import ModelCard
 import numpy as np
@@ -31,10 +32,15 @@ from pydantic import ValidationError
 import safetensors
 import safetensors.numpy
 
+if TYPE_CHECKING:
+    from hnn_vi_ros.models.graphs.graph import Builder
+
 MAX_BYTES = 256 << 20
+# Family of models that are graphs; see models.graphs.
+GRAPH = 'graph'
 
 _DTYPES = {'F64': '<f8', 'F32': '<f4'}
-_ANEW = 'copy the file again, or train the model anew'
+_REMEDY = 'copy the file again, or train the model again'
 # First bytes of files of torch.save or pickle: a zip archive, or a pickle of protocol 2 to 5.
 _PICKLES = (b'PK\x03\x04', b'\x80\x02', b'\x80\x03', b'\x80\x04', b'\x80\x05')
 
@@ -89,6 +95,8 @@ class Checkpoint:
         SHA-256 of the file that it was loaded from; '' if it was not loaded.
     members : tuple of Checkpoint
         Members of an ensemble, which has no networks of its own; empty for a single model.
+    graph : tuple of (Builder, int), optional
+        H as a graph, with its output, for the family ``graph``, which has no networks.
 
     """
 
@@ -96,6 +104,7 @@ class Checkpoint:
     networks: Mapping[str, Layers]
     sha256: str = ''
     members: 'tuple[Checkpoint, ...]' = ()
+    graph: 'tuple[Builder, int] | None' = None
 
     @property
     def tensors(self) -> dict[str, np.ndarray]:
@@ -123,10 +132,10 @@ class Checkpoint:
         if number is None:
             return self
         if not count:
-            raise ModelError(f'member = {number}: the file holds one model, no ensemble; leave '
-                             'member out')
+            raise ModelError(f'member = {number}: the file contains one model, not an ensemble; '
+                             'remove member')
         if not 1 <= number <= count:
-            raise ModelError(f'member = {number}: the members are 1 to {count}')
+            raise ModelError(f'member = {number}: expected 1 to {count}')
         return self.members[number - 1]
 
 
@@ -154,22 +163,25 @@ def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
     """
     with _opened(Path(path)) as stream:
         # This check precedes the reading of tensors.
-        card = _card(path, _metadata(path, stream))
+        metadata = _metadata(path, stream)
+        card = _card(path, metadata)
         stream.seek(0)
         raw = stream.read()
     with _plain(path, raw):
         tensors = dict(safetensors.deserialize(raw))
     digest = hashlib.sha256(raw).hexdigest()
     if card.ensemble is not None and not ensembles:
-        raise ModelError(f'{path}: an ensemble of {len(card.ensemble.members)} models; the '
-                         'Hamiltonian of a scene takes it, and friction and forces of the family '
-                         'mechanical; give one model here')
+        raise ModelError(f'{path}: an ensemble of {len(card.ensemble.members)} models is '
+                         'supported as the Hamiltonian of a scene, and for friction and forces of '
+                         'the family mechanical; give a single model here')
     members = () if card.ensemble is None else tuple(
         Checkpoint(member, _networks(path, member, tensors, f'member{k}.'), digest)
         for k, member in enumerate(card.ensemble.members, start=1))
     networks = {} if members else _networks(path, card, tensors)
+    if card.family == GRAPH:
+        return Checkpoint(card, {}, digest, graph=_graph(path, card, metadata, tensors))
     if tensors:
-        raise ModelError(f'{path}: unknown tensor {min(tensors)}; {_ANEW}')
+        raise ModelError(f'{path}: unknown tensor {min(tensors)}; {_REMEDY}')
     return Checkpoint(card, networks, digest, members)
 
 
@@ -192,10 +204,9 @@ def _plain(path: str | Path, begin: bytes) -> Iterator[None]:
     except (safetensors.SafetensorError, ValueError) as problem:
         if begin.startswith(_PICKLES):
             raise ModelError(f'{path}: a pickle or torch.save file, which could run code when '
-                             'loaded; a model is a .safetensors file, which the network of the '
-                             'original HNN code becomes by: '
-                             f'{command("import_checkpoint --help")}') from problem
-        raise ModelError(f'{path}: not a safetensors file ({one_line(problem)}); {_ANEW}'
+                             'loaded; give a .safetensors file; convert a torch module with: '
+                             'hnn import --help') from problem
+        raise ModelError(f'{path}: not a safetensors file ({one_line(problem)}); {_REMEDY}'
                          ) from problem
 
 
@@ -205,6 +216,22 @@ def _networks(path: str | Path, card: ModelCard, tensors: dict[str, Any], prefix
     return _layers(card, {
         name: _tensor(path, prefix + name, shape, tensors.pop(prefix + name, None))
         for name, shape in _shapes(card).items()})
+
+
+def _graph(path: str | Path, card: ModelCard, metadata: dict[str, Any],
+           tensors: Mapping[str, dict[str, Any]]) -> 'tuple[Builder, int]':
+    """Return the graph of a file and its output."""
+    # Imported lazily: reading a scene needs no scipy.
+    from hnn_vi_ros.models.graphs.graph import read_graph
+    try:
+        data = parse_json(str(metadata.get('graph')).encode())
+        values = {name: _values(path, name, found, graph=True) for name, found in tensors.items()}
+    except ValueError as problem:
+        raise ModelError(f'{path}: graph: {one_line(problem)}; {_REMEDY}') from problem
+    try:
+        return read_graph(data, values, 2 * len(card.coordinates))
+    except ModelError as problem:
+        raise ModelError(f'{path}: {problem}; {_REMEDY}') from problem
 
 
 def file_digest(path: Path) -> str:
@@ -238,7 +265,7 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
     except OSError as problem:
         # A file at the path of the folder also raises FileExistsError.
         if isinstance(problem, FileExistsError) and os.path.lexists(path):
-            raise ModelError(f'{path}: exists already and is not overwritten; name another file'
+            raise ModelError(f'{path}: already exists and is not overwritten; name another file'
                              ) from problem
         raise ModelError(f'{path}: cannot be written: {problem.strerror}') from problem
 
@@ -266,8 +293,12 @@ def _serialized(path: Path, checkpoint: Checkpoint) -> bytes:
     tensors: dict[str, np.ndarray] = {}
     for prefix, model in (models or {'': checkpoint}).items():
         tensors |= _tensors(path, model, prefix)
-    raw: bytes = safetensors.numpy.save(
-        tensors, {'model_card': checkpoint.card.model_dump_json(exclude_none=True)})
+    metadata = {'model_card': checkpoint.card.model_dump_json(exclude_none=True)}
+    if checkpoint.graph is not None:
+        from hnn_vi_ros.models.graphs.graph import graph_data
+        graph, tensors = graph_data(*checkpoint.graph)
+        metadata['graph'] = json.dumps(graph, separators=(',', ':'))
+    raw: bytes = safetensors.numpy.save(tensors, metadata)
     return raw
 
 
@@ -290,7 +321,7 @@ def _opened(path: Path) -> Iterator[BufferedReader]:
             yield stream
     except FileNotFoundError as problem:
         raise ModelError(f'{path}: no such model file; train one with: '
-                         f'{command("train --config NAME")}') from problem
+                         'hnn train --config NAME') from problem
     except (OSError, ValueError) as problem:
         what = getattr(problem, 'strerror', None) or one_line(problem)
         raise ModelError(f'{path}: cannot be read: {what}; give the path of a .safetensors file'
@@ -299,12 +330,12 @@ def _opened(path: Path) -> Iterator[BufferedReader]:
 
 def _card(path: str | Path, metadata: dict[str, Any]) -> ModelCard:
     if not isinstance(metadata.get('model_card'), str):
-        raise ModelError(f'{path}: has no model_card in its metadata, so it is not a model of '
-                         f'hnn_vi_ros; train one with: {command("train --config NAME")}')
+        raise ModelError(f'{path}: not a model of hnn_vi_ros, because its metadata have no '
+                         'model_card; train one with: hnn train --config NAME')
     try:
         return ModelCard.model_validate_json(metadata['model_card'])
     except ValidationError as problem:
-        raise ModelError(f'{path}: model_card: {in_plain_words(problem)}; {_ANEW}, or use the '
+        raise ModelError(f'{path}: model_card: {in_plain_words(problem)}; {_REMEDY}, or use the '
                          'version of hnn_vi_ros that wrote it') from problem
 
 
@@ -332,14 +363,23 @@ def _layers(card: ModelCard, tensors: Mapping[str, np.ndarray]) -> dict[str, Lay
 def _tensor(path: str | Path, name: str, shape: tuple[int, ...], found: dict[str, Any] | None
             ) -> np.ndarray:
     if found is None:
-        raise ModelError(f'{path}: {name} is missing; {_ANEW}')
-    if found['dtype'] not in _DTYPES:
-        raise ModelError(f'{path}: {name} has type {found["dtype"]}, expected F64 or F32; {_ANEW}')
+        raise ModelError(f'{path}: {name} is missing; {_REMEDY}')
     if tuple(found['shape']) != shape:
         raise ModelError(f'{path}: {name} has shape {tuple(found["shape"])}, expected {shape} '
-                         f'by the widths of its card; {_ANEW}')
+                         f'for the widths of its card; {_REMEDY}')
+    return _values(path, name, found)
+
+
+def _values(path: str | Path, name: str, found: dict[str, Any], graph: bool = False
+            ) -> np.ndarray:
+    """Return a tensor of a file as float64; of a graph also indices, as int64, and any value."""
+    if graph and found['dtype'] == 'I64':
+        return np.frombuffer(found['data'], '<i8').astype(np.int64).reshape(found['shape'])
+    if found['dtype'] not in _DTYPES:
+        raise ModelError(f'{path}: {name} has type {found["dtype"]}, expected F64 or F32; '
+                         f'{_REMEDY}')
     # A copy, because a view of the file's bytes is read-only and may not be aligned.
     values = np.frombuffer(found['data'], _DTYPES[found['dtype']]).astype(np.float64)
-    if not np.isfinite(values).all():
-        raise ModelError(f'{path}: {name} holds values that are not finite; {_ANEW}')
-    return values.reshape(shape)
+    if not (graph or np.isfinite(values).all()):
+        raise ModelError(f'{path}: {name} contains values that are not finite; {_REMEDY}')
+    return values.reshape(found['shape'])

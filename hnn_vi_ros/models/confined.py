@@ -16,7 +16,7 @@ from hnn_vi_ros.models.ensemble import load_member
 import numpy as np
 
 # Number of states on each face of the box at which the gradient is evaluated.
-_SAMPLES = 64
+_FACE_SAMPLES = 64
 
 
 class ConfinedParameters(NamedTuple):
@@ -80,13 +80,13 @@ class ConfinedHamiltonian(Hamiltonian):
 
     def __init__(self, base: Hamiltonian):
         if base.box is None:
-            raise ValueError(f'{type(base).__name__} has no training box to hold states in')
+            raise ValueError(f'{type(base).__name__} has no training domain to confine states to')
         if not base.canonical:
-            raise ModelError('confine: a wall holds states by forces on canonical momenta, which '
-                             'this model has not; leave confine out')
+            raise ModelError('confine: walls need canonical momenta, which this model does not '
+                             'have; remove confine')
         if base.rotations:
-            raise ModelError('confine: a wall holds numbers, and an attitude is none; leave '
-                             'confine out')
+            raise ModelError('confine: walls need scalar coordinates, but this model has an '
+                             'attitude; remove confine')
         self.base, self.coordinates, self.separable = base, base.coordinates, base.separable
         self.box, self.smooth, self.scheme = base.box, base.smooth, base.scheme
         self.provenance = base.provenance | {'confined': 'to its training box'}
@@ -110,7 +110,7 @@ class ConfinedHamiltonian(Hamiltonian):
         """Return K of each degree of freedom [J], from states on the faces of the box."""
         d = self.dimension
         low, high = np.concatenate(self.box).T
-        z = np.random.default_rng(0).uniform(low, high, (2, 2 * d, _SAMPLES, 2 * d))
+        z = np.random.default_rng(0).uniform(low, high, (2, 2 * d, _FACE_SAMPLES, 2 * d))
         for i in range(2 * d):
             z[0, i, :, i], z[1, i, :, i] = low[i], high[i]
         gradient = np.concatenate(self.base.gradient(z[..., :d], z[..., d:]), axis=-1)

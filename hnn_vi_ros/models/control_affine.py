@@ -52,9 +52,11 @@ def _gradient(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
     z, c, v = parameters.work.z, parameters.work.c, parameters.work.v
     d = v.size
     for a in range(0, q.size, d):
-        z[:d], z[d:] = q[a:a + d], p[a:a + d]
+        for i in range(d):
+            z[i], z[d + i] = q[a + i], p[a + i]
         first_order(parameters)
-        dH_dq[a:a + d], dH_dp[a:a + d] = c[:d], v
+        for i in range(d):
+            dH_dq[a + i], dH_dp[a + i] = c[i], v[i]
 
 
 def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
@@ -64,9 +66,10 @@ def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
                         parameters.work.v_v)
     d = v_v.size
     for a in range(0, q.size, d):
-        b = a + d
-        z[:d], z[d:] = q[a:b], p[a:b]
-        z_v[:d], z_v[d:] = v_q[a:b], v_p[a:b]
+        for i in range(d):
+            z[i], z[d + i] = q[a + i], p[a + i]
+            z_v[i], z_v[d + i] = v_q[a + i], v_p[a + i]
         first_order(parameters)
         second_order(parameters)
-        product_q[a:b], product_p[a:b] = c_v[:d], v_v
+        for i in range(d):
+            product_q[a + i], product_p[a + i] = c_v[i], v_v[i]

@@ -20,7 +20,7 @@ from hnn_vi_ros.kernels import Functions
 import numpy as np
 
 # Number of random states of the test of p . M^-1 p, and its tolerance.
-_STATES, _ROUNDING = 5, 1e-9
+_TESTED_STATES, _TOLERANCE = 5, 1e-9
 
 
 class ExactSystem(NamedTuple):
@@ -88,9 +88,9 @@ def exact_system(kind: str) -> ExactSystem:
     hamiltonian: Hamiltonian = HAMILTONIANS[kind](**probes)
     kernel = hamiltonian.kernel
     if not all(value in kernel.parameters for value in probes.values()):
-        raise ValueError(f'prior: {kind}: what its functions take is not {", ".join(defaults)}')
+        raise ValueError(f'prior: {kind}: its functions do not take {", ".join(defaults)}')
     if not _is_mechanical(hamiltonian):
-        raise ValueError(f'prior: {kind} is not of the form p . M(q)^-1 p / 2 + V(q)')
+        raise ValueError(f'prior: {kind} does not have the form p . M(q)^-1 p / 2 + V(q)')
     return ExactSystem(kind, defaults, hamiltonian.dimension,
                        [kernel.parameters.index(value) for value in probes.values()],
                        kernel.parameters)
@@ -119,9 +119,9 @@ def _is_mechanical(hamiltonian: Hamiltonian) -> bool:
         slopes = np.empty((2, d))
         gradient(hamiltonian.kernel.parameters, q, p, *slopes)
         return slopes[1]
-    for q, p, other in rng.uniform(0.5, 1.5, (_STATES, 3, d)):
+    for q, p, other in rng.uniform(0.5, 1.5, (_TESTED_STATES, 3, d)):
         both = rate(q, p + 2.0 * other)
         error = both - rate(q, p) - 2.0 * rate(q, other)
-        if not np.abs(error).max() <= _ROUNDING * np.abs(both).max():
+        if not np.abs(error).max() <= _TOLERANCE * np.abs(both).max():
             return False
     return True

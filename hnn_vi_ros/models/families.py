@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 
-class Network(NamedTuple):
+class NetworkShape(NamedTuple):
     """
     Numbers of inputs and outputs of a network in a model of d coordinates.
 
@@ -56,7 +56,7 @@ class Family:
 
     """
 
-    networks: Mapping[str, Network]
+    networks: Mapping[str, NetworkShape]
     compiled: str
     trained: str
     constants: tuple[str, ...] = ()
@@ -89,45 +89,52 @@ def _class(name: str) -> Any:
 
 FAMILIES = {
     'hnn': Family(
-        {'energy': Network(2)}, 'models.neural:NeuralHamiltonian', 'learning.families.hnn:HNN',
-        dissipation='energy', averaged='models.ensemble:EnsembleHamiltonian'),
+        {'energy': NetworkShape(2)}, 'models.neural:NeuralHamiltonian',
+        'learning.families.hnn:HNN', dissipation='energy',
+        averaged='models.ensemble:EnsembleHamiltonian'),
     'separable_hnn': Family(
-        {'kinetic': Network(1), 'potential': Network(1)}, 'models.separable:SeparableHamiltonian',
-        'learning.families.hnn:SeparableHNN',
+        {'kinetic': NetworkShape(1), 'potential': NetworkShape(1)},
+        'models.separable:SeparableHamiltonian', 'learning.families.hnn:SeparableHNN',
         averaged='models.ensemble:EnsembleHamiltonian'),
     'dissipative_hnn': Family(
-        {'energy': Network(2), 'dissipation': Network(2)}, 'models.neural:NeuralHamiltonian',
-        'learning.families.hnn:DissipativeHNN', conservative=False,
+        {'energy': NetworkShape(2), 'dissipation': NetworkShape(2)},
+        'models.neural:NeuralHamiltonian', 'learning.families.hnn:DissipativeHNN',
+        conservative=False,
         dissipation='dissipation'),
     'dgnet': Family(
-        {'energy': Network(2)}, 'models.neural:NeuralHamiltonian', 'learning.families.hnn:DGNet',
-        constants=('friction',), conservative=False),
+        {'energy': NetworkShape(2)}, 'models.neural:NeuralHamiltonian',
+        'learning.families.hnn:DGNet', constants=('friction',), conservative=False),
     'vin': Family(
-        {'potential': Network(1)}, 'models.variational:VariationalHamiltonian',
+        {'potential': NetworkShape(1)}, 'models.variational:VariationalHamiltonian',
         'learning.families.lagrangian:VIN', constants=('mass',)),
     'lagrangian': Family(
-        {'lagrangian': Network(2)}, 'models.lagrangian:LagrangianHamiltonian',
+        {'lagrangian': NetworkShape(2)}, 'models.lagrangian:LagrangianHamiltonian',
         'learning.families.lagrangian:LagrangianNetwork', constants=('mass', 'velocities')),
     'symplectic_form': Family(
-        {'one_form': Network(2, lambda d, found: 2 * d), 'energy': Network(2)},
+        {'one_form': NetworkShape(2, lambda d, found: 2 * d), 'energy': NetworkShape(2)},
         'models.symplectic_form:SymplecticFormHamiltonian',
         'learning.families.lagrangian:SymplecticForm', constants=('mass',), canonical=False),
     'control_affine': Family(
-        {'mass_inverse': Network(1, lambda d, found: d * (d + 1) // 2), 'potential': Network(1),
-         'input_map': Network(1, lambda d, found: -(-found // d) * d)},
+        {'mass_inverse': NetworkShape(1, lambda d, found: d * (d + 1) // 2),
+         'potential': NetworkShape(1),
+         'input_map': NetworkShape(1, lambda d, found: -(-found // d) * d)},
         'models.control_affine:ControlAffineHamiltonian',
         'learning.families.hnn:ControlAffine', conservative=False),
     # The inputs of its networks are features of q in the card's ``mechanical`` entry, which also
     # states if there is a third network, of friction.
     'mechanical': Family(
-        {'mass': Network(1), 'potential': Network(1)}, 'models.mechanical:MechanicalHamiltonian',
+        {'mass': NetworkShape(1), 'potential': NetworkShape(1)},
+        'models.mechanical:MechanicalHamiltonian',
         'learning.families.mechanical:MechanicalNetwork', constants=('mechanical',),
         conservative=False, averaged='models.mechanical_mean:MeanMechanism',
         measured_momenta=False),
     # It models one body; the card's ``lie_group`` entry lists the inputs of its networks, and
     # further networks for dissipation and for an input map.
     'lie_group': Family(
-        {'mass': Network(1), 'potential': Network(1)}, 'models.lie_group:LieGroupHamiltonian',
-        'learning.families.lie_group:LieGroupNetwork', constants=('lie_group',),
+        {'mass': NetworkShape(1), 'potential': NetworkShape(1)},
+        'models.lie_group:LieGroupHamiltonian', 'learning.families.lie_group:LieGroupNetwork',
+        constants=('lie_group',),
         conservative=False),
+    # Not trained here: a torch module that was exported, as a graph of operations.
+    'graph': Family({}, 'models.graphs.hamiltonian:GraphHamiltonian', ''),
 }

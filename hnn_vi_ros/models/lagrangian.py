@@ -16,10 +16,10 @@ import numpy as np
 
 # Number of states of the box at which L must be regular, and the allowed variation of L_vv.
 _SAMPLES = 1000
-_CONDITION = 1e8
-_ITERATIONS = 50
+_MAX_VARIATION = 1e8
+_MAX_ITERATIONS = 50
 # Relative changes below which Newton's method reuses the last inverse, and stops.
-_HOLD, _STOP = 1e-4, 1e-15
+_REUSE_CHANGE, _STOP_CHANGE = 1e-4, 1e-15
 
 
 class LagrangianParameters(NamedTuple):
@@ -103,12 +103,12 @@ class LagrangianHamiltonian(LearnedHamiltonian):
 
     def _check(self, x: np.ndarray, masses: np.ndarray) -> None:
         worst = masses[:, 0].argmin()
-        if not 0.0 < masses.max() < _CONDITION * masses.min():
+        if not 0.0 < masses.max() < _MAX_VARIATION * masses.min():
             q, v = np.split(x[worst], 2)
             raise ModelError(
-                f'the learned Lagrangian is singular in its box: at q = {q.round(3).tolist()}, '
-                f'v = {v.round(3).tolist()} the smallest eigenvalue of L_vv is '
-                f'{masses[worst, 0]:.3g}, expected positive ones; train it longer or on more data')
+                'the learned Lagrangian is singular in its training domain: at q = '
+                f'{q.round(3).tolist()}, v = {v.round(3).tolist()} the smallest eigenvalue of '
+                f'L_vv is {masses[worst, 0]:.3g}, expected > 0; train it longer or on more data')
 
     def _masses(self, x: np.ndarray) -> np.ndarray:
         """Return L_vv, shape (m, d, d), at points (q, v) of shape (m, 2 d)."""
@@ -157,7 +157,7 @@ def midpoint_action(checkpoint: Checkpoint) -> Callable[..., Any]:
     family = checkpoint.card.family
     if family != 'lagrangian':
         raise ModelError(f'{checkpoint.card.name}: a model of the family {family} has no '
-                         'Lagrangian, as the family lagrangian has; take another integrator')
+                         'Lagrangian; use one of the family lagrangian, or another integrator')
     # Imported lazily: shipped scenes run without torch.
     from hnn_vi_ros.models.torch_network import Network
     import torch
@@ -224,7 +224,7 @@ def _solve(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray) -> No
         for j in range(d):
             v[i] += start_slope[i, j] * p[j]
     before, held = np.inf, False
-    for _ in range(_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         part_gradient(network, q, v, L_q, L_v)
         if not held:
             _invert_mass(parameters, q, v)
@@ -237,11 +237,11 @@ def _solve(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray) -> No
             for j in range(d):
                 change[i] += inverse[i, j] * (p[j] - L_v[j])
             size, length = max(size, abs(change[i])), max(length, abs(v[i]))
-        if size <= _STOP * length or (size >= before and size <= 1e-10 * length):
+        if size <= _STOP_CHANGE * length or (size >= before and size <= 1e-10 * length):
             return
         # A step that increases the residual is halved; NaN also ends the loop here.
         scale = 1.0 if size < before else 0.5
-        held, before = size <= _HOLD * length, size
+        held, before = size <= _REUSE_CHANGE * length, size
         for i in range(d):
             v[i] += scale * change[i]
     v[:] = np.nan

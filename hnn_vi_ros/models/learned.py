@@ -19,7 +19,7 @@ import numpy as np
 SAMPLES = 64
 _EPS = float(np.finfo(np.float64).eps)
 # Distance of the states of a second difference, relative to the largest.
-_AWAY = 1e3 * _EPS
+_SPACING = 1e3 * _EPS
 
 
 class LearnedHamiltonian(Hamiltonian):
@@ -106,7 +106,7 @@ def rounding(function: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.
         The bound of each value, over all states.
 
     """
-    e = _AWAY * np.abs(z).max(axis=0) * np.random.default_rng(1).uniform(-1.0, 1.0, z.shape)
+    e = _SPACING * np.abs(z).max(axis=0) * np.random.default_rng(1).uniform(-1.0, 1.0, z.shape)
     ahead = z + e
     # 2 z - ahead is exact: the three states are evenly spaced.
     bend = function(ahead) - 2.0 * function(z) + function(2.0 * z - ahead)
@@ -126,8 +126,8 @@ def warn_of_scheme(hamiltonian: Hamiltonian, integrator: str, step_size: float) 
     method, h = hamiltonian.scheme
     if integrator != method or abs(step_size - h) > 1e-9 * h:
         warnings.warn(
-            f'the model was trained through {method} with step_size {h:g}, and is right for that; '
-            f'it runs with {integrator} and step_size {step_size:g}', stacklevel=3)
+            f'the model was trained through {method} with step_size {h:g} s, and is valid for it; '
+            f'it runs with {integrator} and step_size {step_size:g} s', stacklevel=3)
 
 
 def padded(layers: Layers, part: str) -> Layers:

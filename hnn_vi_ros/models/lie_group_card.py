@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 from hnn_vi_ros.files import StrictModel
-from hnn_vi_ros.models.families import Network
+from hnn_vi_ros.models.families import NetworkShape
 from pydantic import Field, model_validator
 
 Seen = Literal['position', 'attitude']
@@ -16,20 +16,20 @@ Positive = Annotated[float, Field(gt=0.0)]
 class LieGroupCard(StrictModel):
     """Inputs, functions of (g, p), of the networks of a rotating body, with pi = (R^T p, L)."""
 
-    kind: Literal['rotation', 'pose'] = Field(description='of the coordinate')
+    kind: Literal['rotation', 'pose'] = Field(description='kind of the coordinate')
     mass_scale: list[Positive] = Field(description=(
-        'S of M^-1 = S (L L^T + floor) S, of each column of pi'))
-    floor: float = Field(ge=0.0, description='least eigenvalue of S^-1 M^-1 S^-1')
+        'S of M^-1 = S (L L^T + floor) S, one entry per column of pi'))
+    floor: float = Field(ge=0.0, description='smallest eigenvalue of S^-1 M^-1 S^-1')
     diagonal: Literal['softplus', 'any'] = Field('softplus', description=(
-        'of L: log(1 + exp(y)), or y as it is, as in networks of others'))
+        'diagonal of L: log(1 + exp(y)), or y itself, as in networks of others'))
     mass_depends_on: list[Seen] = Field(max_length=2, description=(
-        'what L sees; none for a constant M'))
+        'inputs of L; none for a constant M'))
     potential_depends_on: list[Literal['position', 'attitude', 'momentum']] = Field(
-        min_length=1, max_length=3, description='what V sees; with the momentum it is all of H')
+        min_length=1, max_length=3, description='inputs of V; with the momentum, V is all of H')
     dissipation_depends_on: list[Seen] | None = Field(None, max_length=2, description=(
-        'what D of the force -D v sees; none for a constant D, null for no dissipation'))
+        'inputs of D of the force -D v; none for a constant D, null for no dissipation'))
     input_map_depends_on: list[Seen] | None = Field(None, max_length=2, description=(
-        'what B of the force B u sees; none for a constant B, null for no input map'))
+        'inputs of B of the force B u; none for a constant B, null for no input map'))
 
     @model_validator(mode='after')
     def _check(self) -> 'LieGroupCard':
@@ -37,11 +37,11 @@ class LieGroupCard(StrictModel):
             raise ValueError(f'mass_scale has {len(self.mass_scale)} entries, expected '
                              f'{self.size}')
         if self.floor == 0.0 and self.diagonal == 'softplus':
-            raise ValueError('floor must be greater than 0, but for a diagonal of any sign')
+            raise ValueError('floor must be greater than 0 unless diagonal is any')
         for name in ('mass', 'potential', 'dissipation', 'input_map'):
             seen = getattr(self, f'{name}_depends_on') or []
             if len(set(seen)) < len(seen):
-                raise ValueError(f'{name}_depends_on names one thing twice')
+                raise ValueError(f'{name}_depends_on lists an input twice')
             if self.kind == 'rotation' and 'position' in seen:
                 raise ValueError(f'{name}_depends_on: a rotation has no position')
         return self
@@ -52,7 +52,7 @@ class LieGroupCard(StrictModel):
         return 3 if self.kind == 'rotation' else 6
 
     @property
-    def networks(self) -> dict[str, Network]:
+    def networks(self) -> dict[str, NetworkShape]:
         """Return inputs and outputs of each network; an input map has k outputs for each input."""
         outputs: dict[str, Callable[[int, int], int]] = {
             'mass': lambda d, _: len(self.entries), 'potential': lambda d, _: 1,
@@ -60,7 +60,7 @@ class LieGroupCard(StrictModel):
             'input_map': lambda d, found: -(-found // self.size) * self.size}
         seen = {name: getattr(self, f'{name}_depends_on') for name in outputs}
         # A network without inputs has one input, 0.
-        return {name: Network(max(1, len(self.columns(columns))), outputs[name])
+        return {name: NetworkShape(max(1, len(self.columns(columns))), outputs[name])
                 for name, columns in seen.items() if columns is not None}
 
     def columns(self, seen: Sequence[str]) -> list[int]:

@@ -9,7 +9,7 @@ from hnn_vi_ros.errors import listed
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.hamiltonians import Bodies, HAMILTONIANS
 from hnn_vi_ros.models.exact_prior import create
-from hnn_vi_ros.models.families import Network
+from hnn_vi_ros.models.families import NetworkShape
 from hnn_vi_ros.models.planar_chain import (
     CHAINS, couplings, is_chain, parameter_names, PLANAR_CHAIN)
 from hnn_vi_ros.models.rigid_body_card import (
@@ -54,12 +54,12 @@ class FrictionCard(StrictModel):
     viscous_back: list[NotNegative] | None = Field(None, description=(
         'b where v < 0; null: the same'))
     switch: list[Positive] | None = Field(None, description=(
-        's, the speed at which one direction goes over into the other, and friction under load '
-        'is full; null: there is neither'))
+        's, the speed of the transition between directions, and of full friction under load; '
+        'null if there is neither'))
     offset: list[float] | None = Field(None, description=(
         'a constant force, in the unit of the generalised force'))
     load: list[NotNegative] | None = Field(None, description=(
-        'k of the friction -k abs(a) tanh(v / s) under the force a of a motor; null: 0'))
+        'k of the friction -k abs(a) tanh(v / s) under the motor force a; null: 0'))
     # The mean of an ensemble has the terms of all members.
     coulomb: list[CoulombTerm] = Field([], max_length=8 * MOST_MEMBERS)
     stribeck: list[StribeckTerm] = Field([], max_length=8 * MOST_MEMBERS)
@@ -75,7 +75,7 @@ class FrictionCard(StrictModel):
                                      f'{len(self.viscous)}, one for each coordinate')
         if self.switch is None and any(back is not None for back in (
                 self.load, self.viscous_back, *(term.back for term in self.coulomb))):
-            raise ValueError('friction: numbers of v < 0, and load, need switch')
+            raise ValueError('friction: values for v < 0, and load, need switch')
         return self
 
 
@@ -90,26 +90,26 @@ class PriorCard(StrictModel):
     """A parametric system whose M and V are added to those of the networks."""
 
     kind: str = Field(description=(
-        'rigid links in a plane, a rigid_body of its tree, or an exact system of the coordinates '
-        'as they are'))
-    parameters: dict[str, Quantity] = Field(description='as they were fitted')
+        'planar chain of rigid links, rigid_body with its tree, or exact system in these '
+        'coordinates'))
+    parameters: dict[str, Quantity] = Field(description='fitted values')
     angles: list[list[float]] | None = Field(None, description=(
-        'of a planar_chain the angles of its links from the vertical, rows of combinations of the '
+        'angles of the links of a planar_chain from the vertical, as rows of combinations of the '
         'coordinates; zeros for a cart'))
-    tree: TreeCard | None = Field(None, description='of a rigid_body')
+    tree: TreeCard | None = Field(None, description='tree of a rigid_body')
     alone: bool = Field(False, description=(
-        'whether a rigid_body is all of M and V, and the networks add nothing'))
-    identification: Identification | None = Field(None, description='of a rigid_body')
+        'whether a rigid_body is all of M and V, without networks'))
+    identification: Identification | None = Field(None, description='fit of a rigid_body')
 
     @model_validator(mode='after')
     def _check(self) -> 'PriorCard':
         if (self.kind == RIGID_BODY) != (self.tree is not None):
-            raise ValueError(f'prior: tree must be given for {RIGID_BODY}, and for no other')
+            raise ValueError(f'prior: give tree for {RIGID_BODY} only')
         if (self.kind == PLANAR_CHAIN) != (self.angles is not None):
-            raise ValueError(f'prior: angles must be given for {PLANAR_CHAIN}, and for no other')
+            raise ValueError(f'prior: give angles for {PLANAR_CHAIN} only')
         if self.tree is None:
             if self.alone or self.identification is not None:
-                raise ValueError(f'prior: alone and identification are of a {RIGID_BODY}')
+                raise ValueError(f'prior: give alone and identification for {RIGID_BODY} only')
             return self
         if self.parameters.keys() != self.tree.units.keys():
             raise ValueError('prior: parameters must be those of the bodies of its tree')
@@ -142,13 +142,13 @@ def is_periodic(kinds: Sequence[Kind], row: Sequence[float]) -> bool:
 def check_row(key: str, kinds: Sequence[Kind], row: Sequence[float]) -> None:
     """Raise ValueError for a combination of coordinates that cannot be a feature."""
     if not any(row):
-        raise ValueError(f'{key}: a row of zeros sees nothing; leave it out')
+        raise ValueError(f'{key}: a row of zeros has no effect; remove it')
     turning = [x for x, kind in zip(row, kinds, strict=True) if kind == 'continuous' and x]
     if turning and (len(turning) < sum(x != 0.0 for x in row)
                     or any(x != round(x) for x in turning)):
-        raise ValueError(f'{key}: {row} mixes a continuous coordinate with others, or takes a '
-                         'part of it, which has no period of 2 pi; take whole multiples of '
-                         'continuous coordinates')
+        raise ValueError(f'{key}: {row} has no period of 2 pi, because it combines a continuous '
+                         'coordinate with others, or uses a fraction of it; use whole multiples '
+                         'of continuous coordinates')
 
 
 def check_prior(kind: str, kinds: Sequence[Kind], angles: Sequence[Sequence[float]]) -> None:
@@ -159,9 +159,9 @@ def check_prior(kind: str, kinds: Sequence[Kind], angles: Sequence[Sequence[floa
             least, most = CHAINS[kind]
             count = f'{least}' if least == most else f'{least} to {most}'
             raise ValueError(
-                f'prior: a {kind} has {count} coordinates, prismatic ones first; the features, or '
+                f'prior: a {kind} has {count} coordinates, prismatic ones first; features, or '
                 'angles, must be the angles of its links from the vertical: [a, a + b] for an '
-                'angle b from the first link, [a, b] for two from the vertical')
+                'angle b from the first link, [a, b] for two angles from the vertical')
         return
     if kind not in HAMILTONIANS:
         raise ValueError(f'prior: no exact system {kind!r}; valid: {", ".join(HAMILTONIANS)}')
@@ -176,28 +176,28 @@ _FEATURES = 'features', 'mass_features', 'friction_features'
 class MechanicalCard(StrictModel):
     """Features of the coordinates that are inputs of the networks of M, V and friction."""
 
-    kinds: list[Kind] = Field(description='of each coordinate')
+    kinds: list[Kind] = Field(description='kind of each coordinate')
     features: list[list[float]] = Field(min_length=1, description=(
-        'what V sees: the rows of a matrix, each a linear combination of the coordinates'))
+        'inputs of V: the rows of a matrix, each a linear combination of the coordinates'))
     mass_features: list[list[float]] = Field(description=(
-        'what M sees, in the same way; none for a constant M'))
+        'inputs of M, in the same form; none for a constant M'))
     diagonal_mass: bool = Field(False, description='whether M is diagonal')
     mass_scale: list[Positive] = Field(description=(
-        'S of M = S (L L^T + floor) S, the square roots of the inertias in play'))
+        'S of M = S (L L^T + floor) S, the square roots of typical inertias'))
     floor: float = Field(ge=0.0, description=(
-        'least eigenvalue of S^-1 M S^-1; 0 beside a prior, whose M is positive by itself'))
+        'smallest eigenvalue of S^-1 M S^-1; 0 with a prior, whose M is positive definite'))
     friction: FrictionCard
     friction_features: list[list[float]] | None = Field(None, description=(
-        'what the network D of friction -D(q) v sees, in the same way; none for a constant D, '
+        'inputs of the network D of friction -D(q) v, in the same form; none for a constant D, '
         'null for no such network'))
     prior: PriorCard | None = None
     input_map: list[list[float]] | None = Field(None, description=(
-        'forces on the coordinates, one row each, that the motors make of commands of 1; null: '
-        'each coordinate has a motor of its own'))
+        'forces of the motors on the coordinates, one row each, for commands of 1; null: each '
+        'coordinate has its own motor'))
     fade: list[NotNegative] | None = Field(None, description=(
-        'g of each motor, which makes of a command u the force of u / (1 + g abs(u)); null: 0'))
+        'g of each motor, whose force for a command u is that of u / (1 + g abs(u)); null: 0'))
     delay: float = Field(0.0, description=(
-        'by how much commands act later than the data said, to be shifted by in data alike [s]'))
+        'delay of the commands relative to the data, to be applied to similar data [s]'))
 
     @model_validator(mode='after')
     def _check(self) -> 'MechanicalCard':
@@ -217,8 +217,8 @@ class MechanicalCard(StrictModel):
         if self.input_map is not None:
             columns = {len(row) for row in self.input_map}
             if len(self.input_map) != d or len(columns) > 1 or not 1 <= max(columns) <= d:
-                raise ValueError(f'input_map must have {d} rows, one for each coordinate, of '
-                                 f'1 to {d} motors')
+                raise ValueError(f'input_map must have {d} rows, one for each coordinate, and '
+                                 f'1 to {d} columns, one for each motor')
         if self.fade is not None and len(self.fade) != len((self.input_map or [[]])[0]):
             raise ValueError('fade must have an entry for each motor of an input_map')
         return self
@@ -253,13 +253,14 @@ class MechanicalCard(StrictModel):
             self.prior.angles
 
     @property
-    def networks(self) -> dict[str, Network]:
+    def networks(self) -> dict[str, NetworkShape]:
         """Return inputs and outputs of each network."""
-        found = {'mass': Network(self.inputs(self.mass_features), lambda d, _: len(self.entries)),
-                 'potential': Network(self.inputs(self.features))}
+        mass = NetworkShape(self.inputs(self.mass_features), lambda d, _: len(self.entries))
+        found = {'mass': mass,
+                 'potential': NetworkShape(self.inputs(self.features))}
         if self.friction_features is not None:
             k = len(self.kinds)
-            found['friction'] = Network(
+            found['friction'] = NetworkShape(
                 self.inputs(self.friction_features), lambda d, _: k * (k + 1) // 2)
         return found
 
@@ -282,13 +283,13 @@ def check_alike(one: MechanicalCard, other: MechanicalCard) -> None:
     """Raise ValueError if two models cannot form a mean of the same kind."""
     for name in _SHARED:
         if getattr(one, name) != getattr(other, name):
-            raise ValueError(f'ensemble: {name} of a member are not those of the others')
+            raise ValueError(f'ensemble: {name} must be the same for all members')
     kinds = [(None if card.prior is None else (card.prior.kind, card.prior.angles),
               None if card.input_map is None else len(card.input_map[0]))
              for card in (one, other)]
     if kinds[0] != kinds[1]:
-        raise ValueError('ensemble: prior, or motors of input_map, of a member are not those of '
-                         'the others')
+        raise ValueError('ensemble: prior and motors of input_map must be the same for all '
+                         'members')
 
 
 def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:

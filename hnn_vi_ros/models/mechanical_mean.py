@@ -12,7 +12,7 @@ from hnn_vi_ros.models.mechanical import inertia, slope, slope_change
 import numpy as np
 
 
-class MeanParameters(NamedTuple):
+class MeanMechanismParameters(NamedTuple):
     """
     Parameters of the functions of a mean, their first argument.
 
@@ -74,13 +74,13 @@ class MeanMechanism(MeanHamiltonian):
             terms = self._kernel_of(inertia, slope, slope_change, member.parameters())
             members.append(Target(*by_address(terms).parameters))
             wholes.append(Target(*by_address(member._kernel()).parameters))
-        parameters = MeanParameters(
+        parameters = MeanMechanismParameters(
             members[0], tuple(members), tuple(wholes), np.zeros((d, d)), *np.zeros((5, d)),
             *np.zeros((2, d * d)))
         return self._kernel_of(energy, gradient, hessian_vector, parameters)
 
 
-def energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:
+def energy(parameters: MeanMechanismParameters, q: np.ndarray, p: np.ndarray) -> float:
     """Return H; see Kernel."""
     _solve(parameters, q, p)
     total = 0.0
@@ -92,7 +92,7 @@ def energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:
     return total
 
 
-def gradient(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+def gradient(parameters: MeanMechanismParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
              dH_dp: np.ndarray) -> None:
     """Fill the gradient; see Kernel."""
     v, own, d = parameters.v, parameters.part, parameters.v.size
@@ -109,8 +109,9 @@ def gradient(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, dH_dq: np
             dH_dp[a + i] = v[i]
 
 
-def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                   v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+def hessian_vector(parameters: MeanMechanismParameters, q: np.ndarray, p: np.ndarray,
+                   v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                   product_p: np.ndarray) -> None:
     """Fill the change of the gradient along (v_q, v_p), using M v' = p' - M' v."""
     v, v_change, own = parameters.v, parameters.v_change, parameters.part
     turned, d = parameters.turned, parameters.v.size
@@ -135,7 +136,7 @@ def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, v_q
 
 
 @part(error_model='numpy')
-def _solve(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> None:
+def _solve(parameters: MeanMechanismParameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill the factor of M, and v; v is NaN if no factor exists."""
     factor, v, mass = parameters.factor, parameters.v, parameters.wide_mass
     d, share = v.size, 1.0 / len(parameters.members)

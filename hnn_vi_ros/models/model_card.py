@@ -23,7 +23,7 @@ class CoordinateCard(StrictModel):
     name: str = Field(pattern=r'^[^\W\d]\w*$', max_length=64, description=(
         'a letter or underscore, then letters, digits, underscores'))
     q_unit: str = Field('1', max_length=32, description='unit of the coordinate')
-    p_unit: str = Field('1', max_length=32, description='unit of the momentum')
+    p_unit: str = Field('1', max_length=32, description='unit of its momentum')
 
 
 class Box(StrictModel):
@@ -58,32 +58,37 @@ class Box(StrictModel):
 class Scheme(StrictModel):
     """A one-step map."""
 
-    integrator: str = Field(description='a method, as a scene names it')
+    integrator: str = Field(description='name of the method, as in a scene')
     step_size: float = Field(gt=0.0, description='h [s]')
 
 
 class Units(StrictModel):
     """Normalisation of the network inputs: (x - centre) / scale."""
 
-    centre: list[float] = Field(description='of the states (q, p)')
-    scale: list[float] = Field(description='of the states (q, p)')
-    target: list[float] = Field(description='of what the loss compares, such as (dq/dt, dp/dt)')
+    centre: list[float] = Field(description='centre of the states (q, p)')
+    scale: list[float] = Field(description='scale of the states (q, p)')
+    target: list[float] = Field(description='scale of the targets, such as (dq/dt, dp/dt)')
 
 
 class PredictionError(StrictModel):
     """Error of simulations from measured states that were held out."""
 
     horizons: dict[str, list[float | None]] = Field(description=(
-        'root mean square of the error of each coordinate at the end of each horizon [s]; null '
-        'where a simulation failed'))
+        'root mean square error of each coordinate at the end of each horizon [s]; null if a '
+        'simulation failed'))
     valid_prediction_time: float = Field(ge=0.0, description=(
         'median of the time until sum_i (error of q_i)^2 / var(q_i) reaches 0.01 [s]'))
     censored: float = Field(ge=0.0, le=1.0, description=(
-        'share of predictions that were still valid when they, or the motion, ended'))
-    failed: int = Field(ge=0, description='simulations that failed')
+        'share of predictions that were valid until they, or the motion, ended'))
+    failed: int = Field(ge=0, description='number of failed simulations')
     energy_mismatch: dict[str, float | None] | None = Field(None, description=(
-        'what H changes by over each horizon [s] beside the work, as a share of its range; null '
-        'where it is not finite'))
+        'change of H minus the work over each horizon [s], as a share of the range of H; null '
+        'if it is not finite'))
+    noise: list[float] = Field([], description=(
+        'standard deviation of the noise of the coordinates, then of the velocities if measured'))
+    residuals: dict[str, list[float]] = Field({}, description=(
+        'root mean square of the residuals of each coordinate in units of its noise, in windows '
+        'of each length [s] whose initial states are fitted'))
 
 
 class ModelCard(StrictModel):
@@ -94,47 +99,47 @@ class ModelCard(StrictModel):
     family: Literal[tuple(FAMILIES)] = 'hnn'  # type: ignore[valid-type]
     activation: Literal['tanh', 'sine', 'relu', 'softplus'] = 'tanh'
     widths: Widths | None = Field(None, description=(
-        'of all layers of the one network, input and output included'))
+        'widths of all layers of the network, including input and output'))
     networks: dict[str, Widths] | None = Field(None, description=(
-        'the same for each network, in a family of several'))
+        'the same for each network, in a family with several'))
     coordinates: list[CoordinateCard] = Field(min_length=1)
     box: Box = Field(description='bounds of the data that the model was trained on')
     velocities: list[Interval] | None = Field(None, description=(
         'bounds of dq/dt in the data, for a Lagrangian'))
     mass: list[list[float]] | None = Field(None, description=(
-        'M, for a family whose kinetic energy holds dq/dt . M dq/dt / 2, or theta M times p'))
+        'M, for a family whose kinetic energy contains dq/dt . M dq/dt / 2, or theta M times p'))
     friction: list[Annotated[float, Field(ge=0.0)]] | None = Field(None, description=(
         'gamma [1/s], for a family that learned dp/dt = -H_q - gamma p'))
     mechanical: MechanicalCard | None = Field(None, description=(
-        'how the networks of the family mechanical see q, and its friction; of an ensemble the '
-        'friction and the input map are those of the mean'))
+        'inputs of the networks of the family mechanical, and its friction; for an ensemble, '
+        'friction and input map of the mean'))
     lie_group: LieGroupCard | None = Field(None, description=(
-        'what the networks of the family lie_group see of a body; its box has a column of p more, '
-        'which stays zero'))
+        'inputs of the networks of the family lie_group; the box has an additional column of p, '
+        'which is zero'))
     scheme: Scheme | None = Field(None, description=(
-        'the one-step map that the model was trained through, and is right for'))
+        'the one-step map that the model was trained through, and is valid for'))
     dataset: str
     seed: int
     losses: dict[str, float]
-    units: Units | None = Field(None, description='of training')
-    energy_error: EnergyError | None = Field(None, description='of H in the box, where known')
+    units: Units | None = Field(None, description='normalisation used in training')
+    energy_error: EnergyError | None = Field(None, description='error of H in the box, if known')
     prediction_error: PredictionError | None = Field(None, description=(
-        'of a machine, simulated freely with the measured forces'))
-    domain: DomainCard | None = Field(None, description='of a machine, what it has seen')
+        'error of a machine, simulated with the measured forces'))
+    domain: DomainCard | None = Field(None, description='training domain of a machine')
     selection: SelectionCard | None = Field(None, description=(
-        'of a machine, how it was chosen by motions that were held out'))
+        'how a model of a machine was chosen, using motions that were held out'))
     training_command: str
     package_version: str
     confine: bool = Field(False, description=(
-        'whether H holds states near the box, unless a scene says otherwise'))
+        'whether walls keep states near the box, unless a scene overrides it'))
     ensemble: 'EnsembleCard | None' = Field(None, description=(
-        'of a file of several networks: H is their mean'))
+        'members of a file with several models: H is their mean'))
 
     @property
     def layout(self) -> dict[str, list[int]]:
         """Return the widths of each network."""
-        if self.networks is not None:
-            return self.networks
+        if self.networks is not None or not FAMILIES[self.family].networks:
+            return self.networks or {}
         assert self.widths is not None, 'checked: one of the two is there'
         (first, *_) = FAMILIES[self.family].networks
         return {first: self.widths}
@@ -155,37 +160,40 @@ class ModelCard(StrictModel):
 
     def _check_ensemble(self, ensemble: 'EnsembleCard') -> None:
         if not FAMILIES[self.family].averaged:
-            raise ValueError(f'ensemble: the family {self.family} has none; those that have: '
+            raise ValueError(f'ensemble: not supported by the family {self.family}; valid: '
                              f'{", ".join(averaged_families())}')
         for member in ensemble.members:
             if member.ensemble is not None:
-                raise ValueError('ensemble: a member must be one model, no ensemble')
+                raise ValueError('ensemble: a member must be a single model, not an ensemble')
             for name in ('family', 'activation', 'layout', 'coordinates'):
                 if getattr(member, name) != getattr(self, name):
-                    raise ValueError(f'ensemble: {name} of a member is not that of the others')
+                    raise ValueError(f'ensemble: {name} must be the same for all members')
             if self.mechanical is not None and member.mechanical is not None:
                 check_alike(self.mechanical, member.mechanical)
         factors = ensemble.factors
         if factors is not None and len(factors) != 2 * len(self.coordinates):
             raise ValueError(f'ensemble: {len(factors)} factors, expected '
-                             f'{2 * len(self.coordinates)}, of q and p')
+                             f'{2 * len(self.coordinates)} for q and p')
 
     def _check_networks(self, d: int) -> None:
         own = self.mechanical or self.lie_group
-        expected, units, why = (own.networks, 1, 'by what the networks see') if own else (
+        expected, units, why = (own.networks, 1, 'for the inputs in the card') if own else (
             FAMILIES[self.family].networks, d, f'for {d} coordinates')
-        if len(expected) == 1:
+        if not expected:
+            if self.widths is not None or self.networks is not None:
+                raise ValueError(f'the family {self.family} has no widths and no networks')
+        elif len(expected) == 1:
             if self.widths is None or self.networks is not None:
-                raise ValueError(f'widths, and no networks, must describe a model of the family '
+                raise ValueError('give widths, and not networks, for a model of the family '
                                  f'{self.family}')
         elif self.widths is not None or (self.networks or {}).keys() != expected.keys():
-            raise ValueError(f'networks, and no widths, must describe {", ".join(expected)} for '
-                             f'the family {self.family}')
+            raise ValueError(f'give networks {", ".join(expected)}, and not widths, for a model '
+                             f'of the family {self.family}')
         for name, widths in self.layout.items():
             network = expected[name]
             ends = network.inputs * units, network.outputs(units, widths[-1])
             if (widths[0], widths[-1]) != ends:
-                raise ValueError(f'widths {widths} of {name} must begin with {ends[0]} '
+                raise ValueError(f'widths {widths} of {name} must start with {ends[0]} '
                                  f'and end with {ends[1]}, {why}')
 
     def _check_constants(self, d: int) -> None:
@@ -196,7 +204,7 @@ class ModelCard(StrictModel):
                                  f'{self.family}')
             count = 1 if name == 'lie_group' else len(getattr(value, 'kinds', value or ()))
             if needed and count != d:
-                raise ValueError(f'{name} is of {count} coordinates, the card of {d}')
+                raise ValueError(f'{name} has {count} coordinates, the card has {d}')
         if self.mass is not None:
             mass = np.array([row for row in self.mass if len(row) == d])
             if mass.shape != (d, d) or not (np.linalg.eigvalsh(mass) > 0.0).all():
@@ -208,13 +216,14 @@ class EnsembleCard(StrictModel):
 
     members: list[ModelCard] = Field(min_length=2, max_length=MOST_MEMBERS)
     factors: list[Annotated[float, Field(gt=0.0)]] | None = Field(None, description=(
-        'of each coordinate, then of each momentum: what the standard deviation of the members '
-        'is multiplied by, so that a band of it covers the share `level` of errors; none: the '
-        'spread was not calibrated'))
+        'factors of the standard deviation of the members, for each coordinate, then for each '
+        'momentum, so that bands cover the share `level` of errors; none if the spread was not '
+        'calibrated'))
     level: float = Field(0.9, gt=0.0, lt=1.0, description='share of errors that bands cover')
     coverage: float | None = Field(None, ge=0.0, le=1.0, description=(
-        'share that the bands cover in motions that neither training nor the factors have seen'))
-    calibration: str = Field('', max_length=1000, description='on what the factors were found')
+        'share that the bands cover in motions that were used neither for training nor for the '
+        'factors'))
+    calibration: str = Field('', max_length=1000, description='data that determined the factors')
 
     @model_validator(mode='before')
     @classmethod

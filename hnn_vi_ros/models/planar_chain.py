@@ -20,10 +20,11 @@ M is positive definite at all q if the matrix K of I_i and C_ij is, and without 
 cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians import Graph, mass_kernel, Symbol
+from hnn_vi_ros.hamiltonians import Graph, mass_kernels, Symbol
 from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
@@ -137,6 +138,13 @@ def unit_terms(angles: Sequence[Sequence[float]]) -> list[Terms]:
 
 def chain_kernel(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Kernel:
     """Return the functions of H of a chain, as code without loops."""
+    return _kernels(tuple(map(tuple, angles)))({
+        name: parameters[name] for name in parameter_names(angles)})
+
+
+@cache
+def _kernels(angles: tuple[tuple[float, ...], ...]) -> Callable[[Mapping[str, float]], Kernel]:
+    """Return the functions as a function of the parameters; fits try many of them."""
     graph, d = Graph(), len(angles)
     names, momenta = ([f'{kind}{i}' for i in range(d)] for kind in 'qp')
     q, p = ([Symbol(graph, graph.name(name)) for name in both] for both in (names, momenta))
@@ -153,8 +161,7 @@ def chain_kernel(angles: Sequence[Sequence[float]], parameters: Mapping[str, flo
         for row, weight in zip(terms.rows, terms.weights, strict=True):
             energy += float(weight) * (parameter * (1.0 - combined(row).cos()))
         energy += parameter * combined(terms.pull)
-    return mass_kernel(graph, mass, energy, p, (names, momenta), {
-        name: parameters[name] for name in parameter_names(angles)})
+    return mass_kernels(graph, mass, energy, p, (names, momenta))
 
 
 def couplings(d: int, parameters: Mapping[str, float]) -> np.ndarray:

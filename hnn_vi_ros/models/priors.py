@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """M and V of a prior of the family mechanical, added to its networks; its kernel by address."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians import tree_kernel
@@ -49,13 +50,14 @@ def prior_of(card: MechanicalCard) -> Prior:
     d = len(card.kinds)
     # Without a prior, a kernel whose functions are neither called nor, hence, compiled.
     kernel = create('free_particle', {'mass': 1.0}).kernel if card.prior is None else \
-        _kernel(card.prior, card.angles)
+        prior_kernel(card.prior, card.angles)
     target = by_address(kernel).parameters
     assert isinstance(target, Target)
     return Prior(card.prior is not None, target, *np.zeros((2, d, d)), *np.zeros((6, d)))
 
 
-def _kernel(prior: PriorCard, angles: list[list[float]]) -> Kernel:
+def prior_kernel(prior: PriorCard, angles: Sequence[Sequence[float]]) -> Kernel:
+    """Return the functions of a prior alone."""
     if prior.tree is not None:
         return tree_kernel(prior.bodies)
     return chain_kernel(angles, prior.values) if prior.kind in CHAINS else \

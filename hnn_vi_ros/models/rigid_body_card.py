@@ -13,7 +13,8 @@ from collections.abc import Mapping
 from typing import Annotated
 
 from hnn_vi_ros.files import StrictModel
-from hnn_vi_ros.hamiltonians import Bodies, frame_of, Joint, MOST_JOINTS, SLIDING, TURNING, Units
+from hnn_vi_ros.hamiltonians import (
+    Bodies, frame_of, Joint, JointUnits, MOST_JOINTS, SLIDING, TURNING)
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -24,7 +25,7 @@ INERTIAL = len(_INERTIAL)
 # Parameters of each body and its joint.
 EACH = INERTIAL + 2
 # Rounding of zero, relative to the largest eigenvalue of a pseudo-inertia.
-_ROUNDING = 1e-9
+_ZERO_TOLERANCE = 1e-9
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -35,38 +36,37 @@ class BodyCard(StrictModel):
     link: str = Field(min_length=1, max_length=200)
     joint: str = Field(min_length=1, max_length=200)
     parent: int = Field(ge=0, description='0 for the base, k for the k-th body')
-    coordinate: int = Field(ge=0, description='which one that of the joint is')
+    coordinate: int = Field(ge=0, description='index of the coordinate of the joint')
     prismatic: bool
-    axis: Vector = Field(description='of the joint, a unit vector in the frame of the link')
+    axis: Vector = Field(description='axis of the joint, a unit vector in the frame of the link')
     rotation: list[Vector] = Field(min_length=3, max_length=3, description=(
-        'of the frame of the link from that of its parent, where the coordinate is zero'))
-    origin: Vector = Field(description='of the link in the frame of its parent there [m]')
+        'rotation of the frame of the link in that of its parent where the coordinate is zero'))
+    origin: Vector = Field(description='origin of the link in the frame of its parent there [m]')
 
     @model_validator(mode='after')
     def _check(self) -> 'BodyCard':
         turn = np.array(self.rotation)
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or not np.linalg.det(turn) > 0.0:
-            raise ValueError(f'rotation of {self.link} is none')
+            raise ValueError(f'rotation of {self.link} is not a rotation matrix')
         if abs(float(np.linalg.norm(self.axis)) - 1.0) > 1e-6:
-            raise ValueError(f'axis of {self.joint} is no unit vector')
+            raise ValueError(f'axis of {self.joint} is not a unit vector')
         return self
 
 
 class TreeCard(StrictModel):
     """Bodies, each after its parent, and gravity."""
 
-    robot: str = Field('', max_length=200, description='its name in the URDF')
+    robot: str = Field('', max_length=200, description='name of the robot in the URDF')
     bodies: list[BodyCard] = Field(min_length=1, max_length=MOST_JOINTS)
-    gravity: Vector = Field(description='in the frame of the base [m/s2]')
+    gravity: Vector = Field(description='gravity in the frame of the base [m/s2]')
 
     @model_validator(mode='after')
     def _check(self) -> 'TreeCard':
         for row, body in enumerate(self.bodies):
             if body.parent > row:
-                raise ValueError(f'{body.link} hangs on body {body.parent}, which is not before '
-                                 'it')
+                raise ValueError(f'{body.link} has parent {body.parent}, which must precede it')
         if sorted(body.coordinate for body in self.bodies) != [*range(len(self.bodies))]:
-            raise ValueError('each joint must have a coordinate of its own')
+            raise ValueError('each joint must have its own coordinate')
         return self
 
     @property
@@ -74,7 +74,7 @@ class TreeCard(StrictModel):
         """Return the parameters of all bodies in sequence, with their units."""
         found: dict[str, str] = {}
         for body in self.bodies:
-            own = Units.of(SLIDING if body.prismatic else TURNING[0])
+            own = JointUnits.of(SLIDING if body.prismatic else TURNING[0])
             units = 'kg', *3 * ('kg m',), *6 * ('kg m2',)
             found |= {f'{body.link}.{name}': unit
                       for name, unit in zip(_INERTIAL, units, strict=True)}
@@ -88,7 +88,7 @@ class BaseParameter(StrictModel):
     combination: dict[str, float] = Field(description='factors of parameters')
     value: float
     standard_error: float = Field(ge=0.0, description=(
-        'from the residuals, with blocks of them for their autocorrelation'))
+        'from the residuals, in blocks because of their autocorrelation'))
     unit: str = Field(max_length=32)
 
 
@@ -97,15 +97,15 @@ class Identification(StrictModel):
 
     base_parameters: list[BaseParameter]
     weak: list[BaseParameter] = Field([], description=(
-        'others, which the data determine less well than the URDF: they are close to that'))
+        'others, which the data determine less well than the URDF: they are close to it'))
     held: list[dict[str, float]] = Field(description=(
-        'directions, as factors of parameters, that the data do not determine: they are as '
-        'in the URDF'))
+        'directions, as factors of parameters, that the data do not determine: they have the '
+        'values of the URDF'))
     force_error: list[float] = Field(description=(
-        'of each coordinate, squared error of the force over its variance, on held-out data'))
+        'squared error of the force over its variance, for each coordinate, on held-out data'))
     residual_share: list[float] | None = Field(None, description=(
-        'of each coordinate, root mean square of what the networks add to the force over that of '
-        'the force, on held-out data'))
+        'root mean square of the force of the networks over that of the force, for each '
+        'coordinate, on held-out data'))
 
 
 def tree_card(bodies: Bodies, joints: Mapping[int, Joint], robot: str) -> TreeCard:
@@ -141,7 +141,7 @@ def values_of(tree: TreeCard, bodies: Bodies) -> np.ndarray:
     """Return the parameters of bodies, shape (d, 12), with zero offsets."""
     found = np.zeros((len(tree.bodies), EACH))
     for i, (row, body) in enumerate(zip(found, tree.bodies, strict=True), start=1):
-        row[:INERTIAL] = turned(bodies.inertia[i], frame_of(np.array(body.axis)))
+        row[:INERTIAL] = rotated_inertia(bodies.inertia[i], frame_of(np.array(body.axis)))
         row[INERTIAL] = bodies.armature[i]
     return found
 
@@ -153,7 +153,7 @@ def bodies_of(tree: TreeCard, values: np.ndarray) -> Bodies:
     for body, own, row in zip(tree.bodies, frames[1:], values, strict=True):
         rotation = frames[body.parent].T @ np.array(body.rotation) @ own
         placement.append(np.r_[rotation.ravel(), frames[body.parent].T @ body.origin])
-        inertia.append(turned(row[:INERTIAL], own.T))
+        inertia.append(rotated_inertia(row[:INERTIAL], own.T))
     return Bodies(
         np.array([0, *(body.parent for body in tree.bodies)]),
         np.array([0, *(body.coordinate for body in tree.bodies)]),
@@ -162,7 +162,7 @@ def bodies_of(tree: TreeCard, values: np.ndarray) -> Bodies:
         np.r_[0.0, values[:, INERTIAL + 1]])
 
 
-def turned(inertial: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def rotated_inertia(inertial: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Return mass, first moment and moments of inertia, shape (10,), in rotated axes."""
     second = rotation @ symmetric(inertial[4:]) @ rotation.T
     return np.r_[inertial[0], rotation @ inertial[1:4], second[np.tril_indices(3)]]
@@ -195,7 +195,7 @@ def check_values(tree: TreeCard, values: np.ndarray) -> None:
     """Raise ValueError for parameters that are physically impossible."""
     for body, row in zip(tree.bodies, values, strict=True):
         eigenvalues = np.linalg.eigvalsh(pseudo_inertia(row[:INERTIAL]))
-        if not eigenvalues[0] >= -_ROUNDING * abs(eigenvalues[-1]):
-            raise ValueError(f'no body has the mass and moments of {body.link}')
+        if not eigenvalues[0] >= -_ZERO_TOLERANCE * abs(eigenvalues[-1]):
+            raise ValueError(f'mass and moments of {body.link} are physically impossible')
         if not row[INERTIAL] >= 0.0:
             raise ValueError(f'rotor_inertia of {body.joint} must not be negative')

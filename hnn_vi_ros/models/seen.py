@@ -19,10 +19,10 @@ Errors = dict[str, list[float | None]]
 class DomainCard(StrictModel):
     """Ranges [low, high] of the motions that a model was trained on."""
 
-    q: list[Interval] = Field(min_length=1, description='of each coordinate')
-    v: list[Interval] = Field(min_length=1, description='of each velocity')
+    q: list[Interval] = Field(min_length=1, description='range of each coordinate')
+    v: list[Interval] = Field(min_length=1, description='range of each velocity')
     forces: list[Interval] = Field(description=(
-        'of each motor; empty where no forces were measured'))
+        'range of the force of each motor; empty if no forces were measured'))
 
     @classmethod
     def of(cls, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> 'DomainCard':
@@ -79,7 +79,7 @@ class Domain:
         return np.maximum(np.maximum(low - x, x - high), 0.0) / half
 
     def beyond(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> list[str]:
-        """Describe what is outside, the furthest first, as in "elbow to 30 rad/s, seen 15"."""
+        """Describe what is outside, furthest first, as in "elbow = 30 rad/s, trained to 15"."""
         excess, d = self.excess(q, v, tau), len(self._names)
         values = np.hstack([q, v] if tau is None else [q, v, tau])
         found = []
@@ -94,7 +94,7 @@ class Domain:
                 unit += '/s'
             at = values[excess[:, i].argmax(), i]
             seen = self._high[i] if at > self._high[i] else self._low[i]
-            found.append(f'{name} to {at:.3g} {unit}, seen {seen:.3g}')
+            found.append(f'{name} = {at:.3g} {unit}, trained to {seen:.3g}')
         return found
 
 
@@ -112,10 +112,13 @@ class CandidateCard(StrictModel):
 
     name: str
     furthest: Errors = Field({}, description=(
-        'root mean square of the error of each coordinate at the end of each horizon [s], on the '
-        'pieces that go furthest; null where it is not finite'))
-    ordinary: Errors = Field({}, description='the same on other pieces')
-    failed: str = Field('', max_length=1000, description='why it could not be tried')
+        'root mean square error of each coordinate at the end of each horizon [s], on the '
+        'pieces that go furthest; null if it is not finite'))
+    ordinary: Errors = Field({}, description='the same, on the other pieces')
+    residuals: dict[str, list[float]] = Field({}, description=(
+        'of a rigid body, on the same pieces: root mean square of the residuals of each '
+        'coordinate in units of its noise, by the length of the windows [s]'))
+    failed: str = Field('', max_length=1000, description='reason why it could not be evaluated')
 
 
 class SelectionCard(StrictModel):
@@ -124,7 +127,7 @@ class SelectionCard(StrictModel):
     held_out: str = Field(max_length=1000)
     candidates: list[CandidateCard] = Field(min_length=1)
     chosen: str
-    trust: str = Field(max_length=1000, description='what to trust the model for')
+    trust: str = Field(max_length=1000, description='range in which to trust the model')
 
     @property
     def text(self) -> str:

@@ -14,12 +14,12 @@ from hnn_vi_ros.models.outputs import pack_outputs, PackedOutputs, weigh
 import numpy as np
 
 # Number of states of the box at which W is tested.
-_STATES = 1024
+_TESTED_STATES = 1024
 # Maximum condition number of W in units in which the box is a cube; beyond, u' is inaccurate.
-_LARGEST_CONDITION = 1e6
+_MAX_CONDITION = 1e6
 # Motions determine W only along their paths; these remedies keep it regular elsewhere.
-REMEDY = ('give linearity (0.01, then more), a weight that keeps the field plain where data leave '
-          'it open; or take data from more motions, or from a smaller box')
+REMEDY = ('set linearity (0.01, then more), a weight that keeps the field simple where the data '
+          'do not determine it; or use data from more motions, or from a smaller box')
 _EPS = float(np.finfo(np.float64).eps)
 _SPACING = _EPS ** (1.0 / 3.0)
 
@@ -63,9 +63,9 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
     def __init__(self, checkpoint: Checkpoint):
         super().__init__(checkpoint)
         half = 0.5 * np.ptp(np.concatenate(self.box), axis=1)
-        problem = irregularity(self.two_forms(self._samples(_STATES)), half)
+        problem = irregularity(self.two_forms(self._samples(_TESTED_STATES)), half)
         if problem:
-            raise ModelError(f'{problem}, so its motions are not defined there; train it anew: '
+            raise ModelError(f'{problem}, so its motions are not defined there; train it again: '
                              f'{REMEDY}')
 
     def two_forms(self, z: np.ndarray) -> np.ndarray:
@@ -75,7 +75,7 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
         return found
 
     def _kernel(self) -> Kernel:
-        parameters, z, d = self._parameters(), self._samples(_STATES), self.dimension
+        parameters, z, d = self._parameters(), self._samples(_TESTED_STATES), self.dimension
 
         def energies(z: np.ndarray) -> np.ndarray:
             return np.array([[_energy(parameters, x[:d], x[d:])] for x in z])
@@ -111,10 +111,10 @@ def irregularity(two_forms: np.ndarray, half: np.ndarray) -> str:
     scaled = two_forms * np.outer(half, half)
     signs = np.array([np.sign(_pfaffian(matrix)) for matrix in scaled])
     condition = np.linalg.cond(scaled).max() if (signs != 0.0).all() else np.inf
-    if np.ptp(signs) > 0.0 or not condition <= _LARGEST_CONDITION:
-        return (f'the learned 2-form is singular in its box (Pfaffian of either sign at '
-                f'{min((signs > 0).sum(), (signs < 0).sum())} of {len(signs)} states, condition '
-                f'{condition:.1e})')
+    if np.ptp(signs) > 0.0 or not condition <= _MAX_CONDITION:
+        return ('the learned 2-form is singular in its training domain (Pfaffian of either '
+                f'sign at {min((signs > 0).sum(), (signs < 0).sum())} of {len(signs)} states, '
+                f'condition number {condition:.1e})')
     return ''
 
 

@@ -65,12 +65,12 @@ class TorchHamiltonian(Hamiltonian):
         one, same, another = (np.array(self._slopes(*row)) for row in rows[[0, 2, 1]])
         both = np.array(self._slopes(rows[:2, 0], rows[:2, 1])).reshape(2, 2, -1)
         if not np.array_equal(one, same, equal_nan=True):
-            self._refuse('has another gradient when it is called again: make it a function of its '
-                         'input alone')
+            self._refuse('has a different gradient when it is called again; make it a function of '
+                         'its input alone')
         # Matrix products of one row and of two have different rounding errors.
         if not np.allclose(both, np.stack([one, another], axis=1), 1e-6, 1e-9, equal_nan=True):
-            self._refuse('mixes the rows of its input, or takes the first alone: index columns as '
-                         'in x[:, 0], and let no layer use the others of a batch')
+            self._refuse('mixes the rows of its input, or uses only the first; index columns as '
+                         'in x[:, 0], and avoid layers that depend on the batch')
 
     def _refuse(self, why: str) -> NoReturn:
         raise ModelError(f'{type(self.module).__name__} {why}')
@@ -85,10 +85,10 @@ class TorchHamiltonian(Hamiltonian):
                          f'is called in float64, with a tensor of shape {(*x.shape,)}')
         if not isinstance(values, torch.Tensor) or values.dtype != x.dtype:
             self._refuse(f'returns {getattr(values, "dtype", type(values).__name__)}, expected a '
-                         'tensor of float64, as its input is: cast nothing in it')
+                         'float64 tensor, as its input is; remove type casts')
         if values.numel() not in (1, len(x)):
             self._refuse(f'returns a tensor of shape {(*values.shape,)} for an input of shape '
-                         f'{(*x.shape,)}, expected one number a row: select the column of H')
+                         f'{(*x.shape,)}, expected one number per row; select the column of H')
         return values.sum()
 
     def _slopes(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,7 +104,7 @@ class TorchHamiltonian(Hamiltonian):
             (slopes,) = torch.autograd.grad(value, x, create_graph=more)
         except RuntimeError as problem:
             self._refuse(f'cannot be differentiated: {" ".join(str(problem).split())}; compute H '
-                         'from its input by operations of torch that have derivatives')
+                         'from its input with differentiable operations of torch')
         return slopes
 
     def _split(self, rows: 'torch.Tensor', q_out: np.ndarray, p_out: np.ndarray) -> None:

@@ -17,7 +17,7 @@ from pydantic import Field
 import torch
 
 MAX_BYTES = 1 << 30
-_NAMED = '; name them by --keys, or in the data of a configuration'
+_NAMED = '; name the keys with --keys, or in the data section of a configuration'
 # Largest accepted deviation of R^T R and of quaternion norms, for data with few digits, and
 # deviation above which attitudes are projected onto the group; below it is rounding.
 _NOT_TURNING, _ROUNDING = 1e-3, 1e-14
@@ -27,21 +27,21 @@ class ArraysData(MotionData):
     """Keys of the arrays in an .npz file with one run, or several whose names prefix the keys."""
 
     kind: Literal['arrays'] = 'arrays'
-    path: str = Field('', description='the file; or given on the command line')
+    path: str = Field('', description='the file; --data overrides it')
     runs: list[str] = Field([], description=(
-        'the runs to take, RUN of the keys RUN/t, RUN/q, ...; none for all'))
+        'names of the runs, RUN in the keys RUN/t, RUN/q, ...; none: all runs'))
     time: str = Field('t', description='key of the times [s], shape (N,)')
     interval: float | None = Field(None, gt=0.0, description=(
-        'time from one sample to the next [s], where the file holds no times'))
+        'sampling interval [s], if the file has no times'))
     q: str = Field('q', description='key of the coordinates, shape (N, d)')
     v: str | None = Field('dq', description=(
-        'key of the velocities, shape (N, d), which may be called v or dq alike; null: they are '
-        'estimated from q'))
+        'key of the velocities, shape (N, d); v and dq are interchangeable; null: estimated from '
+        'q'))
     a: str | None = Field(None, description=(
-        'key of the accelerations, shape (N, d); null: they are estimated'))
+        'key of the accelerations, shape (N, d); null: estimated'))
     tau: str | None = Field('tau', description=(
-        'key of the generalised forces, shape (N, d), or of those of m < d motors, shape (N, m); '
-        'null: there are none'))
+        'key of the generalised forces, shape (N, d), or of the forces of m < d motors, shape (N, '
+        'm); null: none'))
 
 
 class BodyArrays(StrictModel):
@@ -53,13 +53,13 @@ class BodyArrays(StrictModel):
     """
 
     kind: Literal['arrays']
-    path: str = Field('', description='the file; or given on the command line')
+    path: str = Field('', description='the file; --data overrides it')
     time: str = Field('t', description='key of the times [s], shape (N,), evenly spaced')
     q: str = Field('q', description=(
         'key of the attitudes, shape (N, 4) or (N, 9), or of the poses, (N, 7) or (N, 12)'))
     v: str = Field('dq', description=(
-        'key of the velocities in the frame of the body, shape (N, 3); of a pose (N, 6), that of '
-        'its place first'))
+        'key of the velocities in the frame of the body, shape (N, 3), or (N, 6) for poses: '
+        'linear, then angular velocity'))
     tau: str | None = Field('tau', description='key of the inputs, shape (N, m); null: none')
     test_runs: list[str] = TEST_RUNS
 
@@ -72,11 +72,12 @@ class BodyWindows(StrictModel):
     """
 
     kind: Literal['windows']
-    path: str = Field('', description='the file; or given on the command line')
-    train: str = Field('train', description='key of the motions to learn from')
-    test: str = Field('test', description='key of the motions to judge by')
-    time_axis: int = Field(1, ge=0, description='the axis of times; the last one is of columns')
-    interval: float = Field(gt=0.0, description='from one time to the next [s]')
+    path: str = Field('', description='the file; --data overrides it')
+    train: str = Field('train', description='key of the training motions')
+    test: str = Field('test', description='key of the test motions')
+    time_axis: int = Field(1, ge=0, description=(
+        'axis of the times; the last axis contains the columns'))
+    interval: float = Field(gt=0.0, description='sampling interval [s]')
     attitude: Literal['matrix', 'quaternion'] = 'matrix'
 
 
@@ -112,8 +113,8 @@ class BodyMotions(NamedTuple):
         """Return all overlapping windows of ``count`` intervals as motions."""
         length = len(self.R)
         if count >= length:
-            raise DataError(f'windows of {count} intervals are longer than the motions, of '
-                            f'{length - 1}; lower windows')
+            raise DataError(f'windows of {count} intervals are longer than the motions of '
+                            f'{length - 1}; reduce windows')
         return self._each(lambda part: torch.cat([
             part[i:length - count + i][:, None] for i in range(count + 1)], dim=1)
             .transpose(0, 1).flatten(1, 2))
@@ -154,7 +155,7 @@ class Archive:
         except OSError as problem:
             what, remedy = f'cannot be read ({problem.strerror or problem})', 'numpy.savez wrote'
             if problem.errno == errno.EFBIG:
-                what, remedy = str(problem.strerror), 'is smaller, such as a part of it'
+                what, remedy = str(problem.strerror), 'is smaller, for example a part of this one'
             raise DataError(f'{path}: {what}; give an .npz file that {remedy}') from problem
         except ValueError as problem:
             raise DataError(f'{path}: {problem}; give an .npz file that numpy.savez wrote'
@@ -169,7 +170,7 @@ class Archive:
                 raise DataError(f'{self.path}: no run {run!r} with a key {key}; its runs: '
                                 f'{listed(found) or "none"}{_NAMED}')
         if not found:
-            raise DataError(f'{self.path}: no key {key}, nor any RUN/{key}; it has '
+            raise DataError(f'{self.path}: no key {key} or RUN/{key}; it has '
                             f'{self._keys()}{_NAMED}')
         return [*wanted] or found
 
@@ -305,7 +306,7 @@ def read_bodies(path: Path, data: BodyArrays | BodyWindows, kind: str
     known = [motion for run, motion in runs.items() if run not in data.test_runs]
     judged = [runs[run] for run in names if run in data.test_runs]
     if not known:
-        raise DataError(f'{path}: data.test_runs leave nothing to learn from')
+        raise DataError(f'{path}: data.test_runs leave no run for training')
     if not judged:
         ends = [4 * len(motion.R) // 5 for motion in known]
         judged = [motion.at(slice(end, None)) for motion, end in zip(known, ends, strict=True)]
@@ -316,8 +317,8 @@ def read_bodies(path: Path, data: BodyArrays | BodyWindows, kind: str
 def _of_windows(archive: Archive, key: str, data: BodyWindows, places: int) -> BodyMotions:
     table = archive.array(key)
     if table.ndim < 2 or data.time_axis >= table.ndim - 1:
-        raise DataError(f'{archive.path}: {key} has shape {table.shape}, expected an axis '
-                        f'{data.time_axis} of times and a last one of columns')
+        raise DataError(f'{archive.path}: {key} has shape {table.shape}, expected times along '
+                        f'axis {data.time_axis} and columns along the last axis')
     table = np.moveaxis(table, data.time_axis, 0)
     table = table.reshape(len(table), -1, table.shape[-1])
     ends = np.cumsum([places, 9 if data.attitude == 'matrix' else 4, 3 + places])
@@ -335,8 +336,8 @@ def _of_run(archive: Archive, data: BodyArrays, places: int, run: str) -> BodyMo
         run + data.tau, t.size)
     steps = np.diff(t)
     if t.size < 2 or not np.ptp(steps) <= 0.01 * steps.mean():
-        raise DataError(f'{archive.path}: {run}{data.time} are not evenly spaced times; '
-                        'interpolate the run to even ones')
+        raise DataError(f'{archive.path}: {run}{data.time} is not evenly spaced; interpolate the '
+                        'run to even times')
     return _motions(f'{archive.path}: {run}{data.q}', [
         part[:, None] for part in (q[:, :places], q[:, places:], v, u)], float(steps.mean()))
 
@@ -345,7 +346,8 @@ def _motions(name: str, parts: Sequence[np.ndarray], interval: float) -> BodyMot
     """Return the motions with attitudes converted to matrices."""
     x, attitude, v, u = parts
     if not all(np.isfinite(part).all() for part in parts):
-        raise DataError(f'{name}: holds something else than finite numbers, here or beside it')
+        raise DataError(f'{name}: it, or the array next to it, contains values that are not '
+                        'finite numbers')
     if attitude.shape[-1] == 4:
         R = turn_matrices(attitude.reshape(-1, 4))
     else:
@@ -354,9 +356,9 @@ def _motions(name: str, parts: Sequence[np.ndarray], interval: float) -> BodyMot
     # A reflection has determinant -1.
     wrong = np.abs(gram - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
     if not (wrong <= _NOT_TURNING).all():
-        raise DataError(f'{name}: attitude {int(wrong.argmax())} is no rotation; expected a unit '
-                        'quaternion x, y, z, w, or the matrix that takes vectors of the body to '
-                        'space, row by row')
+        raise DataError(f'{name}: attitude {int(wrong.argmax())} is not a rotation; expected a '
+                        'unit quaternion x, y, z, w, or the rotation matrix from the frame of the '
+                        'body to the fixed frame, row by row')
     # Attitudes off the group by more than rounding are replaced by the nearest rotations.
     off = wrong > _ROUNDING
     left, _, right = np.linalg.svd(R[off])

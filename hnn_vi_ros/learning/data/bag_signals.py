@@ -3,11 +3,13 @@
 """Read joint signals from topics of ROS 2 bags: joint states and arrays."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 import logging
 from pathlib import Path
 from typing import final, TypeVar
 
 from hnn_vi_ros.errors import DataError, listed, RecordingError
+from hnn_vi_ros.files import parse_mapping
 from hnn_vi_ros.recording import (
     BagReader, decode_float64_multi_array, decode_joint_state, MOMENTUM, qos_profiles, Recorded)
 from hnn_vi_ros.run import STATE_FILE
@@ -27,6 +29,25 @@ _JUMP, _JUMPS = 10.0, 3
 _LOGGER = logging.getLogger(__name__)
 
 Decoded = TypeVar('Decoded')
+
+
+def joint_names(path: Path) -> list[str]:
+    """Return the names in the first joint states of a bag."""
+    try:
+        bag = BagReader(path)
+    except RecordingError as problem:
+        raise DataError(str(problem)) from problem
+    for number, channel in bag.channels.items():
+        schema = bag.schemas.get(number)
+        if schema is not None and schema.name == JOINT_STATE \
+                and channel.topic.endswith('joint_states'):
+            for message in bag.messages([number]):
+                try:
+                    return list(decode_joint_state(message.data).names)
+                except (ValueError, UnicodeDecodeError) as problem:
+                    raise DataError(f'{path}: {channel.topic} cannot be read: {problem}'
+                                    ) from problem
+    raise DataError(f'{path}: no joint_states; name the topics in a configuration')
 
 
 @final
@@ -70,7 +91,7 @@ class SignalReader:
         for number, channel in self.bag.channels.items():
             self._topics.setdefault(channel.topic, []).append(number)
         if not any(self.bag.messages()):
-            raise DataError(f'{self.path}: holds no messages; record while something moves')
+            raise DataError(f'{self.path}: contains no messages; record while something moves')
 
     @property
     def commanded_before(self) -> bool:
@@ -116,9 +137,9 @@ class SignalReader:
             times.setdefault(message.data, message.time)
         if len(times) > 1:
             resets = ', '.join(map(str, list(times.values())[1:4]))
-            raise DataError(f'{self.path}: the run was reset at log time {resets} ns; cut the bag '
-                            'there, by `mcap filter`, and give the parts in data.paths; the '
-                            'simulator begins a bag at each reset')
+            raise DataError(f'{self.path}: the run was reset at log time {resets} ns; split the '
+                            'bag there with `mcap filter`, and list the parts in data.paths; the '
+                            'simulator starts a new bag at each reset')
 
     def check_clocks(self, topic: str, unstamped: str) -> None:
         """
@@ -133,10 +154,10 @@ class SignalReader:
         largest = np.abs(log - stamps).max(initial=0.0)
         if largest > _DISAGREEMENT * stamps.max(initial=0.0) / max(len(stamps) - 1, 1):
             raise DataError(
-                f'{self.path}: {topic} is stamped, {unstamped} is not, and the times at which the '
-                f'messages were recorded are up to {largest:.3g} s away from the stamps: they '
-                'cannot be paired. Use ~/state of the simulator, whose q and p have one stamp '
-                '(data.p: state); data.stamps: log takes those times as they are')
+                f'{self.path}: {topic} has time stamps, {unstamped} does not, and the recording '
+                f'times differ from the stamps by up to {largest:.3g} s, so their messages cannot '
+                'be paired. Use ~/state of the simulator, whose q and p have one stamp (data.p: '
+                'state); data.stamps: log uses the recording times as they are')
 
     def warn_of_publishers(self, topic: str, q: np.ndarray) -> None:
         """
@@ -154,13 +175,13 @@ class SignalReader:
         offered = max(len(qos_profiles(self.bag.channels[number].metadata.get(
             'offered_qos_profiles', ''))) for number in self._topics[name])
         jumps = _jumps(q[np.isfinite(q).all(axis=1)])
-        seen = [f'{offered} publishers offered it'] if offered > 1 else []
+        seen = [f'it has {offered} publishers'] if offered > 1 else []
         if jumps >= _JUMPS:
-            seen.append(f'in {jumps} of its {len(q)} messages positions jump away and back')
+            seen.append(f'positions jump away and back in {jumps} of its {len(q)} messages')
         if seen and not np.isnan(q).any():
             _LOGGER.warning(
-                'warning: %s: %s: %s; if those are two sources of the same joints, record one of '
-                'them, or remap the other', self.path, name, ', and '.join(seen))
+                'warning: %s: %s: %s; if two nodes publish the same joints, record one of them, '
+                'or remap the other', self.path, name, ', and '.join(seen))
 
     def read(self, topic: str, prefix: str = '', expected: str = STATES
              ) -> tuple[np.ndarray, np.ndarray]:
@@ -203,9 +224,9 @@ class SignalReader:
         values = np.array(rows)
         there = np.isfinite(values[:, 0])
         if there.any(axis=0).all() and not there.all(axis=1).any():
-            raise DataError(f'{self.path}: no message of {name} holds {listed(self._joints)} '
-                            'together: only nodes join states in parts; record them in whole, as '
-                            'one joint state broadcaster publishes them')
+            raise DataError(f'{self.path}: no message of {name} contains all of '
+                            f'{listed(self._joints)}; only nodes merge partial states: record '
+                            'complete ones, such as those of a single joint state broadcaster')
         return self._times(name, stamps), values
 
     def forces(self, topic: str, columns: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -247,8 +268,8 @@ class SignalReader:
                            for _, values in found]).reshape(-1, usual)
         if columns:
             if max(columns) >= usual:
-                raise DataError(f'{self.path}: {name}: a message has {usual} numbers, and '
-                                f'data.columns names number {max(columns)}, counted from 0')
+                raise DataError(f'{self.path}: {name}: a message has {usual} numbers, but '
+                                f'data.columns contains the index {max(columns)} (zero-based)')
             values = values[:, columns]
         return self._times(name, [stamp for stamp, _ in found]), values
 
@@ -270,16 +291,28 @@ class SignalReader:
         return stamps, rows, seen
 
     def _times(self, name: str, stamps: list[int]) -> np.ndarray:
-        """Return the times since the start of the signal read first [s]."""
+        """Return the times since step 0 of a simulator, or since the signal read first [s]."""
         if len(stamps) > 1 and len(set(stamps)) == 1:
             other = 'header' if self.stamps == 'log' else \
-                'log, the times at which its messages were recorded'
-            raise DataError(f'{self.path}: {name}: all its stamps are {stamps[0]} ns; take '
+                'log, the recording times of the messages'
+            raise DataError(f'{self.path}: {name}: all its stamps are {stamps[0]} ns; use '
                             f'data.stamps: {other}')
         if self._origin is None and stamps:
-            self._origin = stamps[0]
+            self._origin = self._step_0 if self._step_0 is not None else stamps[0]
         origin = self._origin or 0
         return np.array([stamp - origin for stamp in stamps]) * 1e-9
+
+    @cached_property
+    def _step_0(self) -> int | None:
+        """Return the stamp of step 0 of the simulator that wrote the bag [ns], None of others."""
+        text = self.bag.attachment('scene.yaml')
+        if text is None:
+            return None
+        described, _ = parse_mapping(text, f'{self.path}: its scene', DataError)
+        origin = described.get('origin', 0)
+        if type(origin) is not int or not 0 <= origin < 2**63:
+            raise DataError(f'{self.path}: its scene: origin is not a valid count')
+        return origin
 
     def _found(self, topic: str, expected: str = '') -> tuple[str, str, Iterator[Recorded]]:
         """Return name, type and messages of the one topic that has this name or ends with it."""
@@ -288,15 +321,15 @@ class SignalReader:
             found = [name for name in self._topics if name.endswith(topic)]
             if len(found) != 1:
                 what = 'no topic' if not found else f'{len(found)} topics'
-                choose = '; name one of them whole' if found else ''
-                raise DataError(f'{self.path}: holds {what} {topic}; it holds: '
+                choose = '; give the full name of one' if found else ''
+                raise DataError(f'{self.path}: contains {what} {topic}; it contains: '
                                 f'{self._contents()}{choose}')
             topic = found[0]
         numbers = self._topics[topic]
         kind = self._type(numbers[0])
         if expected and kind not in expected.split(' or '):
             raise DataError(f'{self.path}: {topic} has the type {kind}, expected {expected}; the '
-                            f'bag holds: {self._contents()}')
+                            f'bag contains: {self._contents()}')
         return topic, kind, self.bag.messages(numbers)
 
     def _contents(self) -> str:
@@ -313,8 +346,8 @@ class SignalReader:
             return values
         if not self._columns or max(self._columns) >= len(values):
             raise DataError(f'{self.path}: {topic}: a message has {len(values)} numbers, expected '
-                            f'{len(self._joints)}, one for each of data.joints; say which of them '
-                            'in data.columns, counted from 0')
+                            f'{len(self._joints)}, one for each of data.joints; select them with '
+                            'data.columns (zero-based)')
         return values[self._columns]
 
     def _decoded(self, topic: str, message: Recorded, decode: Callable[[bytes], Decoded]

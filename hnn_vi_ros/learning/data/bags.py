@@ -12,7 +12,7 @@ from hnn_vi_ros.learning.data.bag_signals import ARRAY, JOINT_STATE, SignalReade
 from hnn_vi_ros.learning.data.dataset import (
     Derivatives, mass_matrix, Names, SavitzkyGolay, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.motions import (
-    cubic, GAP, increasing, Motion, MotionData, Recording, unwound)
+    cubic, GAP, increasing, Motion, MotionData, NONE, Recording, unwound)
 from hnn_vi_ros.recording import MOMENTUM, RATE
 import numpy as np
 from pydantic import Field, model_validator
@@ -21,13 +21,13 @@ from pydantic import Field, model_validator
 BLOCKS = 20
 # Default window and degree of data.derivatives.
 _WINDOW, _DEGREE = 9, 4
-EFFORT, NONE = 'effort', 'none'
+EFFORT = 'effort'
 
 Topic = Annotated[str, Field(min_length=1, max_length=255)]
 Columns = list[Annotated[int, Field(ge=0)]]
 
 
-class Topics(NamedTuple):
+class MotionTopics(NamedTuple):
     """Topics of the channels of a motion, '' for none; EFFORT takes the forces from topic q."""
 
     q: str
@@ -41,11 +41,12 @@ class BagOptions(StrictModel):
     """Options of bags, shared by all fits."""
 
     kind: Literal['bag'] = 'bag'
-    paths: list[Topic] = Field([], description='bags: folders or .mcap files; --data overrides')
+    paths: list[Topic] = Field([], description=(
+        'bags: folders or .mcap files; --data overrides them'))
     estimate_velocity: bool = Field(False, description=(
-        'estimate velocities from positions although they are published'))
+        'estimate velocities from positions even if they are published'))
     stamps: Literal['header', 'log'] | None = Field(None, description=(
-        "a message's time; default: header if all topics have one, else log"))
+        'source of message times; default: header if all topics have one, else log'))
 
 
 class BagData(BagOptions, StateOptions):
@@ -59,21 +60,21 @@ class BagData(BagOptions, StateOptions):
     margin: ClassVar[int] = 10
     least: ClassVar[int] = 2 * margin + 15
 
-    joints: Names = Field(min_length=1, description='names of the joints, one a coordinate')
+    joints: Names = Field(min_length=1, description='names of the joints, one per coordinate')
     columns: Columns = Field([], description=(
-        'which numbers of arrays belong to the joints, counted from 0; default: all'))
+        'zero-based indices of the joints in arrays; default: all'))
     q: Topic | None = Field(None, description=(
-        'topic of the positions; default: joint_states. Without q, p, mass and dp_dt, q, p and '
-        'dp_dt are those of ~/state of the simulator, if the bag holds one'))
+        'topic of the positions; default: joint_states. If q, p, mass and dp_dt are all omitted, '
+        'q, p and dp_dt are read from ~/state of the simulator, if the bag contains it'))
     velocity: Topic | None = Field(None, description=(
-        'topic of dq/dt; default: that of q if it has them, else they are estimated'))
+        'topic of dq/dt; default: the topic of q if it has velocities, else they are estimated'))
     p: Topic | None = Field(None, description=(
         'topic of the momenta, an array or ~/state; default: mass times dq/dt'))
     dp_dt: Topic | None = Field(None, description=(
-        'topic of all forces, as efforts that include the weight, or ~/state; default: '
+        'topic of the total forces, as efforts that include gravity, or ~/state; default: '
         'estimated from p'))
     commands: Topic | None = Field(None, description=(
-        'topic of commands; each holds until the next, before the first all are 0'))
+        'topic of commands; each is held until the next, and all are 0 before the first'))
 
     @model_validator(mode='after')
     def _check(self) -> 'BagData':
@@ -84,9 +85,9 @@ class BagData(BagOptions, StateOptions):
             raise ValueError(f'columns has {len(self.columns)} entries, expected {d}, one for '
                              'each joint')
         if self.p is not None and self.mass is not None:
-            raise ValueError('p and mass exclude one another: the momenta are recorded')
+            raise ValueError('p and mass are mutually exclusive: the momenta are recorded')
         if self.velocity is not None and self.estimate_velocity:
-            raise ValueError('velocity and estimate_velocity exclude one another')
+            raise ValueError('velocity and estimate_velocity are mutually exclusive')
         mass_matrix(self.mass, d)
         return self
 
@@ -103,7 +104,7 @@ class BagData(BagOptions, StateOptions):
         """Return the block of each row; by default a block is a twentieth of the motion."""
         return time_blocks(t, self.block or (t[-1] - t[0]) * (1.0 + 1e-9) / BLOCKS)
 
-    def topics(self, reader: SignalReader) -> Topics:
+    def topics(self, reader: SignalReader) -> MotionTopics:
         """Return the topics of the channels; fill in those that the configuration omits."""
         state = None
         if self.q is None and self.p is None and self.mass is None and self.dp_dt is None:
@@ -114,26 +115,26 @@ class BagData(BagOptions, StateOptions):
             beside = f'{q.rpartition("/")[0].rpartition("/")[0]}/joint_states' if state else q
             if (not state or reader.has_topic(beside)) and reader.type_of(beside) == JOINT_STATE:
                 velocity = beside
-        return Topics(q, velocity or '', state or self.p or '', state or self.dp_dt or '',
-                      self.commands or '')
+        return MotionTopics(q, velocity or '', state or self.p or '', state or self.dp_dt or '',
+                            self.commands or '')
 
 
 class BagMotions(BagOptions, MotionData):
     """Joint states in bags, one run per bag; joints in any order, other joints are ignored."""
 
     joints: list[str] = Field([], description=(
-        'names of the joints, one a coordinate; none: those of the coordinates'))
-    topic: str = Field('joint_states', description='their name, or the end of it')
+        'names of the joints, one per coordinate; none: those of the coordinates'))
+    topic: str = Field('joint_states', description=(
+        'topic of the joint states, or the end of its name'))
     forces: str | None = Field(None, description=(
-        'generalised forces of the motors: effort, or a topic of commands, of joint states with '
-        'efforts or arrays, each of which holds until the next; none: no forces act; default: '
-        'effort where it is published; in bags of the simulator ~/commands, or else, where '
-        'joints were commanded, effort'))
+        'generalised forces of the motors: effort; or a topic of commands (joint states with '
+        'efforts, or arrays), each held until the next; none: no forces act; default: effort if '
+        'it is published; in bags of the simulator ~/commands, or effort if joints were '
+        'commanded'))
     columns: Columns = Field([], description=(
-        'which numbers of an array of commands are forces of the joints, counted from 0; none: '
-        'all'))
+        'zero-based indices of the joint forces in an array of commands; none: all'))
 
-    def topics(self, reader: SignalReader) -> Topics:
+    def topics(self, reader: SignalReader) -> MotionTopics:
         """Return the topics of the channels; fill in those that the configuration omits."""
         forces = '' if self.forces == NONE else self.forces
         if forces is None:
@@ -147,7 +148,8 @@ class BagMotions(BagOptions, MotionData):
                     'joint_commands', 'joint_trajectory')) else ''
             else:
                 forces = EFFORT
-        return Topics(self.topic, '' if self.estimate_velocity else self.topic, forces=forces)
+        return MotionTopics(
+            self.topic, '' if self.estimate_velocity else self.topic, forces=forces)
 
 
 def read_bags(paths: Sequence[Path], data: BagData | BagMotions, joints: Sequence[str]
@@ -205,25 +207,26 @@ def _motion(name: str, reader: SignalReader, data: BagData | BagMotions, joints:
         return _at(t, own, found[:, 0 if state else of])
     q, v = values[:, 0], channel(topics.v, 1)
     if v is not None and isinstance(data, BagData) and data.velocity and not np.isfinite(v).any():
-        raise DataError(f'{reader.path}: {topics.v} has no velocities; leave data.velocity out, '
-                        'and they are estimated')
+        raise DataError(f'{reader.path}: {topics.v} has no velocities; remove data.velocity to '
+                        'estimate them')
     reader.warn_of_publishers(topics.q, unwound(t, q, v)[0])
     tau, notes = _forces(reader, topics, t, values[:, 2], data, joints)
     if reader.bag.damage:
         notes.append(reader.bag.damage)
     return Motion(name, f'{reader.path}: {topics.q}', t, q, v, tau,
                   p=channel(topics.p, 0, MOMENTUM, f'{ARRAY} or ~/state of the simulator'),
-                  dp_dt=channel(topics.dp_dt, 2, RATE), held=topics.forces not in ('', EFFORT),
+                  dp_dt=channel(topics.dp_dt, 2, RATE),
+                  inputs='linear' if topics.forces in ('', EFFORT) else 'held',
                   notes=tuple(notes))
 
 
-def _choose_stamps(reader: SignalReader, topics: Topics, data: BagData | BagMotions) -> None:
+def _choose_stamps(reader: SignalReader, topics: MotionTopics, data: BagData | BagMotions) -> None:
     """Use the header stamps, unless a topic has none or the configuration chooses."""
     named = [topic for topic in topics if topic not in ('', EFFORT)]
     unstamped = [topic for topic in named if reader.type_of(topic) == ARRAY]
     if unstamped and data.stamps == 'header':
-        raise DataError(f'{reader.path}: {unstamped[0]} has no stamps, and data.stamps is header; '
-                        'leave it out')
+        raise DataError(f'{reader.path}: {unstamped[0]} has no stamps, but data.stamps is header; '
+                        'remove data.stamps')
     reader.stamps = data.stamps or ('log' if unstamped else 'header')
     stamped = [topic for topic in named if topic not in unstamped]
     if isinstance(data, BagData) and data.stamps is None and unstamped and stamped:
@@ -247,7 +250,7 @@ def _at(t: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
     return found
 
 
-def _forces(reader: SignalReader, topics: Topics, t: np.ndarray, efforts: np.ndarray,
+def _forces(reader: SignalReader, topics: MotionTopics, t: np.ndarray, efforts: np.ndarray,
             data: BagData | BagMotions, joints: Sequence[str]
             ) -> tuple[np.ndarray | None, list[str]]:
     """Return the forces of the motors at each time, shape (N, m), and notes about them."""
@@ -256,18 +259,18 @@ def _forces(reader: SignalReader, topics: Topics, t: np.ndarray, efforts: np.nda
         tau, notes = _commanded(reader, topics.forces, t, data)
         if isinstance(data, BagMotions) and not 1 <= tau.shape[1] <= len(joints):
             raise DataError(f'{reader.path}: {topics.forces} has {tau.shape[1]} numbers for '
-                            f'{len(joints)} coordinates; say in data.columns which are theirs, '
-                            'counted from 0')
+                            f'{len(joints)} coordinates; select theirs with data.columns '
+                            '(zero-based)')
     given = np.isfinite(tau).any(axis=0)
     if not given.any() and data.forces == EFFORT:
-        raise DataError(f'{reader.path}: {topics.q} has no efforts, and data.forces is effort; '
-                        'name a topic of commands there, or leave it out if there are no motors')
+        raise DataError(f'{reader.path}: {topics.q} has no efforts, but data.forces is effort; '
+                        'set it to a topic of commands, or remove it if there are no motors')
     if topics.forces == EFFORT and not given.any():
         notes.append('no efforts published')
     elif topics.forces and not given.all():
         of = joints if len(given) == len(joints) else [f'motor {k + 1}' for k in range(len(given))]
         lacking = [name for name, there in zip(of, given, strict=True) if not there]
-        notes.append(f'no effort of {", ".join(lacking)}, which counts as no motor')
+        notes.append(f'no effort of {", ".join(lacking)}, taken as no motor')
         tau = np.where(given, tau, 0.0)
     return tau if topics.forces and given.any() else None, notes
 
@@ -279,15 +282,15 @@ def _commanded(reader: SignalReader, forces: str, t: np.ndarray,
         forces, data.columns if isinstance(data, BagMotions) else ())
     motors = np.isfinite(values).any(axis=0)
     if not motors.any():
-        raise DataError(f'{reader.path}: {forces} has no efforts of the joints, nor other forces: '
-                        'targets of positions are none; name what has them in data.forces, effort '
-                        'for those of the joint states')
+        raise DataError(f'{reader.path}: {forces} has no efforts of the joints and no other '
+                        'forces (position targets are not forces); set data.forces to a topic of '
+                        'forces, or to effort for those of the joint states')
     lacking = ~np.isfinite(values[:, motors]).all(axis=1)
     notes = []
     if lacking.any():
         if data.on_bad == 'fail':
             raise DataError(f'{reader.path}: {forces}: message {np.flatnonzero(lacking)[0] + 1} '
-                            'lacks a number; leave it out, or take data.on_bad: drop or split')
+                            'lacks a number; remove it, or use data.on_bad: drop or split')
         notes.append(f'{lacking.sum()} commands that lack a number')
         if data.on_bad == 'drop':
             stamps, values = stamps[~lacking], values[~lacking]
@@ -297,8 +300,8 @@ def _commanded(reader: SignalReader, forces: str, t: np.ndarray,
     at = np.searchsorted(stamps[order], t, side='right')
     before = int((at == 0).sum())
     if before == len(t):
-        raise DataError(f'{reader.path}: no command of {forces} comes before the last state; look '
-                        'at their stamps, and at data.stamps')
+        raise DataError(f'{reader.path}: all commands of {forces} are later than the last state; '
+                        'check their stamps and data.stamps')
     held = reader.commanded_before
     if before:
         notes.append(f'{"an unknown" if held else "no"} force for {before} samples before the '

@@ -11,7 +11,8 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.learning.data.motions import (
-    cubic, Motion, OnBad, part_of, pieces_of, Recording, Report, resampled, unwound_piece)
+    check_rates, cubic, Motion, OnBad, part_of, pieces_of, ReadingReport, Recording, resampled,
+    unwound_piece)
 from hnn_vi_ros.models import Box, Interval
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
@@ -28,7 +29,7 @@ Names = list[Annotated[str, Field(min_length=1)]]
 Mass = (Annotated[list[Annotated[float, Field(gt=0.0)]], Field(min_length=1)]
         | Annotated[list[list[float]], Field(min_length=1)])
 Block = Annotated[float | None, Field(gt=0.0, description=(
-    'length of the blocks of time that a split keeps together [s]'))]
+    'length of the time blocks that a split does not divide [s]'))]
 
 
 @dataclass(frozen=True)
@@ -82,13 +83,13 @@ class Dataset:
 
         """
         if len(self.q) < MIN_ROWS or len(np.unique(self.block)) < 2:
-            raise DataError(f'{self.description}: {len(self.q)} usable rows are too few; '
-                            'give a longer log or a shorter derivatives.window')
+            raise DataError(f'{self.description}: {len(self.q)} usable rows are too few; use a '
+                            'longer log or a shorter derivatives.window')
         for name in ('q', 'p', 'dq_dt', 'dp_dt'):
             values = getattr(self, name)
             if not (np.isfinite(values).all() and (np.ptp(values, axis=0) > 0.0).all()):
-                raise DataError(f'{self.description}: {name} never changes or overflows; '
-                                'learn from data in which every coordinate moves')
+                raise DataError(f'{self.description}: {name} never changes or overflows; use data '
+                                'in which every coordinate moves')
         return self
 
     @property
@@ -146,9 +147,9 @@ class Dataset:
                 found.append(rows[at[(np.abs(first[at] - times) <= near).all(axis=1)]])
         windows = np.concatenate(found) if found else np.empty((0, count), dtype=int)
         if not len(windows):
-            raise DataError(f'{self.description}: no {count} rows follow one another every '
-                            f'{step_size:g} s, as the loss needs; give data sampled at times of '
-                            'which step_size is a multiple, such as exact data with a trajectory')
+            raise DataError(f'{self.description}: no {count} successive rows have the interval '
+                            f'{step_size:g} s, as the loss requires; use data whose sampling '
+                            'interval divides step_size, such as exact data with a trajectory')
         return windows
 
 
@@ -190,18 +191,19 @@ class SavitzkyGolay(StrictModel):
 
     kind: Literal['savitzky_golay'] = 'savitzky_golay'
     window: float = Field(gt=0.0, description='length of the window [s]')
-    degree: int = Field(3, ge=1, le=9, description='of the polynomial')
+    degree: int = Field(3, ge=1, le=9, description='degree of the polynomial')
 
     def rows(self, spacing: float, most: int, where: str, of: str) -> int:
         """Return the odd number of rows of the window at `spacing` [s]; DataError if unfit."""
         rows = 2 * round(0.5 * (min(self.window / spacing, 1e9) - 1.0)) + 1
         least = self.degree + 2
         if most < least:
-            raise DataError(f'{where}: {of} hold a window of at most {most} rows, and '
-                            f'derivatives.degree = {self.degree} needs {least}; record for longer')
+            raise DataError(f'{where}: {of} allow a window of at most {most} rows, but '
+                            f'derivatives.degree = {self.degree} requires {least}; record for '
+                            'longer')
         if not least <= rows <= most:
             raise DataError(f'{where}: derivatives.window of {self.window:g} s spans {rows} rows; '
-                            f'{of} hold one of {least} to {most}: {least * spacing:.3g} to '
+                            f'{of} allow {least} to {most}: {least * spacing:.3g} to '
                             f'{most * spacing:.3g} s')
         return rows
 
@@ -211,7 +213,8 @@ class SmoothingSpline(StrictModel):
 
     kind: Literal['smoothing_spline']
     smoothing: float | None = Field(None, ge=0.0, description=(
-        'weight of the squared second derivative; without it, generalised cross-validation'))
+        'weight of the squared second derivative; default: chosen by generalised '
+        'cross-validation'))
 
 
 Derivatives = SavitzkyGolay | SmoothingSpline
@@ -258,8 +261,8 @@ def differentiate(t: np.ndarray, values: np.ndarray, method: Derivatives, window
             return smooth, rate
         splines = [make_smoothing_spline(t, column, lam=method.smoothing) for column in values.T]
     except (ValueError, np.linalg.LinAlgError) as problem:
-        raise DataError(f'{where}: the derivatives cannot be estimated ({problem}); look at its '
-                        'times and at data.derivatives') from problem
+        raise DataError(f'{where}: the derivatives cannot be estimated ({problem}); check its '
+                        'times and data.derivatives') from problem
     return (np.stack([spline(t) for spline in splines], axis=-1),
             np.stack([spline.derivative()(t) for spline in splines], axis=-1))
 
@@ -271,12 +274,12 @@ class StateOptions(StrictModel):
     margin: ClassVar[int] = 0
 
     mass: Mass | None = Field(None, description=(
-        'p = mass * velocities: one for each coordinate, or a matrix by rows; default 1'))
+        'p = mass * velocities: one mass per coordinate, or the rows of a matrix; default: 1'))
     derivatives: Derivatives | None = Field(
-        None, discriminator='kind', description='how what was not measured is estimated')
+        None, discriminator='kind', description='method that estimates unmeasured derivatives')
     spacing: float | None = Field(None, gt=0.0, description=(
-        'interval to resample at [s]; default: none if the samples come evenly or derivatives '
-        'take uneven ones, else their mean interval'))
+        'resampling interval [s]; default: no resampling if the samples are even or derivatives '
+        'accepts uneven ones, else their mean interval'))
     block: Block = None
     on_bad: OnBad = 'drop'
 
@@ -307,7 +310,7 @@ def dataset_of(recording: Recording, data: StateOptions) -> Dataset:
         The motions are too short, most samples are bad, or a rate cannot be estimated.
 
     """
-    report, count = Report(data.least), 0
+    report, count = ReadingReport(data.least), 0
     parts, blocks = list[Motion](), list[np.ndarray]()
     for motion in recording.motions:
         pieces = pieces_of(motion, data.on_bad, report)
@@ -326,7 +329,7 @@ def dataset_of(recording: Recording, data: StateOptions) -> Dataset:
         column.get('tau')).checked()
 
 
-def _differentiated(motion: Motion, rows: np.ndarray, data: StateOptions, report: Report
+def _differentiated(motion: Motion, rows: np.ndarray, data: StateOptions, report: ReadingReport
                     ) -> tuple[Motion, int]:
     """Return a piece of a motion with p and all rates, and the filter window in rows, or 0."""
     t = motion.t[rows]
@@ -335,6 +338,7 @@ def _differentiated(motion: Motion, rows: np.ndarray, data: StateOptions, report
     if method is None:
         return part_of(motion, rows), 0
     piece, window = unwound_piece(motion, rows, report), 0
+    check_rates(piece)
     uneven = np.abs(np.diff(t) - mean).max() > UNEVENNESS * mean
     if data.spacing or (uneven and isinstance(method, SavitzkyGolay)):
         report.note(f'resampled every {data.spacing or mean:.4g} s')
@@ -383,7 +387,8 @@ class ExactHamiltonian(StrictModel):
         if unknown:
             raise ValueError(f'unknown key {unknown[0]}; valid keys: {", ".join(valid) or "none"}')
         if self.create().rotations:
-            raise ValueError(f'{self.kind} turns: no family of models has rotations; take another')
+            raise ValueError(f'{self.kind} has rotations, which exact data do not support; use '
+                             'another system')
         return self
 
     def create(self) -> Hamiltonian:
@@ -394,8 +399,8 @@ class ExactHamiltonian(StrictModel):
 class EvenTimes(StrictModel):
     """Sampling of a motion at even times from 0 to the duration."""
 
-    duration: float = Field(gt=0.0, description='of each motion [s]')
-    spacing: float = Field(gt=0.0, description='from one state to the next [s]')
+    duration: float = Field(gt=0.0, description='duration of each motion [s]')
+    spacing: float = Field(gt=0.0, description='interval between states [s]')
 
     @model_validator(mode='after')
     def _check(self) -> 'EvenTimes':
@@ -414,8 +419,9 @@ class Commands(StrictModel):
     """Commands u, uniform in [-largest, largest], which add B u to dp/dt."""
 
     input_map: list[Annotated[list[float], Field(min_length=1)]] = Field(
-        min_length=1, description='B: one row for each coordinate, one column for each command')
-    largest: float = Field(gt=0.0, description='bound of every command')
+        min_length=1, description='matrix B with one row per coordinate and one column per '
+                                  'command')
+    largest: float = Field(gt=0.0, description='bound on the magnitude of every command')
 
     @property
     def matrix(self) -> np.ndarray:
@@ -437,20 +443,22 @@ class ExactData(StrictModel):
     box: Box
     samples: int = Field(1000, ge=MIN_ROWS, le=1_000_000)
     edge_share: float = Field(0.0, ge=0.0, lt=1.0, description=(
-        'chance of each value to lie on a bound: corners of many dimensions are else left empty'))
+        'probability that a value lies on a bound; otherwise the corners of many dimensions stay '
+        'empty'))
     radius: Interval | None = Field(None, description=(
-        'bounds of the length of q: an annulus of the box, for an H that is singular at q = 0'))
+        'bounds of the norm of q, an annulus in the box, for an H that is singular at q = 0'))
     energy: Interval | None = Field(None, description=(
-        'bounds of H: the part of the box that motions of these energies visit'))
+        'bounds of H, the part of the box with these energies'))
     velocities: bool = Field(False, description=(
-        'whether dq/dt takes the place of p, in the box too, as where masses are unknown'))
+        'use dq/dt in place of p, also in the box, as if masses were unknown'))
     trajectory: EvenTimes | None = Field(None, description=(
-        'follow the motion that begins at each of the samples, and learn from all its states'))
-    damping: float = Field(0.0, ge=0.0, description='gamma [1/s]: dp/dt = -H_q - gamma p')
+        'follow the motion from each sample, and learn from all of its states'))
+    damping: float = Field(0.0, ge=0.0, description=(
+        'damping rate gamma [1/s] in dp/dt = -H_q - gamma p'))
     commands: Commands | None = Field(None, description=(
-        'what drives the system, another at each of the samples'))
+        'random commands that drive the system, different for each sample'))
     noise: float = Field(0.0, ge=0.0, description=(
-        'standard deviation of the noise of each coordinate and momentum; rates have none'))
+        'standard deviation of the noise of each coordinate and momentum; rates are exact'))
 
     @model_validator(mode='after')
     def _check(self) -> 'ExactData':
@@ -464,8 +472,8 @@ class ExactData(StrictModel):
         if self.trajectory is not None:
             states = self.samples * len(self.trajectory.times)
             if states > MAX_STATES:
-                raise ValueError(f'{states} states are more than {MAX_STATES}; give fewer samples '
-                                 'or a larger trajectory.spacing')
+                raise ValueError(f'{states} states exceed the limit of {MAX_STATES}; reduce '
+                                 'samples or increase trajectory.spacing')
         return self
 
 
@@ -555,8 +563,8 @@ def _follow(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndar
         motion = solve_ivp(rates, (0.0, times[-1]), z, 'DOP853', times, rtol=_TOLERANCES[0],
                            atol=_TOLERANCES[1])
         if not motion.success:
-            raise DataError(f'data.trajectory: the motion from {z.tolist()} cannot be followed '
-                            f'({motion.message}); give a smaller box or a shorter duration')
+            raise DataError(f'data.trajectory: the motion from {z.tolist()} cannot be integrated '
+                            f'({motion.message}); use a smaller box or a shorter duration')
         motions.append(motion.y.T)
     z = np.concatenate(motions)
     return z[:, :d], z[:, d:]
@@ -573,8 +581,8 @@ def _draw_states(data: ExactData, hamiltonian: Hamiltonian, rng: np.random.Gener
         again = again[~_is_within(data, hamiltonian, q[again], p[again])]
         if not len(again):
             return q, p
-    raise DataError(f'data.radius = {data.radius}, data.energy = {data.energy}: too little of '
-                    'data.box is within these bounds; give wider ones or a smaller box')
+    raise DataError(f'data.radius = {data.radius}, data.energy = {data.energy}: too small a part '
+                    'of data.box is within these bounds; widen them or use a smaller box')
 
 
 def _momenta(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, drawn: np.ndarray

@@ -13,19 +13,27 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import StrictModel
+from hnn_vi_ros.learning.data.faults import faults
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
-from scipy.signal import butter, sosfiltfilt
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
+from scipy.signal import butter, periodogram, sosfiltfilt
 
 MIN_SAMPLES = 20
+# Value of ``forces`` for no forces.
+NONE = 'none'
 # Largest accepted absolute value; squares of larger numbers may overflow.
 MOST = 1e100
 # Largest plausible time in seconds since 1970.
 _LATEST = 1e11
+# Velocities are differences of positions if this share of them is, to the digits of a file.
+_MOST_OF_THEM, _DIGITS = 0.9, 1e-6
 # Order of the low-pass filter. It runs forward and backward: twice the order, no phase shift.
 _ORDER = 2
+# Highest automatic cut-off [Hz], and cut-off relative to the highest frequency of the motion;
+# power of the motion there, relative to the noise.
+_FASTEST, _ABOVE_MOTION, _SIGNAL = 40.0, 2.0, 4.0
 # A low-pass filter with a cut-off above this share of the Nyquist frequency is skipped.
 _WHOLE = 0.9
 # Gap threshold in usual intervals; nothing is interpolated over a gap.
@@ -40,16 +48,22 @@ _ALIKE = 0.01
 # Tolerance for the resolution of a log's clock, as a share of a step; smaller excesses add no
 # further step.
 _CLOCK = 0.01
+# Maximum number of steps between samples: logs have 0.25 to 4, and a thousand times as many if
+# milliseconds are read as seconds.
+_MOST_STEPS = 250
 # Number of samples on each side that distinguish a reset clock from late samples.
 _AROUND = 20
 # Rates are judged only where a coordinate moves by this multiple of its noise.
 _SEEN = 20.0
 OnBad = Annotated[Literal['drop', 'split', 'fail'], Field(description=(
-    'samples that are late, come twice or lack a number: drop, and bridge what is missing; '
-    'split the motion there; or fail. At a gap of more than ten intervals a new motion '
-    'begins, or it fails'))]
+    'treatment of samples that are late, duplicated or lack a number: drop them and interpolate, '
+    'split the motion there, or fail. A gap of more than ten intervals starts a new motion, or '
+    'fails'))]
+# Course of forces between samples; `interpolated` is another name of `linear`.
+Inputs = Annotated[Literal['held', 'linear', 'spline'], BeforeValidator(
+    lambda value: 'linear' if value == 'interpolated' else value)]
 TEST_RUNS: list[str] = Field([], description=(
-    'runs to judge the model by; none: the last fifth of each run in time'))
+    'runs for testing the model; none: the last fifth of each run'))
 
 Record = TypeVar('Record', bound=Any)
 # Interpolation: maps new times, times t and values, shape (N, k), to values at the new times.
@@ -59,16 +73,21 @@ Between = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 class MotionData(StrictModel):
     """Options of measured motions in every format."""
 
-    smoothing: float = Field(40.0, gt=0.0, description=(
-        'cut-off of the zero-phase filter from which initial states and accelerations come [Hz]; '
-        'samples that come too seldom to hold so fast a motion are taken as they are'))
+    smoothing: float | None = Field(None, gt=0.0, description=(
+        'cut-off frequency of the zero-phase filter for initial states and accelerations [Hz]; '
+        'samples at too low a rate for it are not filtered; default: 40 Hz, or where positions '
+        'alone fall below their noise'))
     on_bad: OnBad = 'drop'
-    inputs: Literal['interpolated', 'held'] | None = Field(None, description=(
-        'what forces do between samples: go over into each other, or each is held until the '
-        'next; default: held for topics of commands, else interpolated'))
+    inputs: Inputs | None = Field(None, description=(
+        'course of forces between samples: each held until the next, linear, or a cubic spline; '
+        'default: held for topics of commands, else linear'))
+    measured: list[str] = Field([], description=(
+        'measured coordinates of a scene, in the order of the data, for identify; none: all'))
     delay: float | Literal['estimate'] = Field(0.0, description=(
-        'how many samples, and parts of one, forces act after the one that they stand beside; or '
-        'it is estimated by fits of a rigid body to what is learned from'))
+        'delay of the forces in samples, possibly fractional; or estimate it by fitting rigid '
+        'bodies to the training data'))
+    forces: str | None = Field(None, pattern='^none$', description=(
+        'none: no forces act, although there are some'))
     test_runs: list[str] = TEST_RUNS
 
 
@@ -93,8 +112,8 @@ class Motion:
         Forces of m motors.
     p, dp_dt : np.ndarray, shape (N, d), or None
         Momenta, and their rates.
-    held : bool
-        True if each force is held until the next sample; otherwise linear between samples.
+    inputs : str
+        Course of the forces between samples: held, linear or spline.
     notes : tuple of str
         Further notes for the model card.
 
@@ -109,8 +128,13 @@ class Motion:
     a: np.ndarray | None = None
     p: np.ndarray | None = None
     dp_dt: np.ndarray | None = None
-    held: bool = False
+    inputs: Inputs = 'linear'
     notes: tuple[str, ...] = ()
+
+    @property
+    def held(self) -> bool:
+        """Return True if each force is held until the next sample."""
+        return self.inputs == 'held'
 
     @property
     def channels(self) -> dict[str, np.ndarray]:
@@ -141,6 +165,8 @@ class EvenMotion(Motion):
         if they were not measured.
     idle : bool
         True if no force acted before the first sample; otherwise the first force did.
+    cutoff : float
+        Cut-off of the filter [Hz].
 
     """
 
@@ -149,11 +175,24 @@ class EvenMotion(Motion):
     v_smooth: np.ndarray
     a_smooth: np.ndarray
     idle: bool = False
+    cutoff: float = _FASTEST
 
     @property
     def forces(self) -> np.ndarray:
         """Return the mean of the forces over each interval, shape (N - 1, m)."""
+        if self.inputs == 'spline':
+            integral = self.course.antiderivative()(self.spacing * np.arange(len(self.tau)))
+            return np.diff(integral, axis=0) / self.spacing
         return self.tau[:-1] if self.held else 0.5 * (self.tau[1:] + self.tau[:-1])
+
+    @property
+    def course(self) -> PPoly:
+        """Return the forces as a function of the time since the first sample [s]."""
+        t = self.spacing * np.arange(len(self.tau))
+        if self.inputs == 'spline':
+            return CubicSpline(t, self.tau)
+        slope = (not self.held) * np.diff(self.tau, axis=0) / self.spacing
+        return PPoly(np.stack([slope, self.tau[:-1]]), t)
 
     @property
     def spacing(self) -> float:
@@ -167,7 +206,7 @@ class EvenMotion(Motion):
 
 
 @dataclass
-class Report:
+class ReadingReport:
     """Counts of dropped samples by reason, and places where runs were cut."""
 
     least: int = MIN_SAMPLES
@@ -179,8 +218,8 @@ class Report:
 
     def __str__(self) -> str:
         parts = [f'{count} {what}' for count, what in (
-            (self.lacking, 'that lack a number'), (self.late, 'that are late or come twice'),
-            (self.short, f'in pieces of less than {self.least}')) if count]
+            (self.lacking, 'that lack a number'), (self.late, 'that are late or duplicated'),
+            (self.short, f'in pieces of fewer than {self.least}')) if count]
         found = [f'left out {" and ".join(parts)} of the samples'] if parts else []
         found += [f'cut at {self.cuts} places'] if self.cuts else []
         return '; '.join([*found, *self.notes])
@@ -198,16 +237,55 @@ class Report:
 
 def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotion], str]:
     """Return the pieces of motions at even times, and their description for the model card."""
-    report = Report()
-    cut = [pieces_of(motion, data.on_bad, report) for motion in recording.motions]
+    report = ReadingReport()
+    motions = recording.motions if data.forces != NONE else [
+        replace(motion, tau=None) for motion in recording.motions]
+    cut = [pieces_of(motion, data.on_bad, report) for motion in motions]
     # The interval of most samples is used for motions at different rates.
     usual = float(np.quantile(np.repeat([one.spacing for one in cut], [
         sum(map(len, one.rows)) for one in cut]), 0.5, method='lower'))
-    found = [motion for one in cut for motion in _even(one, usual, data, report)]
-    if not found:
-        raise DataError(f'{recording.motions[0].where}: no {MIN_SAMPLES} samples in a row every '
-                        f'{usual:.4g} s, the interval of most runs; give runs that last longer')
+    even = [piece for one in cut for piece in _even(one, usual, data, report)]
+    if not even:
+        raise DataError(f'{recording.motions[0].where}: no {MIN_SAMPLES} successive samples at '
+                        f'{usual:.4g} s, the interval of most runs; use longer runs')
+    cutoff = data.smoothing or (_FASTEST if all(piece.v is not None for piece in even) else
+                                cutoff_of(even, usual))
+    found = [replace(smoothed(
+        piece.name, piece.t, piece.q, piece.v,
+        np.zeros_like(piece.q) if piece.tau is None else piece.tau, cutoff, piece.a),
+        where=piece.where, inputs=piece.inputs) for piece in even]
     return found, report.described(recording, sum(len(motion.t) for motion in found))
+
+
+def cutoff_of(motions: Sequence[Motion], spacing: float) -> float:
+    """
+    Return the cut-off at which the spectrum of motions sinks into their noise, at most 40 Hz.
+
+    The noise is the median of the periodogram in the upper third of the frequencies, and the
+    motion ends at the highest frequency with _SIGNAL times as much, averaged over bands of equal
+    width in the logarithm. The cut-off is _ABOVE_MOTION of it.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        Motions at even times.
+    spacing : float
+        Time between samples [s].
+
+    """
+    highest, nyquist = 0.0, 0.5 / spacing
+    for channel in [part for motion in motions for part in (motion.q, motion.v)
+                    if part is not None]:
+        f, power = periodogram(channel, 1.0 / spacing, 'hann', detrend='linear', axis=0)
+        bands = np.geomspace(f[1], nyquist, 1 + max(8, round(10.0 * math.log2(nyquist / f[1]))))
+        place = np.searchsorted(bands, f[1:], side='right')
+        for column in power[1:].T:
+            noise = float(np.median(column[f[1:] > 2.0 * nyquist / 3.0])) / math.log(2.0)
+            count, total = np.bincount(place), np.bincount(place, column)
+            seen = np.flatnonzero((count > 0) & (total > _SIGNAL * noise * count))
+            if seen.size:
+                highest = max(highest, float(bands[min(seen[-1], len(bands) - 1)]))
+    return min(_FASTEST, _ABOVE_MOTION * highest) if highest else _FASTEST
 
 
 class Pieces(NamedTuple):
@@ -218,7 +296,7 @@ class Pieces(NamedTuple):
     spacing: float
 
 
-def pieces_of(motion: Motion, on_bad: str, report: Report) -> Pieces:
+def pieces_of(motion: Motion, on_bad: str, report: ReadingReport) -> Pieces:
     """Drop bad samples of a motion; raise DataError if most are bad or on_bad is fail."""
     if not len(motion.t):
         raise DataError(f'{motion.where}: no samples, expected at least {report.least}; record '
@@ -226,7 +304,7 @@ def pieces_of(motion: Motion, on_bad: str, report: Report) -> Pieces:
     latest = float(np.nanmax(motion.t, initial=0.0))
     if latest > _LATEST:
         raise DataError(f'{motion.where}: a time of {latest:.4g} s is after the year 5000: times '
-                        'must be in seconds; convert those of ms, us or ns')
+                        'must be in seconds; convert them from ms, us or ns')
     if motion.v is not None and not np.isfinite(motion.v).any(axis=0).all():
         motion = replace(motion, v=None)
     report.note(*motion.notes, *['velocities estimated'] * (motion.v is None))
@@ -235,9 +313,9 @@ def pieces_of(motion: Motion, on_bad: str, report: Report) -> Pieces:
     spacing = float(np.median(intervals[intervals > 0.0])) if len(kept) > 1 else 0.0
     gap = intervals > GAP * spacing
     if gap.any() and on_bad == 'fail':
-        raise DataError(f'{motion.where}: {intervals.max():.3g} s without a sample, '
-                        f'{spacing:.3g} s as a rule; cut the run in two there, or take '
-                        'data.on_bad: split')
+        raise DataError(f'{motion.where}: a gap of {intervals.max():.3g} s between samples, '
+                        f'usually {spacing:.3g} s apart; split the run there, or use data.on_bad: '
+                        'split')
     gap |= intervals <= 0.0  # the clock was set back
     if on_bad == 'split':
         gap |= np.diff(kept) > 1
@@ -246,13 +324,13 @@ def pieces_of(motion: Motion, on_bad: str, report: Report) -> Pieces:
     long = [piece for piece in pieces if len(piece) >= report.least]
     report.short += len(kept) - sum(map(len, long))
     if not long:
-        bridge = '' if on_bad == 'drop' else ', or take data.on_bad: drop'
-        raise DataError(f'{motion.where}: no {report.least} samples in a row without a gap; '
+        bridge = '' if on_bad == 'drop' else ', or use data.on_bad: drop'
+        raise DataError(f'{motion.where}: no {report.least} successive samples without a gap; '
                         f'record for longer{bridge}')
     return Pieces(motion, long, spacing)
 
 
-def _kept(motion: Motion, on_bad: str, report: Report) -> np.ndarray:
+def _kept(motion: Motion, on_bad: str, report: ReadingReport) -> np.ndarray:
     """Return the indices of usable samples; time decreases between two at a reset."""
     lacks = {name: ~(np.abs(part) <= MOST).reshape(len(motion.t), -1).all(axis=1)
              for name, part in motion.channels.items()}
@@ -260,57 +338,72 @@ def _kept(motion: Motion, on_bad: str, report: Report) -> np.ndarray:
     there = np.flatnonzero(~lacking)
     resets = clock_resets(motion.t[there])
     parts = [part[increasing(motion.t[part])] for part in np.split(there, resets) if len(part)]
-    kept = np.concatenate(parts) if parts else there
+    kept = np.concatenate([*parts, there[:0]])
     late = ~lacking
     late[kept] = False
     wrong = np.flatnonzero(lacking | late)
     if on_bad == 'fail' and (wrong.size or resets.size):
         at = min([*wrong[:1], *there[resets[:1]]])
         what = 'lacks a number' if lacking[at] else \
-            'is not after the one before, or that one is wrong'
-        raise DataError(f'{motion.where}: sample {at + 1} {what}; leave it out, or take '
-                        'data.on_bad: drop or split')
+            'is not later than the previous one, or that one is wrong'
+        raise DataError(f'{motion.where}: sample {at + 1} {what}; remove it, or use data.on_bad: '
+                        'drop or split')
     if wrong.size > _MOST_BAD * len(motion.t):
         counts = ', '.join(f'{part.sum()} lack a number of {name}'
                            for name, part in lacks.items() if part.any())
         raise DataError(f'{motion.where}: of {len(motion.t)} samples '
-                        f'{counts or "none lacks a number"}, and {late.sum()} are not after the '
-                        'one before: these are no states of one motion; look at what is taken '
-                        'for them')
+                        f'{counts or "none lacks a number"}, and {late.sum()} are not later than '
+                        'the previous one: they are not states of one motion; check the columns '
+                        'or topics')
     report.lacking += int(lacking.sum())
     report.late += int(late.sum())
     if len(kept) < report.least:
         raise DataError(f'{motion.where}: {len(kept)} samples, expected at least {report.least}; '
                         'record for longer')
-    return kept
+    return _without_faults(motion, parts, on_bad, report) if report.least > 1 else kept
 
 
-def _even(pieces: Pieces, usual: float, data: MotionData, report: Report
-          ) -> Iterator[EvenMotion]:
+def _without_faults(motion: Motion, parts: Sequence[np.ndarray], on_bad: str,
+                    report: ReadingReport) -> np.ndarray:
+    """Return the samples of the parts of a motion that its sensor got right."""
+    good = []
+    for part in parts:
+        wrong, notes = faults(motion.t[part], motion.q[part],
+                              None if motion.v is None else motion.v[part], motion.where)
+        if notes and on_bad == 'fail':
+            raise DataError(f'{motion.where}: {notes[0]}; leave them out, or take data.on_bad: '
+                            'drop or split')
+        report.note(*notes)
+        good.append(part[~wrong])
+    return np.concatenate(good)
+
+
+def _even(pieces: Pieces, usual: float, data: MotionData, report: ReadingReport
+          ) -> Iterator[Motion]:
     """Resample each piece of a motion; `usual` is the interval of most samples [s]."""
     motion, pieces_rows, spacing = pieces
     # Jittering clocks make one rate look like several.
     if abs(spacing - usual) > _ALIKE * usual:
-        report.note(f'{motion.name} put from every {spacing:.4g} s on every {usual:.4g} s')
+        report.note(f'{motion.name} resampled from {spacing:.4g} s to {usual:.4g} s')
     long = [rows for rows in pieces_rows
             if motion.t[rows[-1]] - motion.t[rows[0]] > (MIN_SAMPLES - 1.5) * usual]
     report.short += sum(map(len, pieces_rows)) - sum(map(len, long))
     for number, rows in enumerate(long):
         piece = unwound_piece(motion, rows, report)
-        _check_rates(piece)
-        held = motion.held if data.inputs is None else data.inputs == 'held'
-        piece = resampled(replace(piece, held=held), usual)
+        check_rates(piece)
+        if differenced(piece):
+            report.note('velocities are differences of the positions, and not used')
+            piece = replace(piece, v=None)
         name = motion.name if len(long) == 1 else f'{motion.name}#{number}'
-        tau = np.zeros_like(piece.q) if piece.tau is None else piece.tau
-        yield replace(smoothed(name, piece.t, piece.q, piece.v, tau, data.smoothing, piece.a),
-                      where=motion.where, held=held)
+        piece = replace(piece, inputs=data.inputs or motion.inputs)
+        yield replace(resampled(piece, usual), name=name)
 
 
-def unwound_piece(motion: Motion, rows: np.ndarray, report: Report) -> Motion:
+def unwound_piece(motion: Motion, rows: np.ndarray, report: ReadingReport) -> Motion:
     """Return some samples of a motion with angles unwrapped."""
     piece = part_of(motion, rows)
     q, turning = unwound(piece.t, piece.q, piece.v)
-    report.note(*(f'turns of coordinate {k + 1} counted' for k in turning))
+    report.note(*(f'coordinate {k + 1} unwrapped' for k in turning))
     return replace(piece, q=q)
 
 
@@ -318,8 +411,8 @@ def even_times(t: np.ndarray, spacing: float) -> np.ndarray:
     """Return evenly spaced times [s] from the first time on, none after the last."""
     count = int((t[-1] - t[0]) / spacing * (1.0 + 1e-12)) + 1
     if count > MAX_ROWS:
-        raise DataError(f'data.spacing = {spacing:g} s makes more than {MAX_ROWS} rows; give a '
-                        'larger one')
+        raise DataError(f'data.spacing = {spacing:g} s makes more than {MAX_ROWS} rows; increase '
+                        'it')
     return np.minimum(t[0] + spacing * np.arange(count), t[-1])
 
 
@@ -353,7 +446,7 @@ def resampled(motion: Motion, spacing: float, between: Between = linear) -> Moti
     if tau is not None:
         # If each force is held until the next, the latest one applies.
         tau = tau[np.searchsorted(t, times + 1e-9 * spacing, side='right') - 1] \
-            if motion.held else linear(times, t, tau)
+            if motion.held else (cubic if motion.inputs == 'spline' else linear)(times, t, tau)
     # The slope v improves the interpolation of q: driver clocks jitter by much of an interval.
     q = cubic(times, t, q) if v is None else CubicHermiteSpline(t, q, v)(times)
     if v is not None:
@@ -363,12 +456,12 @@ def resampled(motion: Motion, spacing: float, between: Between = linear) -> Moti
     return replace(motion, t=times, q=q, v=v, a=a, p=p, dp_dt=dp_dt, tau=tau)
 
 
-def _check_rates(motion: Motion) -> None:
+def check_rates(motion: Motion) -> None:
     """Raise DataError if velocities or accelerations contradict the measured changes."""
     for name, of, x, rate, remedy in (
-            ('velocities', 'positions', motion.q, motion.v, 'have them estimated, by '
-             'data.estimate_velocity: true of bags or without v in arrays and logs'),
-            ('accelerations', 'velocities', motion.v, motion.a, 'leave out a')):
+            ('velocities', 'positions', motion.q, motion.v,
+             'have them estimated (bags: data.estimate_velocity: true; arrays and logs: no v)'),
+            ('accelerations', 'velocities', motion.v, motion.a, 'remove a')):
         if x is None or rate is None:
             continue
         shares = unexplained(motion.t, x, rate)
@@ -376,8 +469,23 @@ def _check_rates(motion: Motion) -> None:
             worst = int(np.nanargmax(shares))
             raise DataError(
                 f'{motion.where}: the {name} of coordinate {worst + 1} are not the rates of its '
-                f'{of}: {100.0 * min(shares[worst], 1.0):.0f} % of how it moves is not in them; '
-                f'look for other units, another sign, zeros or outliers in either, or {remedy}')
+                f'{of}: {100.0 * min(shares[worst], 1.0):.0f} % of its motion is not in them; '
+                f'check both for other units, another sign, zeros or outliers, or {remedy}')
+
+
+def differenced(motion: Motion) -> bool:
+    """
+    Return True if velocities are differences of successive positions, as of an encoder.
+
+    They add nothing to the positions, and are those of half an interval before or after.
+    """
+    if motion.v is None:
+        return False
+    slopes = np.diff(motion.q, axis=0) / np.diff(motion.t)[:, None]
+    bound = _DIGITS * np.abs(motion.v).max(axis=0)
+    return bool((bound > 0.0).any()) and any(
+        (np.abs(rates - slopes) <= bound).mean() > _MOST_OF_THEM
+        for rates in (motion.v[1:], motion.v[:-1]))
 
 
 def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np.ndarray:
@@ -389,8 +497,8 @@ def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np
         return np.ascontiguousarray(
             sosfiltfilt(butter(_ORDER, share, output='sos'), values, axis=0))
     except np.linalg.LinAlgError as problem:
-        raise DataError(f'{name}: a smoothing of {cutoff:g} Hz is too low for samples every '
-                        f'{spacing:.4g} s; give a higher one') from problem
+        raise DataError(f'{name}: a smoothing of {cutoff:g} Hz is too low for a sampling interval '
+                        f'of {spacing:.4g} s; increase it') from problem
 
 
 def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau: np.ndarray,
@@ -406,7 +514,7 @@ def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau:
     v_smooth = rate(q_smooth) if v is None else smooth(v)
     return EvenMotion(
         name=name, where=name, t=t, q=q, v=v, tau=tau, a=a, q_smooth=q_smooth, v_smooth=v_smooth,
-        a_smooth=rate(v_smooth) if a is None else smooth(a))
+        a_smooth=rate(v_smooth) if a is None else smooth(a), cutoff=cutoff)
 
 
 def clock_resets(t: np.ndarray) -> np.ndarray:
@@ -431,8 +539,10 @@ def increasing(t: np.ndarray) -> np.ndarray:
 
     This is the longest increasing subsequence: a stamp far ahead costs one sample, not all that
     follow (M. Fredman, On computing the length of longest increasing subsequences, Discrete
-    Mathematics 11, 1975).
+    Mathematics 11, 1975). Times less than a picosecond apart are equal.
     """
+    with np.errstate(over='ignore', invalid='ignore'):
+        t = np.round(t, 12)
     if (np.diff(t) > 0.0).all():
         return np.arange(len(t))
     least: list[float] = []  # smallest final time of a subsequence of each length
@@ -515,14 +625,20 @@ def _share(x: np.ndarray, rest: np.ndarray) -> float:
 
 
 def steps_between(spacing: float, step_size: float) -> int:
-    """Return the number of steps of about `step_size` [s] or less in a sampling interval [s]."""
-    return max(1, math.ceil(spacing / step_size - _CLOCK))
+    """Return the number of steps of about `step_size` or less in an interval [s], or DataError."""
+    count = max(1, math.ceil(spacing / step_size - _CLOCK))
+    if count > _MOST_STEPS:
+        raise DataError(f'samples lie {count} steps of {step_size:g} s apart; are the times in s? '
+                        'Write their unit in the header, such as t [ms], or take a larger '
+                        'step_size in the scene')
+    return count
 
 
 def delayed(motion: EvenMotion, samples: float) -> EvenMotion:
     """Delay the forces by a number of samples; the first and last forces are held."""
     at = np.arange(len(motion.t), dtype=np.float64)
-    return replace(motion, tau=linear(at - samples, at, motion.tau))
+    between = cubic if motion.inputs == 'spline' else linear
+    return replace(motion, tau=between(np.clip(at - samples, 0.0, at[-1]), at, motion.tau))
 
 
 def run_of(motion: Motion) -> str:

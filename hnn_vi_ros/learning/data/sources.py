@@ -5,12 +5,15 @@
 from collections.abc import Sequence
 import os
 from pathlib import Path
-from typing import Annotated
+import re
+from typing import Annotated, Any
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
+from hnn_vi_ros.learning.data.arrays import Archive, ArraysData, read_arrays, split_runs
+from hnn_vi_ros.learning.data.bag_signals import joint_names
 from hnn_vi_ros.learning.data.bags import BagData, BagMotions, read_bags
 from hnn_vi_ros.learning.data.dataset import Dataset, dataset_of, ExactData, sample_exact
+from hnn_vi_ros.learning.data.header import column_of, COORDINATES, Named, read_header
 from hnn_vi_ros.learning.data.motions import (
     even_motions, EvenMotion, Motion, MotionData, Recording)
 from hnn_vi_ros.learning.data.text import LogMotions, MeasuredData, read_text
@@ -30,7 +33,8 @@ def dimension(data: Source) -> int:
     return len(data.box.q if isinstance(data, ExactData) else data.q)
 
 
-def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = ()) -> Dataset:
+def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (),
+                 units: Sequence[str] = ()) -> Dataset:
     """
     Sample or read states and their rates of change.
 
@@ -45,6 +49,8 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
         then in the working directory.
     given : sequence of str
         Files that override the configured ones.
+    units : sequence of str
+        Units of the coordinates.
 
     Raises
     ------
@@ -54,20 +60,21 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
     """
     if isinstance(data, ExactData):
         if given:
-            raise DataError(f'{source}: its data is exact, so --data {given[0]} has no use; '
-                            'leave it out')
+            raise DataError(f'{source}: its data are exact, so --data {given[0]} is not used; '
+                            'remove it')
         return sample_exact(data, seed)
-    return dataset_of(_recording(source, data, (), given), data)
+    return dataset_of(_recording(source, data, (), given, units), data)
 
 
-def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: Sequence[str] = ()
+def read_motions(source: Path, data: MotionSource, names: Sequence[str],
+                 given: Sequence[str] = (), units: Sequence[str] = ()
                  ) -> tuple[list[EvenMotion], str]:
     """
     Read measured motions and resample them at even times.
 
     Parameters
     ----------
-    source, given
+    source, given, units
         As in make_dataset; ``FILE:RUN,RUN`` selects runs of arrays.
     data : ArraysData, BagMotions or LogMotions
         Format of the data.
@@ -85,18 +92,21 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: 
         The motions cannot be read.
 
     """
-    return even_motions(_recording(source, data, names, given), data)
+    if data.measured and [*names] != data.measured:
+        raise DataError(f'{source}: data.measured names only {", ".join(data.measured)} of the '
+                        f'coordinates {", ".join(names)}; only identify supports this')
+    return even_motions(_recording(source, data, names, given, units), data)
 
 
 def _recording(source: Path, data: MeasuredData | BagData | MotionSource, names: Sequence[str],
-               given: Sequence[str]) -> Recording:
+               given: Sequence[str], units: Sequence[str]) -> Recording:
     """Return the motions as measured."""
     if isinstance(data, BagData | BagMotions):
         return read_bags(bags_of(source, data.paths, given), data, names)
     hint = f', which is {data.source}' if isinstance(data, MeasuredData) and data.source else ''
     file = one_file(source, data.path, given, hint)
     if isinstance(data, MeasuredData | LogMotions):
-        return read_text(file, data)
+        return read_text(file, data, units)
     path, runs = split_runs(str(file)) if given else (file, [])
     return read_arrays(path, data, len(names), runs)
 
@@ -112,22 +122,22 @@ def motions_of(dataset: Dataset, data: MotionData) -> tuple[list[EvenMotion], st
 
     """
     if dataset.t is None:
-        raise DataError(f'{dataset.description}: no motions, but single states; give data with '
-                        'times, such as exact data with a trajectory')
+        raise DataError(f'{dataset.description}: single states, not motions; use data with times, '
+                        'such as exact data with a trajectory')
     runs = []
     for number in np.unique(dataset.motion):
         rows = dataset.rows(dataset.motion == number)
         assert rows.t is not None, 'checked above'
         runs.append(Motion(
             str(number), f'{dataset.description}: motion {number}', rows.t, rows.q, rows.dq_dt,
-            rows.commands, held=rows.commands is not None))
+            rows.commands, inputs='linear' if rows.commands is None else 'held'))
     return even_motions(Recording(runs, dataset.description, ''), data)
 
 
 def one_file(source: Path, path: str, given: Sequence[str], hint: str = '') -> Path:
     """Return the one data file, given or configured; raise DataError for none or several."""
     if len(given) > 1:
-        raise DataError(f'{source}: its data are one file, but --data has {len(given)}; join '
+        raise DataError(f'{source}: its data are one file, but --data has {len(given)}; merge '
                         'them')
     if not (given or path):
         raise DataError(f'{source}: data.path is empty; pass the file with --data FILE{hint}')
@@ -147,14 +157,77 @@ def _beside(source: Path, path: str) -> Path:
     return beside if os.path.exists(beside) else Path(path)
 
 
-def guessed(path: str) -> ArraysData | BagMotions:
-    """Guess the format of a file from its name, arrays or a bag; DataError if unknown."""
+def guessed(path: str, coordinates: Sequence[Named] = ()) -> MotionSource:
+    """
+    Find out how a file is read.
+
+    Parameters
+    ----------
+    path : str
+        Bag, arrays, or a text file, whose columns are found by their names.
+    coordinates : sequence of Named
+        Coordinates of the scene or model.
+
+    Raises
+    ------
+    DataError
+        There is no such file, or a log has two readings.
+
+    """
     file, _ = split_runs(path)
     if file.suffix == _ARRAYS:
         return ArraysData()
-    if file.is_dir() or file.suffix in ('.mcap', '.db3', '.yaml'):
+    if is_bag(file):
         return BagMotions()
     if not os.path.exists(file):
-        raise DataError(f'{file}: no such file; give a bag, or an .npz file of arrays')
-    raise DataError(f'{file}: expected a bag, or an .npz file of arrays; of a text file, name the '
-                    'columns in the data of a training configuration, and give that with --config')
+        raise DataError(f'{file}: no such file; give a bag, an .npz file of arrays, or a log')
+    return LogMotions.model_validate(read_header(file, coordinates).data)
+
+
+def is_bag(file: Path) -> bool:
+    """Return whether a path has the name of a bag."""
+    return file.is_dir() or file.suffix in ('.mcap', '.db3', '.yaml')
+
+
+def configuration_of(given: Sequence[str]) -> dict[str, Any]:
+    """
+    Return a training configuration for the only reading of some data.
+
+    Parameters
+    ----------
+    given : sequence of str
+        A log or arrays, or bags.
+
+    Raises
+    ------
+    DataError
+        There is no reading, or there are two; the message has both.
+
+    """
+    file, _ = split_runs(given[0])
+    if file.suffix == _ARRAYS:
+        archive = Archive(file)
+        width = archive.array(next((key for key in archive.arrays if key.rpartition('/')[2] == 'q'
+                                    ), 'q')).shape[-1]
+        return _of_joints(f'{file}: q', {'kind': 'arrays', 'path': str(file)}, [
+            f'q{k + 1}' if width > 1 else 'q' for k in range(width)])
+    if is_bag(file):
+        return _of_joints(f'{file}: joint_states', {'kind': 'bag', 'paths': list(given)},
+                          joint_names(file))
+    return read_header(one_file(file, '', given)).configuration
+
+
+def _of_joints(where: str, data: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Return a configuration of joints whose names say what they are."""
+    kinds = [column_of(name, {}).kind for name in names]
+    if not all(kinds):
+        name = next(name for name, kind in zip(names, kinds, strict=True) if not kind)
+        ways = ' or '.join(str({'name': name, **units}).replace("'", '')
+                           for units in COORDINATES.values())
+        raise DataError(f'{where}: {name} may be an angle or a length; write a configuration with '
+                        f'family: {{kind: mechanical}}, data: {{kind: {data["kind"]}}} and '
+                        f'coordinates: [{ways}]')
+    return {'coordinates': [{'name': re.sub(r'\W+', '_', name)} | COORDINATES[kind]
+                            for name, kind in zip(names, kinds, strict=True)],
+            'data': data | ({'joints': [*names]} if 'paths' in data else {}),
+            'family': {'kind': 'mechanical'}}

@@ -50,7 +50,7 @@ class MotionScales:
     input_map: np.ndarray | None = None
 
 
-class Features(torch.nn.Module):
+class FeaturesChoice(torch.nn.Module):
     """
     Network inputs G q, or sin(G q) and cos(G q) for periodic rows; one zero input without rows.
 
@@ -95,7 +95,7 @@ class Features(torch.nn.Module):
 
 # Integrators of simulated windows of machines.
 WindowMethod = Literal['implicit_midpoint', 'variational_euler', 'generalized_leapfrog', 'rk4']
-ON_THE_CPU = {'device': 'is trained on the CPU, in minutes'}
+ON_THE_CPU = {'device': 'is trained on the CPU, within minutes'}
 # Prior that is selected with held-out motions.
 AUTO = 'auto'
 # Term of a linear combination: sign, number, name.
@@ -136,8 +136,8 @@ class Steps(StrictModel):
     kind: Literal['steps']
     integrator: Literal['variational_euler', 'symplectic_euler', 'symplectic_euler_adjoint',
                         'generalized_leapfrog', 'implicit_midpoint']
-    step_size: float = Field(gt=0.0, description='h [s]')
-    count: int = Field(1, ge=1, le=100, description='how many steps')
+    step_size: float = Field(gt=0.0, description='step size h [s]')
+    count: int = Field(1, ge=1, le=100, description='number of steps')
 
     @property
     def scheme(self) -> Scheme:
@@ -145,11 +145,11 @@ class Steps(StrictModel):
         return Scheme(integrator=self.integrator, step_size=self.step_size)
 
 
-class DiscreteGradient(StrictModel):
+class DiscreteGradientLoss(StrictModel):
     """Loss of the discrete gradient of H between states; for large even time steps or noise."""
 
     kind: Literal['discrete_gradient']
-    step_size: float = Field(gt=0.0, description='h [s]')
+    step_size: float = Field(gt=0.0, description='step size h [s]')
 
     @property
     def scheme(self) -> Scheme:
@@ -162,8 +162,9 @@ class DiscreteLagrangian(StrictModel):
 
     kind: Literal['discrete_lagrangian']
     rule: Literal['trapezoid', 'midpoint'] = Field('trapezoid', description=(
-        'for the action of the potential: that of stormer_verlet, or of implicit_midpoint'))
-    step_size: float = Field(gt=0.0, description='h [s]')
+        'quadrature of the action: trapezoid as in stormer_verlet, midpoint as in '
+        'implicit_midpoint'))
+    step_size: float = Field(gt=0.0, description='step size h [s]')
 
     @property
     def scheme(self) -> Scheme:
@@ -175,23 +176,22 @@ class DiscreteLagrangian(StrictModel):
 class FrictionChoice(StrictModel):
     """Friction of a machine; all enabled terms are added."""
 
-    viscous: bool = Field(True, description='-b v')
-    coulomb: int = Field(2, ge=0, le=8, description='how many terms -c tanh(v / w)')
+    viscous: bool = Field(True, description='include viscous friction -b v')
+    coulomb: int = Field(2, ge=0, le=8, description='number of terms -c tanh(v / w)')
     stribeck: int = Field(0, ge=0, le=8, description=(
-        'how many terms -c tanh(v / w) exp(-(v / s)^2)'))
+        'number of terms -c tanh(v / w) exp(-(v / s)^2)'))
     directed: bool = Field(False, description=(
-        'whether b and the c of Coulomb terms depend on the sign of v'))
-    offset: bool = Field(False, description='whether the motors add a constant force')
+        'let b and the c of Coulomb terms depend on the sign of v'))
+    offset: bool = Field(False, description='include a constant force of each motor')
     fade: bool = Field(False, description=(
-        'whether the gain of a motor falls with its command u: u / (1 + g abs(u)), g >= 0'))
+        'let the gain of a motor fall with its command u: u / (1 + g abs(u)), g >= 0'))
     load: bool = Field(False, description=(
-        'whether dry friction grows with the force f of the motor of a joint, as in a gear: '
-        '-k abs(f) tanh(v / s), k >= 0'))
+        'include dry friction that grows with the motor force f of a joint, as in a gear: -k '
+        'abs(f) tanh(v / s), k >= 0'))
     network: bool = Field(False, description=(
-        '-D(q) v with a network D = B B^T, which couples the joints and depends on where they '
-        'are'))
+        'include -D(q) v with a network D = B B^T, which couples the joints and depends on q'))
     network_depends_on: list[str] | None = Field(None, description=(
-        'the inputs of D: linear combinations of coordinates; default: the inputs of M'))
+        'inputs of D: linear combinations of coordinates; default: the inputs of M'))
 
 
 @dataclass(frozen=True)
@@ -249,34 +249,35 @@ class MechanicalChoice(FamilyChoice):
     losses: ClassVar[tuple[str, ...]] = ('trajectory', 'forward', 'inverse', 'discrete')
     refuses: ClassVar[Mapping[str, str]] = ON_THE_CPU
     features: list[str] | None = Field(None, min_length=1, description=(
-        'the inputs of V: linear combinations of coordinates, such as a + b; default: each '
+        'inputs of V: linear combinations of coordinates, such as a + b; default: each '
         'coordinate'))
     mass: Literal['learned', 'diagonal', 'constant'] = Field('learned', description=(
-        'M(q), a diagonal one, or a matrix that depends on nothing'))
+        'mass matrix: full M(q), diagonal M(q), or constant'))
     mass_depends_on: list[str] | None = Field(None, description=(
-        'the inputs of M, in the same way; default: each coordinate'))
+        'inputs of M, likewise; default: each coordinate'))
     friction: FrictionChoice = Field(default_factory=FrictionChoice)
     input_map: Literal['identity', 'learned'] = Field('identity', description=(
-        'each joint has a force of its own in the data; or the forces are of motors, at most as '
-        'many as joints, and a constant matrix of their effect on the joints is learned'))
+        'identity: the data contain one force per joint; learned: the data contain the forces of '
+        'at most as many motors as joints, and a constant matrix from motors to joints is '
+        'learned'))
     prior: str | None = Field('auto', description=(
-        'a system whose parameters are fitted, and that the networks are added to: planar_chain, '
-        'one to four rigid links in a plane, on carts or not; pendulum or double_pendulum, the '
-        'same with the features for angles; or another exact system, by its name in scenes, of '
-        'the coordinates in their order; none: networks alone; auto: what predicts held-out '
-        'motions best, a planar_chain with networks or without, or networks alone'))
+        'system with fitted parameters to which the networks are added: planar_chain, one to four '
+        'rigid links in a plane, with or without carts; pendulum or double_pendulum, the same '
+        'with the features as angles; or another exact system, by its name in scenes, with the '
+        'coordinates in their order; none: only networks; auto: the best predictor of held-out '
+        'motions among a planar_chain with and without networks, and networks alone'))
     angles: list[str] | None = Field(None, description=(
-        'of a planar_chain: the angles of its links from the vertical, linear combinations of the '
-        'coordinates that turn; default: those that fit best, of the features, the coordinates '
-        'and their sums'))
+        'for a planar_chain: angles of its links from the vertical, as linear combinations of the '
+        'rotating coordinates; default: the best fit among the features, the coordinates and '
+        'their sums'))
     residual: bool | list[Literal['potential', 'mass']] = Field(True, description=(
-        'whether there are networks in addition to a prior, or which'))
+        'add networks to a prior: true, false, or a list of networks'))
     residual_weight: float = Field(1e-6, ge=0.0, description=(
-        'of the size of the networks added to a prior, at states like those of the data, in the '
-        'loss'))
+        'weight in the loss of the size of the networks added to a prior, at states like those of '
+        'the data'))
     fade_weight: float = Field(2e-3, ge=0.0, description=(
-        'the same at all other states, where networks fade, and of the forces that they make at '
-        'twice the speeds of the data'))
+        'the same weight at all other states, where networks fade, and for their forces at twice '
+        'the speeds of the data'))
 
     @field_validator('prior', mode='before')
     @classmethod
@@ -288,13 +289,12 @@ class MechanicalChoice(FamilyChoice):
         seen = names if self.mass_depends_on is None else self.mass_depends_on
         if self.mass == 'constant':
             if self.mass_depends_on:
-                raise ValueError('mass_depends_on: a constant mass depends on nothing; leave it '
-                                 'out')
+                raise ValueError('mass_depends_on: a constant mass has no inputs; remove this key')
             seen = []
         friction = self.friction
         if not friction.network and friction.network_depends_on is not None:
-            raise ValueError('friction.network_depends_on: there is no network; take network: '
-                             'true, or leave it out')
+            raise ValueError('friction.network_depends_on: there is no network; set network: '
+                             'true, or remove this key')
 
         def rows(texts: Sequence[str], key: str) -> list[list[float]]:
             found = [combination(text, names, key) for text in texts]
@@ -323,30 +323,30 @@ class MechanicalChoice(FamilyChoice):
         found = iter([combination(text, names, 'angles') for text in texts])
         turning = [kind != 'prismatic' for kind in kinds]
         if len(texts) != sum(turning):
-            raise ValueError(f'angles: {len(texts)} for {sum(turning)} coordinates that turn; '
-                             'name one for each')
+            raise ValueError(f'angles: {len(texts)} for {sum(turning)} rotating coordinates; give '
+                             'one for each')
         return [next(found) if turns else [0.0] * len(kinds) for turns in turning]
 
     def _check_prior(self, kinds: list[Kind], angles: list[list[float]] | None) -> None:
         if self.angles is not None and self.prior not in (AUTO, PLANAR_CHAIN):
-            raise ValueError('angles: of a planar_chain, and of prior: auto, alone')
+            raise ValueError('angles: valid only with prior: planar_chain or auto; remove it')
         if self.prior in (None, AUTO):
             if self.residual is not True:
-                raise ValueError('residual: needs a prior, without which there is nothing but the '
-                                 'networks; name it')
+                raise ValueError('residual: valid only with a prior; set prior, or remove '
+                                 'residual')
             return
         assert self.prior is not None, 'just looked'
         if self.prior not in CHAINS and self.prior not in exact_systems():
             valid = sorted({AUTO, 'none', *CHAINS, *exact_systems()})
-            raise ValueError(f'prior: {self.prior!r} is no system of the form p . M(q)^-1 p / 2 '
-                             f'+ V(q); valid: {", ".join(valid)}')
+            raise ValueError(f'prior: {self.prior!r} is not a system of the form p . M(q)^-1 p / '
+                             f'2 + V(q); valid: {", ".join(valid)}')
         check_prior(self.prior, kinds, angles or [*chain_angles(kinds), []][0])
         if self.prior not in CHAINS and self.input_map != 'identity':
-            raise ValueError(f'input_map: {self.prior} has its own scale of energy, which the '
-                             'norm of the map would fix again; take input_map: identity')
+            raise ValueError(f'input_map: {self.prior} has its own energy scale, which the norm '
+                             'of the map would fix again; use input_map: identity')
         if self.friction.network and not self.residual:
-            raise ValueError('friction.network: residual: false leaves out all networks; leave '
-                             'out one of the two')
+            raise ValueError('friction.network: residual: false disables all networks; remove one '
+                             'of the two')
 
 
 class RigidBodyChoice(FamilyChoice):
@@ -355,27 +355,28 @@ class RigidBodyChoice(FamilyChoice):
     kind: Literal['rigid_body']
     losses: ClassVar[tuple[str, ...]] = ('trajectory', 'inverse')
     refuses: ClassVar[Mapping[str, str]] = ON_THE_CPU | {'ensemble': (
-        'has the uncertainty of each parameter by its standard errors')}
+        'reports the uncertainty of its parameters as standard errors')}
     file: str = Field(description=(
-        'the URDF: a path, from the folder of the configuration or else the working directory, or '
-        'package://PACKAGE/PATH'))
+        'URDF file: a path relative to the folder of the configuration or the working directory, '
+        'or package://PACKAGE/PATH'))
     locked: dict[str, float] = Field({}, description=(
-        'joints that do not move, and where they are held [rad], [m]'))
+        'locked joints and their positions [rad], [m]'))
     gravity: list[float] = Field([0.0, 0.0, -9.81], min_length=3, max_length=3, description=(
-        'the acceleration of free fall in the frame of the base [m/s^2]'))
-    base: str | None = Field(None, description='the link that rests; default: the root')
+        'gravitational acceleration in the frame of the base [m/s^2]'))
+    base: str | None = Field(None, description='fixed link; default: the root')
     rotor_inertia: dict[str, float] | Literal['identified'] = Field({}, description=(
-        'of the rotors behind joints, as they feel it [kg m2], [kg]; or it is identified'))
-    offsets: bool = Field(True, description='whether the motors are off by a constant force')
+        'inertia of the rotors, reflected to the joints [kg m2], [kg]; or identified from the '
+        'data'))
+    offsets: bool = Field(True, description='identify a constant force offset of each motor')
     friction: FrictionChoice = Field(
-        default_factory=lambda: FrictionChoice(coulomb=1), description='in the joints')
+        default_factory=lambda: FrictionChoice(coulomb=1), description='friction in the joints')
     residual: list[Literal['potential', 'friction', 'mass']] | Literal['auto'] = Field(
-        [], description=('networks that are added: V(q), the friction -D(q) v, M(q); one, or a '
-                         'list; auto: those that predict held-out motions best, or none'))
+        [], description=('networks added to the rigid body: V(q), friction -D(q) v, M(q); one, or '
+                         'a list; auto: those that predict held-out motions best, or none'))
     residual_weight: float = Field(1e-3, ge=0.0, description=(
-        'of the size of those networks, at states like those of the data, in the loss'))
+        'weight in the loss of the size of those networks, at states like those of the data'))
     fade_weight: float = Field(0.1, ge=0.0, description=(
-        'the same at all other states, where networks fade'))
+        'the same weight at all other states, where networks fade'))
     # The prior in terms of the family mechanical; each joint has a force of its own.
     prior: ClassVar[str] = RIGID_BODY
     input_map: ClassVar[str] = 'identity'
@@ -388,18 +389,24 @@ class RigidBodyChoice(FamilyChoice):
     @model_validator(mode='after')
     def _check(self) -> 'RigidBodyChoice':
         if self.friction.network or self.friction.network_depends_on is not None:
-            raise ValueError('friction.network: take residual: friction, a network in addition '
-                             'to the friction of joints')
+            raise ValueError('friction.network: use residual: friction, which adds a network to '
+                             'the friction of joints')
         if self.friction.offset or self.friction.fade:
-            raise ValueError('friction: a rigid_body has offsets of its own, and no fade; take '
+            raise ValueError('friction: a rigid_body has its own offsets, and no fade; use '
                              'offsets: true, or the family mechanical')
         return self
 
     def robot(self, joints: Sequence[str]) -> RigidBodyTree:
         """Return the robot with these joints, or all movable ones; raise if that fails."""
         rotors = {} if isinstance(self.rotor_inertia, str) else self.rotor_inertia
-        return RigidBodyTree(self.file, [*joints] or None, self.locked, self.gravity, self.base,
-                             rotors)
+        robot = RigidBodyTree(self.file, [*joints] or None, self.locked, self.gravity, self.base,
+                              rotors)
+        if robot.following is not None:
+            names = robot.robot.followers
+            raise ValueError(f'joints that mimic others are not supported by {RIGID_BODY}: '
+                             f'{listed(names)}; lock them, for example with locked: '
+                             f'{{{next(iter(names))}: 0.0}}, or fit a scene with hnn identify')
+        return robot
 
     def structure(self, names: Sequence[str], kinds: list[Kind]) -> Structure:
         """Return the structure of the robot and its networks; their inputs are the coordinates."""
@@ -419,7 +426,7 @@ def combination(text: str, names: Sequence[str], key: str) -> list[float]:
     while at < len(text):
         term = _TERM.match(text, at)
         if term is None or (at > 0 and not term[1]) or term[3] not in names:
-            raise ValueError(f'{key}: {text!r} is no linear combination of the coordinates '
+            raise ValueError(f'{key}: {text!r} is not a linear combination of the coordinates '
                              f'{listed(names)}, such as {" + ".join(names[:2])}')
         row[names.index(term[3])] += float(f'{term[1]}{term[2] or 1.0}')
         at = term.end()
@@ -429,21 +436,22 @@ def combination(text: str, names: Sequence[str], key: str) -> list[float]:
 class WindowStage(StrictModel):
     """A number of Adam steps on windows of one length."""
 
-    duration: float = Field(gt=0.0, description='of each window [s]')
+    duration: float = Field(gt=0.0, description='duration of each window [s]')
     steps: int = Field(ge=1, le=1_000_000)
     learning_rate: float | None = Field(None, gt=0.0, le=1.0, description=(
-        'of Adam; default: a fifth of that on accelerations, two fifths beside a prior'))
+        'learning rate of Adam; default: a fifth of the rate for accelerations, or two fifths '
+        'with a prior'))
 
 
 class Regression(StrictModel):
     """A fit on single samples with Adam, then L-BFGS."""
 
     kind: str
-    steps: int = Field(400, ge=1, le=1_000_000, description='of Adam')
-    batch: int = Field(1024, ge=1, description='samples in each of those steps')
+    steps: int = Field(400, ge=1, le=1_000_000, description='number of Adam steps')
+    batch: int = Field(1024, ge=1, description='samples per Adam step')
     lbfgs_steps: int = Field(2000, ge=0, le=1_000_000, description=(
-        'of L-BFGS, which follow; they end sooner when they make the samples worse that are left '
-        'out of them, a tenth'))
+        'maximum number of L-BFGS steps that follow; they stop early when the error of a held-out '
+        'tenth of the samples increases'))
 
 
 class Forward(Regression):
@@ -463,38 +471,39 @@ class Discrete(Regression):
 
     kind: Literal['discrete']
     step_size: float | None = Field(None, gt=0.0, description=(
-        'a multiple of the interval of the samples [s]; default: that at which noise and the '
-        'rule have about the same error'))
+        'step size [s], a multiple of the sampling interval; default: that at which the errors of '
+        'noise and quadrature are about equal'))
 
 
-class Trajectory(StrictModel):
+class TrajectoryLoss(StrictModel):
     """Loss of accelerations, then of windows simulated from their smoothed first states."""
 
     kind: Literal['trajectory'] = 'trajectory'
-    forward_steps: int = Field(400, ge=1, description='of Adam on accelerations')
-    forward_batch: int = Field(1024, ge=1, description='samples in each of those steps')
+    forward_steps: int = Field(400, ge=1, description='number of Adam steps on accelerations')
+    forward_batch: int = Field(1024, ge=1, description='samples per Adam step')
     forward_lbfgs_steps: int = Field(2000, ge=0, le=1_000_000, description=(
-        'of L-BFGS on accelerations, which follow; they end sooner when they make the samples '
-        'worse that are left out of them, a tenth, as noise lets them'))
+        'maximum number of L-BFGS steps on accelerations that follow; they stop early when the '
+        'error of a held-out tenth of the samples increases, as it does with noise'))
     step_size: float | None = Field(None, gt=0.0, description=(
-        'of the windows, a multiple of the interval of the samples [s]; forces are averaged over '
-        'it; default: the multiple that is next to 0.01 s'))
+        'step size in the windows [s], a multiple of the sampling interval over which forces are '
+        'averaged; default: the multiple closest to 0.01 s'))
     windows: list[WindowStage] = Field(
         [WindowStage(duration=0.1, steps=600), WindowStage(duration=0.25, steps=400)],
-        description='the stages that follow, in this order')
+        description='stages of training on windows, in this order')
     method: WindowMethod = Field('implicit_midpoint', description=(
-        'of their steps: that of the scene in which the model is to run, or rk4, which conserves '
-        'nothing'))
+        'integrator in the windows: that of the scene in which the model will run, or rk4, which '
+        'is not symplectic'))
     records: bool = Field(False, description=(
-        'whether the positions of whole motions are fitted in the end, each simulated from its '
-        'first state: by a prior with its friction, then by the networks, which end no worse'))
-    batch: int = Field(256, ge=1, description='windows in each of their steps')
+        'finally fit the positions of whole motions, each simulated from its first state: first '
+        'the prior with its friction, then the networks, whose result is used only if it is not '
+        'worse'))
+    batch: int = Field(256, ge=1, description='windows per Adam step')
     time_scale: float = Field(0.1, gt=0.0, description=(
-        'an error of q counts as one of v does that makes it in this time [s]'))
+        'time that converts an error of v into an equivalent error of q [s]'))
 
 
 FieldLoss = Annotated[
-    VectorField | Steps | DiscreteGradient | DiscreteLagrangian | EulerLagrange,
+    VectorField | Steps | DiscreteGradientLoss | DiscreteLagrangian | EulerLagrange,
     Field(discriminator='kind')]
 MachineFamily = Annotated[MechanicalChoice | RigidBodyChoice, Field(discriminator='kind')]
-MachineLoss = Annotated[Forward | Inverse | Discrete | Trajectory, Field(discriminator='kind')]
+MachineLoss = Annotated[Forward | Inverse | Discrete | TrajectoryLoss, Field(discriminator='kind')]

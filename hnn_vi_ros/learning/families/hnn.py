@@ -169,7 +169,7 @@ class DGNetChoice(FamilyChoice):
     """Configuration of one network H(q, p) with linear friction; see DGNet."""
 
     kind: Literal['dgnet']
-    friction: bool = Field(True, description='whether dp/dt = -H_q - gamma p, or gamma = 0')
+    friction: bool = Field(True, description='include linear damping, dp/dt = -H_q - gamma p')
     losses: ClassVar[tuple[str, ...]] = ('discrete_gradient', 'vector_field')
 
 
@@ -274,8 +274,8 @@ class ControlAffine(EnergyFamily):
         super().__init__()
         d, m = len(scales.q_half), len(scales.command)
         if m == 0:
-            raise DataError('the family control_affine learns what commands do, but the data hold '
-                            'none; name them in data.commands')
+            raise DataError('the family control_affine learns the effect of commands, but the '
+                            'data contain none; name them in data.commands')
         where = scales.q_centre, scales.q_half
         self.rows, self.columns = np.tril_indices(d)
         root = np.sqrt(scales.v_half / scales.p_half)

@@ -24,8 +24,8 @@ class LagrangianChoice(FamilyChoice):
 
     kind: Literal['lagrangian']
     mass: float = Field(1.0, gt=0.0, description=(
-        'mean of that of the first coordinate, which sets the unit of energy: motions leave it '
-        'open'))
+        'mean mass of the first coordinate, which sets the unit of energy: motions do not '
+        'determine it'))
     losses: ClassVar[tuple[str, ...]] = ('euler_lagrange',)
 
 
@@ -142,7 +142,8 @@ class VINChoice(FamilyChoice):
 
     kind: Literal['vin']
     mass: float = Field(1.0, gt=0.0, description=(
-        'of the first coordinate, which sets the unit of energy: positions leave it open'))
+        'mass of the first coordinate, which sets the unit of energy: positions do not determine '
+        'it'))
     losses: ClassVar[tuple[str, ...]] = ('discrete_lagrangian',)
 
 
@@ -224,8 +225,8 @@ class SymplecticFormChoice(FamilyChoice):
 
     kind: Literal['symplectic_form']
     mass: float = Field(1.0, gt=0.0, description=(
-        'mean of that of the first coordinate, d theta_q / dp, which sets the unit of energy: '
-        'motions leave it open'))
+        'mean of d theta_q / dp of the first coordinate, which sets the unit of energy: motions '
+        'do not determine it'))
     losses: ClassVar[tuple[str, ...]] = ('vector_field',)
 
 

@@ -29,24 +29,25 @@ class LieGroupChoice(FamilyChoice):
     losses: ClassVar[tuple[str, ...]] = ()
     refuses: ClassVar[Mapping[str, str]] = ON_THE_CPU
     structured: bool = Field(True, description=(
-        'whether H = p . M^-1 p / 2 + V(q); or the momentum is an input of V too, and M is '
+        'true: H = p . M^-1 p / 2 + V(q); false: the momentum is an input of V too, and M is '
         'constant'))
     mass_depends_on: list[Seen] = Field([], max_length=2, description=(
-        'the inputs of M; none: it is constant in the frame of the body'))
+        'inputs of M; none: M is constant in the frame of the body'))
     potential_depends_on: list[Seen] = Field(
-        ['attitude'], min_length=1, max_length=2, description='the inputs of V')
+        ['attitude'], min_length=1, max_length=2, description='inputs of V')
     dissipation: Literal['none', 'constant', 'learned'] = Field('none', description=(
-        'D of the force -D v, positive semidefinite: constant, or with the inputs of M'))
+        'positive semidefinite D of the force -D v: constant, or with the inputs of M'))
     input_map: Literal['identity', 'learned'] = Field('learned', description=(
-        'the inputs are forces in the frame of the body, one for each velocity; or a matrix of '
-        'their effect is learned'))
-    input_map_depends_on: list[Seen] = Field([], max_length=2, description='the inputs of that')
+        'identity: the inputs are forces in the frame of the body, one for each velocity; '
+        'learned: a matrix from inputs to forces is learned'))
+    input_map_depends_on: list[Seen] = Field([], max_length=2, description=(
+        'inputs of the learned map'))
 
     @model_validator(mode='after')
     def _check(self) -> 'LieGroupChoice':
         if not self.structured and self.mass_depends_on:
-            raise ValueError('mass_depends_on: structured: false has a constant M beside the '
-                             'network of all; leave it out')
+            raise ValueError('mass_depends_on: M is constant with structured: false; remove this '
+                             'key')
         return self
 
     def card(self, kind: str, mass_scale: list[float], driven: bool) -> LieGroupCard:
@@ -66,10 +67,12 @@ class LieGroupChoice(FamilyChoice):
 class BodyStage(StrictModel):
     """A number of steps on windows of a number of data intervals."""
 
-    intervals: int = Field(ge=1, description='of each window')
+    intervals: int = Field(ge=1, description='data intervals in each window')
     adam_steps: int = Field(0, ge=0, le=1_000_000)
-    lbfgs_steps: int = Field(0, ge=0, le=1_000_000, description='on the same windows each')
-    lbfgs_windows: int = Field(1024, ge=1, description='so many at most, drawn at random')
+    lbfgs_steps: int = Field(0, ge=0, le=1_000_000, description=(
+        'number of L-BFGS steps, on the same windows each'))
+    lbfgs_windows: int = Field(1024, ge=1, description=(
+        'maximum number of these windows, drawn at random'))
 
 
 @dataclass(frozen=True)

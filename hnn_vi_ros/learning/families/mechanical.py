@@ -7,7 +7,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.learning.families.base import keep, Layer, Perceptron
-from hnn_vi_ros.learning.families.choices import Features, MotionScales, Structure
+from hnn_vi_ros.learning.families.choices import FeaturesChoice, MotionScales, Structure
 from hnn_vi_ros.learning.families.priors import ExactPrior, PlanarChain, RigidTree
 from hnn_vi_ros.models import (
     CHAINS, CoulombTerm, entries_of, FrictionCard, Kind, Layers, MechanicalCard, PriorCard,
@@ -21,7 +21,7 @@ _NARROWEST, _WIDEST = 0.003, 1.0
 _FIRST_ROOT = 0.2
 
 
-class JointFriction(torch.nn.Module):
+class JointFrictionModule(torch.nn.Module):
     """
     b v + sum_k c_k tanh(v / w_k) [exp(-(v / s_k)^2)] + k abs(tau) tanh(v / s) + D(q) v, D = B B^T.
 
@@ -74,7 +74,7 @@ class JointFriction(torch.nn.Module):
         d = len(scales.v)
         rows, columns = np.tril_indices(d)
         keep(self, place=np.eye(d * d)[rows * d + columns])
-        self.features = Features(self.structure.kinds, features)
+        self.features = FeaturesChoice(self.structure.kinds, features)
         root = np.sqrt(self.viscous_unit.numpy())[rows]
         self.network = Perceptron(
             hidden if features else [1], *self.features.units(scales), root, seed,
@@ -205,7 +205,7 @@ class Linearised(NamedTuple):
     rate_v: torch.Tensor
 
 
-def _friction(friction: JointFriction, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor
+def _friction(friction: JointFrictionModule, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor
               ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return friction, (N, d), and its derivatives by q and v, (N, d, d) each."""
     if friction.structure.friction_features is not None:
@@ -268,15 +268,16 @@ def _of_networks(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
                       G.T @ T_ff @ G - at.T @ V_ff @ at, p_q.transpose(1, 2))
 
 
-def _layers(network: Perceptron, features: Features, q: torch.Tensor
+def _layers(network: Perceptron, features: FeaturesChoice, q: torch.Tensor
             ) -> tuple[tuple[torch.Tensor, torch.Tensor], list[Layer]]:
     """Return the inputs with their derivatives by their rows, and the hidden layers."""
     inputs = features(q)
     return inputs, network.hidden(inputs[0], inputs[1] * features.of_feature[:, None, :])
 
 
-def _curvature(network: Perceptron, features: Features, inputs: tuple[torch.Tensor, torch.Tensor],
-               layers: list[Layer], weights: torch.Tensor
+def _curvature(network: Perceptron, features: FeaturesChoice,
+               inputs: tuple[torch.Tensor, torch.Tensor], layers: list[Layer],
+               weights: torch.Tensor
                ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the derivatives by features, (N, m) and (N, m, m), of weighted outputs (N, k)."""
     *hidden, last = network.linears
@@ -382,7 +383,7 @@ class MechanicalNetwork(torch.nn.Module):
         super().__init__()
         d = len(structure.kinds)
         self.structure, self.scales, self.d = structure, scales, d
-        self.friction = JointFriction(structure, hidden, scales, seed + 2)
+        self.friction = JointFrictionModule(structure, hidden, scales, seed + 2)
         if scales.input_map is not None:
             self.raw_map = torch.nn.Parameter(torch.tensor(scales.input_map))
         if structure.friction.fade:
@@ -395,8 +396,8 @@ class MechanicalNetwork(torch.nn.Module):
         rows, columns = np.array(entries_of(d, structure.diagonal_mass)).T
         keep(self, place=np.eye(d * d)[rows * d + columns], on_diagonal=rows == columns,
              adjugate=_ADJUGATE, root_inertia=np.sqrt(scales.inertia))
-        self.mass_features = Features(structure.kinds, structure.mass_features)
-        self.potential_features = Features(structure.kinds, structure.features)
+        self.mass_features = FeaturesChoice(structure.kinds, structure.mass_features)
+        self.potential_features = FeaturesChoice(structure.kinds, structure.features)
         hidden = hidden if structure.residual else [1]
         mass_hidden = hidden if structure.mass_features else [1]
         # M is initially about S^2: log(1 + exp(0.54)) is 1.

@@ -23,7 +23,7 @@ _LEAST, _MOST = 1e-3, 0.9
 _LEAST_SHARE = 1e-6
 
 
-class Prior(torch.nn.Module):
+class PriorModule(torch.nn.Module):
     """
     Base class of M and V of a system with fitted parameters.
 
@@ -60,7 +60,7 @@ class Prior(torch.nn.Module):
             len(self.names), dtype=torch.float64)], dim=-1)
 
 
-class PlanarChain(Prior):
+class PlanarChain(PriorModule):
     """
     Parameters of models/planar_chain.py, mapped from unknowns that keep M positive definite.
 
@@ -160,7 +160,7 @@ class PlanarChain(Prior):
                         - values @ self.pulls)
 
 
-class ExactPrior(Prior):
+class ExactPrior(PriorModule):
     """
     M and V of an exact system; see models/exact_prior.py.
 
@@ -292,7 +292,7 @@ class Swept(NamedTuple):
     pull: torch.Tensor
 
 
-class RigidTree(Prior):
+class RigidTree(PriorModule):
     """
     M and V of a tree of bodies, with unknowns that keep all inertias physically consistent.
 

@@ -9,16 +9,17 @@ from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError, ModelError, offered
 from hnn_vi_ros.files import (
-    find_yaml, package_file, parse_mapping, read_text, SCHEME, StrictModel, validate)
+    dump_yaml, find_yaml, package_file, parse_mapping, read_text, SCHEME, StrictModel, validate)
 from hnn_vi_ros.hamiltonians import MOST_JOINTS
 from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import EvenMotion, Motion
-from hnn_vi_ros.learning.data.sources import dimension, read_motions, Source
+from hnn_vi_ros.learning.data.sources import (
+    configuration_of, dimension, read_motions, Source)
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.choices import (
     AUTO, Discrete, FamilyChoice, FieldLoss, Forward, Inverse, MachineFamily, MachineLoss,
-    Regression, RigidBodyChoice, Structure, Trajectory, VectorField)
+    Regression, RigidBodyChoice, Structure, TrajectoryLoss, VectorField)
 from hnn_vi_ros.learning.families.hnn import (
     ControlAffineChoice, DGNetChoice, DissipativeHNNChoice, HNNChoice, SeparableHNNChoice)
 from hnn_vi_ros.learning.families.lagrangian import (
@@ -35,9 +36,9 @@ FieldFamily = Annotated[
     | LagrangianChoice | ControlAffineChoice | SymplecticFormChoice,
     Field(discriminator='kind')]
 Widths = Annotated[list[Annotated[int, Field(ge=1, le=4096)]], Field(
-    min_length=1, max_length=16, description='of the hidden layers, of each network')]
+    min_length=1, max_length=16, description='widths of the hidden layers, for each network')]
 Seed = Annotated[int, Field(ge=0, lt=2**63, description=(
-    'of data, split, initial weights and batches'))]
+    'seed of data, split, initial weights and batches'))]
 Rate = Annotated[float, Field(gt=0.0, le=1.0)]
 
 
@@ -67,7 +68,7 @@ class ReferenceState(StrictModel):
 
     q: list[float]
     p: list[float]
-    energy: float = Field(0.0, description='H there')
+    energy: float = Field(0.0, description='H at this state')
 
 
 class FieldConfig(TrainingConfig):
@@ -75,26 +76,29 @@ class FieldConfig(TrainingConfig):
 
     coordinates: list[CoordinateCard] = Field(min_length=1)
     data: Source
-    family: FieldFamily = Field(HNNChoice(kind='hnn'), description='what is learned')
-    loss: FieldLoss = Field(VectorField(), description='how')
+    family: FieldFamily = Field(HNNChoice(kind='hnn'), description='family of models')
+    loss: FieldLoss = Field(VectorField(), description='loss function')
     hidden: Widths = [64, 64]
     seed: Seed = 0
-    validation_fraction: float = Field(0.1, gt=0.0, le=0.5, description='of the data, held out')
+    validation_fraction: float = Field(0.1, gt=0.0, le=0.5, description=(
+        'share of the data held out for validation'))
     test_fraction: float = Field(0.0, ge=0.0, le=0.5, description=(
-        'of the data, held out as well, and looked at once, at the end'))
+        'share of the data held out for the final test'))
     adam_steps: int = Field(1000, ge=1, le=1_000_000)
-    learning_rate: Rate = Field(5e-3, description='of Adam at its start')
+    learning_rate: Rate = Field(5e-3, description='initial learning rate of Adam')
     lbfgs_steps: int = Field(2000, ge=0, le=1_000_000)
     lbfgs_history: int = Field(50, ge=1, le=1000, description=(
-        'steps that L-BFGS remembers; more go deeper for the same number of steps'))
+        'history length of L-BFGS; a longer one reduces the loss further in the same number of '
+        'steps'))
     patience: int | None = Field(None, ge=1, description=(
-        'looks at the validation loss, one every 20 steps, without a lower one after which '
-        'training stops early, and goes back to the best weights'))
+        'evaluations of the validation loss, one every 20 steps, without improvement after which '
+        'training stops early and restores the best weights'))
     linearity: float = Field(0.0, ge=0.0, description=(
-        'weight of a preference for a linear field where the data leave H open'))
-    reference: ReferenceState | None = Field(None, description='default: H = 0 in the box centre')
+        'weight of a penalty on nonlinearity of the field where the data do not determine H'))
+    reference: ReferenceState | None = Field(None, description=(
+        'state of known energy; default: H = 0 at the centre of the box'))
     confine: bool = Field(False, description=(
-        'whether scenes hold states near the box of the data, unless they say otherwise'))
+        'confine states near the box of the data by default in scenes'))
 
     @model_validator(mode='after')
     def _check(self) -> 'FieldConfig':
@@ -108,11 +112,11 @@ class FieldConfig(TrainingConfig):
                 raise ValueError(f'{key} has {length} coordinates, but coordinates names {d}')
         self.check_loss(self.family, self.loss.kind)
         if self.linearity and self.loss.kind in ('discrete_lagrangian', 'euler_lagrange'):
-            raise ValueError(f'linearity: needs a field of (q, p), which the loss '
-                             f'{self.loss.kind} does not train; leave it out')
+            raise ValueError('linearity: requires a field of (q, p), which the loss '
+                             f'{self.loss.kind} does not train; remove this key')
         if self.confine and not FAMILIES[self.family.kind].canonical:
-            raise ValueError(f'confine: needs canonical momenta, which the family '
-                             f'{self.family.kind} has not')
+            raise ValueError('confine: requires canonical momenta, which the family '
+                             f'{self.family.kind} does not have; remove this key')
         return self
 
 
@@ -120,24 +124,27 @@ class MachineCoordinate(CoordinateCard):
     """A joint of a machine."""
 
     kind: Kind = Field('revolute', description=(
-        'revolute: an angle with ends; continuous: one that turns over, of period 2 pi; '
-        'prismatic: a length'))
+        'revolute: an angle with limits; continuous: an angle of period 2 pi; prismatic: a '
+        'length'))
 
 
 class MachineConfig(TrainingConfig):
     """Configuration of a family that learns a machine from (q, v, tau)."""
 
     coordinates: list[MachineCoordinate] = Field([], max_length=MOST_JOINTS, description=(
-        'at least one; of a rigid_body joints of its URDF, and all that move if none is named'))
+        'at least one; for a rigid_body, joints of its URDF (default: all movable joints)'))
     data: Annotated[ArraysData | BagMotions | LogMotions | ExcitationData,
                     Field(discriminator='kind')]
     family: MachineFamily
+    baseline: bool = Field(False, description=(
+        'whether a plain network of (q, v, tau) is trained as well, to compare with'))
     loss: MachineLoss | None = Field(None, description=(
-        'how; default: forward where the data hold accelerations, else trajectory'))
+        'loss function; default: forward if the data contain accelerations, else trajectory'))
     hidden: Widths = [32, 32]
     seed: Seed = 0
     learning_rate: Rate = Field(0.01, description=(
-        'of Adam on accelerations; a fifth of it on windows that name none'))
+        'learning rate of Adam on accelerations; windows without their own rate use a fifth of '
+        'it'))
 
     @model_validator(mode='after')
     def _check(self) -> 'MachineConfig':
@@ -145,11 +152,12 @@ class MachineConfig(TrainingConfig):
         if loss is not None:
             self.check_loss(family, loss.kind)
         if self.windows.records and (isinstance(family, RigidBodyChoice) or not family.prior):
-            raise ValueError('loss.records: fits a prior of the family mechanical; leave it out')
+            raise ValueError('loss.records: requires a prior of the family mechanical; remove '
+                             'this key')
         if isinstance(family, RigidBodyChoice):
             return self
         if isinstance(self.data, ExcitationData):
-            raise ValueError('data: excitation computes motions of a rigid_body; take arrays, bag '
+            raise ValueError('data: excitation computes motions of a rigid_body; use arrays, bag '
                              'or log')
         if not self.coordinates:
             raise ValueError('coordinates: expected at least one')
@@ -159,25 +167,25 @@ class MachineConfig(TrainingConfig):
                 raise ValueError(f'coordinates: {one.name}: q_unit: {unit} and kind: {one.kind} '
                                  f'differ; write kind: {"revolute" if length else "prismatic"}')
         if family.prior not in (None, AUTO) and isinstance(loss, Regression):
-            raise ValueError(f'loss: {loss.kind} fits no prior; take trajectory')
+            raise ValueError(f'loss: {loss.kind} does not fit a prior; use trajectory')
         if family.input_map == 'learned' and isinstance(loss, Inverse):
-            raise ValueError('input_map: the loss inverse would make the forces on a joint small '
-                             'by a small input map; take forward, discrete or trajectory')
+            raise ValueError('input_map: the loss inverse could be reduced with a small input '
+                             'map, since it compares forces; use forward, discrete or trajectory')
         self.structure()
         return self
 
     @property
-    def windows(self) -> Trajectory:
+    def windows(self) -> TrajectoryLoss:
         """Return the windows used to fit a rigid body."""
-        return self.loss if isinstance(self.loss, Trajectory) else Trajectory()
+        return self.loss if isinstance(self.loss, TrajectoryLoss) else TrajectoryLoss()
 
-    def loss_of(self, motions: Sequence[Motion]) -> Forward | Inverse | Discrete | Trajectory:
+    def loss_of(self, motions: Sequence[Motion]) -> Forward | Inverse | Discrete | TrajectoryLoss:
         """Return the configured loss, or the default for these motions."""
         if self.loss is not None:
             return self.loss
         alone = self.family.prior in (None, AUTO)
         measured = all(motion.a is not None for motion in motions)
-        return Forward(kind='forward') if measured and alone else Trajectory()
+        return Forward(kind='forward') if measured and alone else TrajectoryLoss()
 
     def motions(self, source: Path, names: Sequence[str], given: Sequence[str], **changes: object
                 ) -> tuple[list[EvenMotion], str]:
@@ -201,10 +209,11 @@ class MachineConfig(TrainingConfig):
         """
         data = self.data.model_copy(update=changes)
         if not isinstance(data, ExcitationData):
-            return read_motions(source, data, names, given)
+            return read_motions(source, data, names, given,
+                                [one.q_unit for one in self.coordinates])
         if given:
-            raise DataError(f'{source}: its data are computed, so --data {given[0]} has no use; '
-                            'leave it out')
+            raise DataError(f'{source}: its data are computed, so --data {given[0]} is not used; '
+                            'remove it')
         assert isinstance(self.family, RigidBodyChoice), 'checked with the configuration'
         return excited_motions(data, self.family.robot(names), self.seed)
 
@@ -218,7 +227,7 @@ class BodyCoordinate(CoordinateCard):
     """The coordinate of a body."""
 
     kind: Literal['rotation', 'pose'] = Field(description=(
-        'rotation: it turns about a point; pose: it moves as well'))
+        'rotation: the body rotates about a fixed point; pose: it also translates'))
 
 
 class BodyConfig(TrainingConfig):
@@ -228,18 +237,18 @@ class BodyConfig(TrainingConfig):
     data: Annotated[BodyArrays | BodyWindows, Field(discriminator='kind')]
     family: LieGroupChoice
     method: LieMethod = Field('lie_leapfrog', description=(
-        'of the steps of windows: that of the scene in which the model is to run'))
-    retraction: RetractionName = Field('exponential', description='of these steps')
-    substeps: int = Field(1, ge=1, le=1000, description='steps in each interval of the data')
+        'integrator in the windows: that of the scene in which the model will run'))
+    retraction: RetractionName = Field('exponential', description='retraction of the integrator')
+    substeps: int = Field(1, ge=1, le=1000, description='steps per interval of the data')
     windows: list[BodyStage] = Field(
         [BodyStage(intervals=1, adam_steps=200, lbfgs_steps=300)],
-        min_length=1, description='the stages of training, in this order')
-    batch: int = Field(256, ge=1, description='windows in each step of Adam')
+        min_length=1, description='stages of training, in this order')
+    batch: int = Field(256, ge=1, description='windows per Adam step')
     time_scale: float = Field(1.0, gt=0.0, description=(
-        'an error of the pose counts as one of the velocity does that makes it in this time [s]'))
+        'time that converts an error of the velocity into an equivalent error of the pose [s]'))
     hidden: Widths = [32, 32]
     seed: Seed = 0
-    learning_rate: Rate = Field(0.005, description='of Adam')
+    learning_rate: Rate = Field(0.005, description='learning rate of Adam')
 
     @model_validator(mode='after')
     def _check(self) -> 'BodyConfig':
@@ -254,8 +263,8 @@ class BodyConfig(TrainingConfig):
 
 AnyConfig = FieldConfig | MachineConfig | BodyConfig
 _SCHEMAS: dict[str, type[FieldConfig] | type[MachineConfig] | type[BodyConfig]] = {
-    **dict.fromkeys(FAMILIES, FieldConfig), 'mechanical': MachineConfig,
-    RIGID_BODY: MachineConfig, 'lie_group': BodyConfig}
+    **{name: FieldConfig for name, row in FAMILIES.items() if row.trained},
+    'mechanical': MachineConfig, RIGID_BODY: MachineConfig, 'lie_group': BodyConfig}
 
 
 def find_config(config: str) -> Path:
@@ -274,6 +283,13 @@ def find_config(config: str) -> Path:
 
     """
     return find_yaml('training', config, DataError)
+
+
+def guess_config(given: Sequence[str]) -> tuple[MachineConfig, str]:
+    """Return a configuration for the only reading of some data, also as YAML, or DataError."""
+    text = dump_yaml(configuration_of(given))
+    data, places = parse_mapping(text, given[0], DataError)
+    return validate(data, places, MachineConfig, DataError), text
 
 
 def load_config(path: Path) -> AnyConfig:
@@ -304,8 +320,8 @@ def load_machine(path: Path) -> MachineConfig:
     """Read a training configuration of a machine; raise DataError for other families."""
     config = load_config(path)
     if not isinstance(config, MachineConfig):
-        raise DataError(f'{path}: the family {config.family.kind} is no machine; take a '
-                        f'configuration of mechanical or {RIGID_BODY}')
+        raise DataError(f'{path}: the family {config.family.kind} does not describe a machine; '
+                        f'use a configuration of mechanical or {RIGID_BODY}')
     return config
 
 

@@ -26,14 +26,15 @@ class ExcitationData(MotionData):
 
     kind: Literal['excitation'] = 'excitation'
     runs: int = Field(5, ge=1, le=1000)
-    duration: float = Field(10.0, gt=0.0, le=1000.0, description='of each run [s]')
-    interval: float = Field(0.005, gt=0.0, description='from one sample to the next [s]')
-    fastest: float = Field(1.0, gt=0.0, description='highest frequency of the sines [Hz]')
+    duration: float = Field(10.0, gt=0.0, le=1000.0, description='duration of each run [s]')
+    interval: float = Field(0.005, gt=0.0, description='sampling interval [s]')
+    fastest: float = Field(1.0, gt=0.0, description='maximum frequency of the sines [Hz]')
     noise_q: float = Field(0.0, ge=0.0, description=(
         'standard deviation of the noise of coordinates [rad], [m]'))
-    noise_v: float = Field(0.0, ge=0.0, description='likewise to velocities [rad/s], [m/s]')
+    noise_v: float = Field(0.0, ge=0.0, description=(
+        'standard deviation of the noise of velocities [rad/s], [m/s]'))
     noise_tau: float = Field(0.0, ge=0.0, description=(
-        'likewise to forces, as a share of the root mean square of each'))
+        'standard deviation of the noise of forces, relative to the RMS of each'))
 
 
 def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int

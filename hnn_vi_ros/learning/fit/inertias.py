@@ -16,13 +16,13 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import EvenMotion, low_pass
-from hnn_vi_ros.learning.families.choices import Inverse, Trajectory
+from hnn_vi_ros.learning.families.choices import Inverse, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.priors import RigidTree
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import acceleration_errors, samples_of
 from hnn_vi_ros.learning.fit.rigid_body import (
-    fit_errors, LEAST, loss_of, RigidUnknowns, spread, window_fits)
+    ABOVE, fit_errors, loss_of, RigidUnknowns, spread, window_fits)
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.models import (
     BaseParameter, Checkpoint, EACH, FrictionCard, Identification, INERTIAL, ModelCard, PriorCard)
@@ -97,20 +97,21 @@ def identified_text(card: ModelCard) -> str:
 
 def _lines(names: Sequence[str], prior: PriorCard, found: Identification, friction: FrictionCard
            ) -> Iterator[str]:
-    yield ('\n## Identified\n\nWhat the motions determine of the inertial parameters is '
-           f'{len(found.base_parameters)} combinations of them; the interval holds the true value '
-           'in 95 % of cases, if the model lacks nothing but the noise of forces.\n')
+    yield ('\n## Identified\n\n'
+           f'The motions determine {len(found.base_parameters)} combinations of the inertial '
+           'parameters. The interval contains the true value in 95 % of cases if the noise of '
+           'forces is the only error.\n')
     yield '| base parameter | value | ± 95 % | unit |\n|---|---|---|---|'
     for one in found.base_parameters:
         yield (f'| {sum_text(one.combination)} | {one.value:.5g} | '
                f'{_HALF * one.standard_error:.2g} | {one.unit} |')
     if found.weak:
-        yield ('\nThe data hardly determine these, whose values stay close to the URDF: '
-               + '; '.join(sum_text(one.combination) for one in found.weak) + '.')
-    yield ('\nNo force of the data depends on these changes, so along them the robot is as in the '
-           f'URDF, or the next that a body can be ({len(found.held)}):\n')
+        yield ('\nThe data hardly determine these parameters; their values stay close to the '
+               'URDF: ' + '; '.join(sum_text(one.combination) for one in found.weak) + '.')
+    yield ('\nThe forces do not depend on these changes, so along them the robot is as in the '
+           f'URDF, or the nearest physically consistent body ({len(found.held)}):\n')
     yield from (f'- {sum_text(one)}' for one in found.held)
-    yield '\n| joint | error of force, share of its variance | viscous | Coulomb | offset |' + (
+    yield '\n| joint | force error, share of its variance | viscous | Coulomb | offset |' + (
         ' networks, share of force |' if found.residual_share else '')
     yield '|---|---|---|---|---|' + ('---|' if found.residual_share else '')
     for j, name in enumerate(names):
@@ -174,7 +175,7 @@ class Unknowns(RigidUnknowns):
         self.free = np.flatnonzero(np.repeat([True, rotors, offsets, True],
                                              [*self._parts, rubbing]))
         self.start = np.r_[np.zeros(INERTIAL * d), tree.rotor.detach().numpy() / inertia,
-                           np.zeros(d), np.full(rubbing, 10.0 * LEAST)]
+                           np.zeros(d), np.full(rubbing, ABOVE)]
 
     def linear(self, x: torch.Tensor) -> torch.Tensor:
         """Return the parameters that enter forces linearly, (k,); x is in units of ``scale``."""
@@ -274,11 +275,11 @@ def identify_inertias(network: MechanicalNetwork, config: MachineConfig,
 
     """
     unknowns = Unknowns(network, rotors, offsets)
-    equations = equations_of(network, motions, config.data.smoothing)
+    equations = equations_of(network, motions)
     for coordinate, force in zip(config.coordinates, equations.forces.T, strict=True):
         if not force.any():
-            raise DataError(f'the data hold no force of {coordinate.name}, by which alone masses '
-                            'are known; record while its motor works')
+            raise DataError(f'the data contain no force of {coordinate.name}, without which '
+                            'masses cannot be identified; record while its motor is active')
     weights = _weights(equations, unknowns)
     whitened = Equations(equations.matrix * weights[:, None], equations.forces * weights,
                          equations.blocks)
@@ -296,9 +297,8 @@ def identify_inertias(network: MechanicalNetwork, config: MachineConfig,
     return losses
 
 
-def equations_of(network: MechanicalNetwork, motions: Sequence[EvenMotion], cutoff: float
-                 ) -> Equations:
-    """Return the equations of motions; forces get the cut-off of the states' filter [Hz]."""
+def equations_of(network: MechanicalNetwork, motions: Sequence[EvenMotion]) -> Equations:
+    """Return the equations of motions; forces pass the filter of the states."""
     every = max(1, sum(len(motion.t) for motion in motions) // _SAMPLES)
     length = sum(len(motion.t) for motion in motions) / (_BLOCKS * network.d)
     found, first = [], 0
@@ -309,7 +309,7 @@ def equations_of(network: MechanicalNetwork, motions: Sequence[EvenMotion], cuto
         forces = motion.tau
         if motion.a is None:
             # Both sides get the same filter, so that they stay equal.
-            matrix, forces = (low_pass(motion.name, part, motion.spacing, cutoff)
+            matrix, forces = (low_pass(motion.name, part, motion.spacing, motion.cutoff)
                               for part in (matrix, forces))
         blocks = first + (np.arange(len(motion.t)) / length).astype(int)
         first = blocks[-1] + 1
@@ -404,7 +404,7 @@ def _information(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Inf
     return Information(V[rank:].T, V[:rank].T, V[:felt].T, base, unit[first], idle)
 
 
-def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
+def _fit_windows(unknowns: Unknowns, equations: Equations, loss: TrajectoryLoss,
                  motions: Sequence[EvenMotion], x: np.ndarray
                  ) -> tuple[np.ndarray, dict[str, float], np.ndarray]:
     """

@@ -40,7 +40,7 @@ _KEPT = (
     'stage', 'taken', 'before', 'least', 'waited', 'best', 'loss_at_best', 'retried', 'gained')
 # Factor of the learning rate when a stage restarts.
 _SLOWER = 0.25
-_REMEDY = 'lower learning_rate, and look for outliers in the data'
+_REMEDY = 'reduce learning_rate, and check the data for outliers'
 
 
 @dataclass(frozen=True)
@@ -133,6 +133,8 @@ class TrainingProblem:
                  losses: Mapping[str, float] | None = None):
         self.module, self.stages, self.generator = module, [*stages], generator
         self.losses = dict(losses or {})
+        # Noise of each measured quantity, where a fit has estimated it.
+        self.noise: np.ndarray | None = None
 
     def fit(self) -> dict[str, float]:
         """Run all stages; return their final losses."""
@@ -204,7 +206,8 @@ class Fit:
             stage.ended()
             self._taken, self._waited, self._before = 0, 0, math.inf
             if stage.retries and not self._gained:
-                print(f'{stage.name}: no better at a rate of {self._rate(stage):.2g}', flush=True)
+                print(f'{stage.name}: no improvement at learning rate '
+                      f'{self._rate(stage):.2g}', flush=True)
             if stage.retries > self._retried and not self._gained:
                 self._retried += 1
             else:
@@ -301,7 +304,7 @@ class Fit:
             self._gained = False
             return True
         if not math.isfinite(loss):
-            where = 'L-BFGS begins where the loss is not finite' \
+            where = 'the loss is not finite at the start of L-BFGS' \
                 if stage.rate is None and not self._taken else \
                 f'the loss is {loss} after {self._taken} steps'
             raise DataError(f'{stage.name}: {where}; {stage.remedy}')
@@ -408,16 +411,16 @@ class Keeper:
             saved = torch.load(self.path, weights_only=True)
             of_this = saved['digest'] == self._digest
         except FileNotFoundError as problem:
-            raise ParameterError(f'--resume: no interrupted run at {self.path}; begin one without '
+            raise ParameterError(f'--resume: no interrupted run at {self.path}; start one without '
                                  '--resume') from problem
         except (OSError, RuntimeError, EOFError, KeyError, TypeError, ValueError,
                 pickle.UnpicklingError, zipfile.BadZipFile) as problem:
-            raise ParameterError(f'--resume: {self.path} cannot be read; remove it and begin anew '
-                                 'without --resume') from problem
+            raise ParameterError(f'--resume: {self.path} cannot be read; remove it and start '
+                                 'again without --resume') from problem
         if not of_this:
-            raise ParameterError(f'--resume: {self.path} is of another configuration, other data, '
-                                 'another device or version; take those again, or remove it and '
-                                 'begin anew')
+            raise ParameterError(f'--resume: {self.path} is from another configuration, other '
+                                 'data, another device or version; use those again, or remove it '
+                                 'and start again')
         fit.state = saved['state']
 
     def __call__(self, fit: Fit) -> None:
@@ -440,10 +443,10 @@ class Keeper:
                 raise ParameterError(f'stopped at step {fit.step}; its state cannot be written '
                                      f'to {self.path} ({one_line(problem)})') from problem
             print(f'warning: {self.path}: the state of the run cannot be written '
-                  f'({one_line(problem)}); training goes on', file=sys.stderr, flush=True)
+                  f'({one_line(problem)}); training continues', file=sys.stderr, flush=True)
         self._saved = time.monotonic()
         if self._stopping:
-            raise Interrupted(f'stopped at step {fit.step}, state in {self.path}; go on with the '
+            raise Interrupted(f'stopped at step {fit.step}, state in {self.path}; resume with the '
                               'same command and --resume')
 
     @contextmanager
@@ -488,7 +491,7 @@ def kept(model: Path, checkpoint: Checkpoint) -> Iterator[None]:
         instead = Path(mkdtemp(prefix='hnn_vi_ros_')) / model.name
         save_checkpoint(instead, checkpoint)
         raise ModelError(f'{problem}; the trained model is in {instead}') from problem
-    still = f'; the model is trained, and is in {model}, without what was to follow'
+    still = f'; the trained model is in {model}, but its evaluation is incomplete'
     try:
         yield
     except ValidationError as problem:
@@ -515,5 +518,5 @@ def members_kept(model: Path, members: Sequence[Checkpoint]) -> Iterator[None]:
         for file, member in zip(files, members, strict=True):
             save_checkpoint(file, member)
         if files:
-            print(f'members that were trained: {", ".join(map(str, files))}', flush=True)
+            print(f'members trained so far: {", ".join(map(str, files))}', flush=True)
         raise

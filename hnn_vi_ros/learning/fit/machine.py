@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.choices import (
-    Discrete, Forward, Inverse, MotionScales, Trajectory, WindowMethod, WindowStage)
+    Discrete, Forward, Inverse, MotionScales, TrajectoryLoss, WindowMethod, WindowStage)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import Stage, TrainingProblem
@@ -75,8 +75,9 @@ def samples_of(motions: Sequence[EvenMotion], step_size: float | None) -> Sample
     every = round(step_size / motions[0].spacing)
     for motion in motions:
         if every < 1 or abs(every * motion.spacing - step_size) > 0.05 * step_size:
-            raise DataError(f'{motion.name}: sampled every {motion.spacing:.4g} s; step_size must '
-                            f'be a multiple of that, such as {max(every, 1) * motion.spacing:.4g}')
+            raise DataError(f'{motion.name}: its sampling interval is {motion.spacing:.4g} s; '
+                            'step_size must be a multiple of it, such as '
+                            f'{max(every, 1) * motion.spacing:.4g}')
     parts = [np.concatenate([getattr(motion, name) for motion in motions])
              for name in ('q', 'q_smooth', 'v_smooth', 'a_smooth', 'tau')]
     means = np.concatenate([mean_forces(motion, every) for motion in motions])
@@ -165,7 +166,7 @@ def balanced_step(motions: Sequence[EvenMotion]) -> float:
     return max(1, round(step / spacing)) * spacing
 
 
-class Windows(NamedTuple):
+class WindowSettings(NamedTuple):
     """
     Settings of simulated windows.
 
@@ -185,14 +186,14 @@ class Windows(NamedTuple):
     time_scale: float
 
 
-def window_loss(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows,
+def window_loss(network: Network, samples: Samples, starts: torch.Tensor, windows: WindowSettings,
                 solutions: Solutions | None = None) -> torch.Tensor:
     """Return the soft loss of the errors of windows from these samples; see window_errors."""
     return _soft(window_errors(network, samples, starts, windows, solutions))
 
 
-def window_errors(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows,
-                  solutions: Solutions | None = None) -> torch.Tensor:
+def window_errors(network: Network, samples: Samples, starts: torch.Tensor,
+                  windows: WindowSettings, solutions: Solutions | None = None) -> torch.Tensor:
     """
     Return the errors of q and v after each step of the windows, shape (2 steps, N, d).
 
@@ -260,8 +261,8 @@ def scales_of(motions: Sequence[EvenMotion], learns_map: bool = False) -> Motion
     moves = np.any([np.ptp(motion.q, axis=0) > 0.0 for motion in motions], axis=0)
     if not moves.all() or not (size[0] > 0.0).all() or not (size[1] > 0.0).all():
         rests = ', '.join(str(k + 1) for k in np.flatnonzero(~moves)) or 'of one or more'
-        raise DataError(f'coordinate {rests} never moves in the data; record while it does, or '
-                        'leave it out of coordinates and data')
+        raise DataError(f'coordinate {rests} never moves in the data; record its motion, or '
+                        'remove it from coordinates and data')
     centre, half = 0.5 * (q.max(axis=0) + q.min(axis=0)), 0.5 * np.ptp(q, axis=0)
     if learns_map:
         input_map, inertia = _first_map(q, v, a, tau)
@@ -279,12 +280,12 @@ def _first_map(q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray
     """Return the input map and joint inertias from a regression of accelerations on u."""
     rank, motors = int(np.linalg.matrix_rank(u)), u.shape[1]
     if not rank:
-        raise DataError('input_map: the motors are never commanded in the data, which fixes no '
-                        'scale and tells nothing of them; take input_map: identity')
+        raise DataError('input_map: the motors are never commanded in the data, so their effect '
+                        'cannot be learned; use input_map: identity')
     if rank < motors:
-        raise DataError(f'input_map: of the commands of {motors} motors only {rank} are '
-                        'independent, which does not tell what each of them does; leave out '
-                        'motors that are not used, or record while each moves by itself')
+        raise DataError(f'input_map: the commands of {motors} motors have rank {rank}, so the '
+                        'effects of the motors cannot be separated; remove unused motors, or '
+                        'record independent commands')
     rates = np.linalg.lstsq(np.hstack([u, _others(q, v)]), a, rcond=None)[0][:motors].T
     # Inertias that give each joint the same RMS force, in the norm of the network.
     inertia = np.sqrt(np.mean(u**2)) / np.sqrt(np.mean(a**2, axis=0))
@@ -299,15 +300,15 @@ def _others(q: np.ndarray, v: np.ndarray) -> np.ndarray:
                       np.ones((len(q), 1))])
 
 
-def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples
-               ) -> tuple[Windows, torch.Tensor]:
+def windows_of(loss: TrajectoryLoss, stage: WindowStage, samples: Samples
+               ) -> tuple[WindowSettings, torch.Tensor]:
     """Return the windows of a stage and their possible first samples, or raise DataError."""
     count = round(stage.duration / samples.step_size)
     starts = torch.nonzero(samples.left >= count * samples.every)[:, 0]
     if count < 1 or not len(starts):
-        raise DataError(f'windows: {stage.duration:g} s is less than step_size, or more than '
-                        'every motion lasts')
-    return Windows(count, loss.method, loss.time_scale), starts
+        raise DataError(f'windows: {stage.duration:g} s is shorter than step_size or longer than '
+                        'every motion')
+    return WindowSettings(count, loss.method, loss.time_scale), starts
 
 
 # Distance from the data beyond which networks fade: for continuous joints [rad], and for other
@@ -408,7 +409,7 @@ class MachineProblem(TrainingProblem):
         super().__init__(network, (), torch.Generator().manual_seed(config.seed), losses)
         self._config, self._penalty = config, penalty
         loss = config.loss_of(motions)
-        self.stages = self._on_windows(loss, motions) if isinstance(loss, Trajectory) else \
+        self.stages = self._on_windows(loss, motions) if isinstance(loss, TrajectoryLoss) else \
             self._on_samples(loss, motions)
 
     def _batches(self, value: Value, rows: torch.Tensor, size: int
@@ -433,7 +434,8 @@ class MachineProblem(TrainingProblem):
         ahead = 2 * samples.every if isinstance(loss, Discrete) else 0
         rows = torch.nonzero(samples.left >= ahead)[:, 0]
         if not len(rows):
-            raise DataError('no motion has three samples at distances of step_size; lower it')
+            raise DataError('no motion has three samples at intervals of step_size; reduce '
+                            'step_size')
 
         def value(rows: torch.Tensor) -> torch.Tensor:
             # Use the same random states: L-BFGS needs a deterministic function.
@@ -442,7 +444,7 @@ class MachineProblem(TrainingProblem):
                       self._config.learning_rate, clip=True),
                 *_polish(loss.kind, value, rows, loss.lbfgs_steps)]
 
-    def _on_windows(self, loss: Trajectory, motions: Sequence[EvenMotion]) -> list[Stage]:
+    def _on_windows(self, loss: TrajectoryLoss, motions: Sequence[EvenMotion]) -> list[Stage]:
         samples = samples_of(motions, loss.step_size)
         rows = torch.arange(len(samples.q))
 
@@ -470,7 +472,7 @@ class MachineProblem(TrainingProblem):
             self._windows(loss, stage, samples), held_out=judged, patience=stage.steps,
             retries=_RETRIES) for stage in loss.windows]
 
-    def _windows(self, loss: Trajectory, stage: WindowStage, samples: Samples) -> Stage:
+    def _windows(self, loss: TrajectoryLoss, stage: WindowStage, samples: Samples) -> Stage:
         windows, starts = windows_of(loss, stage, samples)
         alone: list[int] = []
 
@@ -483,7 +485,7 @@ class MachineProblem(TrainingProblem):
         def ended() -> None:
             if any(alone):
                 print(f'windows of {stage.duration:g} s: {sum(alone)} of '
-                      f'{len(alone) * loss.batch} were solved step by step, which takes longer',
+                      f'{len(alone) * loss.batch} were solved step by step, which is slower',
                       flush=True)
         share = _RATE if self._penalty is None else 2.0 * _RATE
         return Stage(f'windows_{stage.duration:g}', self._batches(value, starts, loss.batch),

@@ -4,21 +4,38 @@
 Fit the parameters of a rigid body with friction to measured motions by least squares.
 
 Linear regression of the forces initialises the fit, but noise of the accelerations biases it.
-Nonlinear least squares on simulated windows (trust-region Levenberg-Marquardt) follow.
+Nonlinear least squares on simulated windows follow. If velocities were measured, windows start
+from smoothed states; with positions alone, the initial states are unknowns as well (see shooting),
+because noise that is differentiated looks like friction. ``records`` fits whole motions instead.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
+import math
+from typing import Any
 
-from hnn_vi_ros.learning.data.motions import EvenMotion, part_of
-from hnn_vi_ros.learning.families.choices import Structure, Trajectory
+from hnn_vi_ros.effects import Effect, ExternalForce, has_map, LearnedFriction
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.kernels import Kernel
+from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, part_of, smoothed
+from hnn_vi_ros.learning.families.choices import Structure, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, mean_forces, Samples, samples_of, scales_of, window_errors, windows_of)
+from hnn_vi_ros.learning.fit.noise import covariances
+from hnn_vi_ros.learning.fit.shooting import (
+    CannotFollow, cost_at_start, fit_numbers, Fitted, projected, refitted, units_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.models import chain_angles, PLANAR_CHAIN
+from hnn_vi_ros.learning.fit.windows import FOREVER, KnownModel, ModelParts, Number
+from hnn_vi_ros.models import (
+    chain_angles, Checkpoint, MechanicalCard, ModelCard, PLANAR_CHAIN, prior_kernel)
+from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
 import torch
@@ -27,24 +44,156 @@ import torch
 _SAMPLES, _WINDOWS = 4000, 500
 # Maximum number of evaluations per fit; it usually ends earlier.
 _EVALUATIONS = 60
+# Cut-offs of the coarser states of further regressions, relative to the automatic one.
+_COARSE = 0.3, 0.1
 # Ridge penalty of the regression, relative to the column norms.
 _RIDGE = 1e-6
-# Smallest initial inertia and friction, relative to the usual ones.
-LEAST = 1e-4
+# Smallest inertia and friction, relative to the usual ones, and smallest initial distance from it.
+LEAST, ABOVE = 1e-7, 1e-3
 # Finite-difference step for whole motions, far above the rounding error.
 _DIFFERENCE = 1e-5
 # Bounds of the Stribeck speed: this share of the usual speed, and one minus this share.
 _SHARE = 0.01
 # Maximum number of windows that start within the length of one.
 _OVERLAP = 20
-# Smallest initial distance from a lower bound, in the same units.
-_ABOVE = 10.0 * LEAST
+# Relative tolerance of the fit to positions: errors of the numbers are far larger.
+_TOLERANCE = 1e-5
+# Method of the windows of positions, so accurate that the parameters are those of the machine.
+_METHOD = 'gauss4'
 
 
-def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[EvenMotion]
-                   ) -> dict[str, float]:
+class RigidProblem(TrainingProblem):
     """
-    Fit prior and friction of a network; the friction widths stay fixed.
+    A fitted rigid body, of which nothing is left to train.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        The rigid body.
+    losses : mapping of str to float
+        Losses of its fits; of positions the residuals in units of the noise.
+    fitted : Fitted or None
+        The fit to positions, None if velocities were measured.
+
+    """
+
+    def __init__(self, network: MechanicalNetwork, losses: Mapping[str, float],
+                 fitted: Fitted | None = None):
+        super().__init__(network, losses=losses)
+        self.fitted, self.noise = fitted, None if fitted is None else fitted.noise
+
+    def known(self) -> KnownModel:
+        """Return a rigid body that was fitted to positions as a model without free numbers."""
+        assert self.fitted is not None
+        model = self.fitted.problem.model
+        return KnownModel(model.name, model.parts_at(self.fitted.solution.values))
+
+
+def positions_alone(motions: Sequence[EvenMotion]) -> bool:
+    """Return True unless velocities were measured in all motions."""
+    return any(motion.v is None for motion in motions)
+
+
+def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
+                   motions: Sequence[EvenMotion]) -> RigidProblem | None:
+    """
+    Fit prior and friction of the best of some networks; the friction widths stay fixed.
+
+    Parameters
+    ----------
+    networks : sequence of MechanicalNetwork
+        Networks with a prior and without residual networks; the best one is changed in place.
+    loss : Trajectory
+        Windows to simulate. Without ``records``, those of positions alone have initial states as
+        unknowns and grow up to whole motions, as long as the residuals do not.
+    motions : sequence of EvenMotion
+        Training motions.
+
+    Returns
+    -------
+    RigidProblem or None
+        None if none of them follows the motions.
+
+    """
+    if positions_alone(motions) and not loss.records:
+        try:
+            return _fit_positions(networks, loss, motions)
+        except CannotFollow:
+            return None
+    found = [(fit_smoothed(network, loss, motions), network) for network in networks]
+    usable = [(losses, network) for losses, network in found
+              if np.isfinite([*losses.values()]).all()]
+    if not usable:
+        return None
+    losses, network = min(usable, key=lambda one: [*one[0].values()][-1])
+    return RigidProblem(network, losses)
+
+
+def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
+                   motions: Sequence[EvenMotion]) -> RigidProblem:
+    """Fit the best of some networks in windows whose initial states are unknowns."""
+    motions = [replace(motion, v=None) for motion in motions]
+    cutoff, models = cutoff_of(motions, motions[0].spacing), []
+    # Coarser states have less noise: derivatives of noise look like friction.
+    samples = [samples_of(states, None) for states in (motions, *(
+        [smoothed(motion.name, motion.t, motion.q, motion.v, motion.tau, share * cutoff)
+         for motion in motions] for share in _COARSE))]
+    thin, driven = thinned(motions, loss.step_size)[0], any(
+        motion.tau.any() for motion in motions)
+    for network in networks:
+        physical = _Physical(network)
+        models.append(min((
+            RigidModel(physical, _first(physical, states)[0], thin[0].spacing, driven)
+            for states in samples), key=lambda model: cost_at_start(model, thin)))
+    fitted = _without_idle_friction(fit_numbers(
+        models, thin, None, True, tolerance=_TOLERANCE))
+    model = fitted.problem.model
+    assert isinstance(model, RigidModel)
+    model.give(fitted.solution.values)
+    return RigidProblem(model.unknowns.network, {
+        f'rigid_body_{length:.3g}': misfit for length, misfit in fitted.stages}, fitted)
+
+
+def _without_idle_friction(fitted: Fitted) -> Fitted:
+    """
+    Return the fit without the friction that the data do not show.
+
+    Each number removed lowers the Bayesian information criterion, chi^2 + n log(N), at the
+    linearised optimum of the others; chi^2 takes the noise as correlated as its sensor shows it.
+    """
+    solution, model = fitted.solution, fitted.problem.model
+    assert isinstance(model, RigidModel)
+    weights = fitted.problem.weights(solution.residuals)
+    units = units_of(solution)
+    slopes = np.sqrt(weights)[..., None] * projected(solution, weights)[0] / units
+    n = len(units)
+    _, R = np.linalg.qr(slopes.reshape(-1, n))
+    C = np.linalg.pinv(R.T @ R, hermitian=True) / np.outer(units, units)
+    B = np.outer(units, units) * covariances(slopes, [
+        [one._replace(variance=one.variance / scale**2)]
+        for one, scale in zip(fitted.sensor, solution.noise, strict=True)])[0]
+    x, price, idle = solution.values.copy(), math.log(solution.freedom), list[int]()
+    low = np.array([number.low for number in model.numbers])
+    least = np.maximum(low, 0.0)
+    while left := [k for k in model.friction if k not in idle and C[k, k] > 0.0]:
+        spread = np.einsum('ki,ij,kj->k', C, B, C)
+        above = np.where(np.isfinite(low), np.maximum(x - least, 0.0), x)
+        k = min(left, key=lambda k: above[k]**2 / spread[k])
+        if above[k]**2 > price * spread[k]:
+            break
+        x -= C[:, k] / C[k, k] * (x[k] - least[k])
+        C -= np.outer(C[:, k], C[:, k]) / C[k, k]
+        idle.append(k)
+    if not idle:
+        return fitted
+    kept = np.delete(np.arange(n), idle)
+    return refitted(fitted, model.without(idle), np.maximum(x, low)[kept], _TOLERANCE)
+
+
+def fit_smoothed(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequence[EvenMotion]
+                 ) -> dict[str, float]:
+    """
+    Fit a network in windows that start from smoothed states; the friction widths stay fixed.
 
     Parameters
     ----------
@@ -62,20 +211,15 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
 
     """
     samples = samples_of(motions, loss.step_size)
-    physical = _Physical(network)
-    # For rigid links, the forces are linear in the parameters.
-    found = _regression(physical, samples) if physical.prior.linear else physical.now()
-    rows = spread(torch.arange(len(samples.q)), _SAMPLES)
-    losses = {}
-    found, losses['rigid_body_forward'] = _least_squares(
-        physical, found, lambda _: acceleration_errors(network, samples, rows))
+    physical, losses = _Physical(network), {}
+    found, losses['rigid_body_forward'] = _first(physical, samples)
     for name, _, errors in window_fits(network, loss, samples, _WINDOWS):
         found, losses[name] = _least_squares(physical, found, errors)
     physical.give(found)
     return losses
 
 
-def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[EvenMotion],
+def fit_records(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequence[EvenMotion],
                 simulate: Callable[[EvenMotion], np.ndarray]) -> float:
     """
     Fit prior and friction of a network to the positions of whole motions (output error).
@@ -107,7 +251,7 @@ def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[
     # All numbers are shifted by one, so that difference steps have similar sizes.
     least, most, start = (1.0 + part for part in (
         physical.least, physical.most, physical.now() / scale))
-    fit = least_squares(errors, np.maximum(start, least + _ABOVE), diff_step=_DIFFERENCE,
+    fit = least_squares(errors, np.maximum(start, least + ABOVE), diff_step=_DIFFERENCE,
                         bounds=(least, most), x_scale='jac', max_nfev=_EVALUATIONS // 2)
     return float(np.sqrt(np.mean(errors(fit.x)**2)))
 
@@ -116,21 +260,21 @@ def thinned(motions: Sequence[EvenMotion], step_size: float | None
             ) -> tuple[list[EvenMotion], np.ndarray]:
     """Downsample motions to this step, with held forces; return them and std(q), shape (d,)."""
     every = samples_of(motions, step_size).every
-    return [replace(part_of(motion, slice(None, None, every)), held=True,
+    return [replace(part_of(motion, slice(None, None, every)), inputs='held',
                     tau=mean_forces(motion, every)[::every]) for motion in motions
             ], np.concatenate([motion.q for motion in motions]).std(axis=0)
 
 
-def best_rigid_body(loss: Trajectory, motions: Sequence[EvenMotion],
+def best_rigid_body(loss: TrajectoryLoss, motions: Sequence[EvenMotion],
                     structure: Structure | None = None, learns_map: bool = False
-                    ) -> tuple[MechanicalNetwork, dict[str, float]] | None:
+                    ) -> RigidProblem | None:
     """
-    Return a chain with one link per coordinate, and its losses after each fit.
+    Return a fitted chain with one link per coordinate.
 
     Parameters
     ----------
     loss : Trajectory
-        Windows to simulate.
+        Windows to simulate; see fit_rigid_body.
     motions : sequence of EvenMotion
         Training motions.
     structure : Structure, optional
@@ -141,9 +285,9 @@ def best_rigid_body(loss: Trajectory, motions: Sequence[EvenMotion],
 
     Returns
     -------
-    tuple or None
-        None if no chain has that many links, if all diverge in the last windows, or if the forces
-        do not act on the joints.
+    RigidProblem or None
+        None if no chain has that many links, if none follows the motions, or if the forces do not
+        act on the joints.
 
     """
     d, motors = motions[0].q.shape[1], motions[0].tau.shape[1]
@@ -151,20 +295,15 @@ def best_rigid_body(loss: Trajectory, motions: Sequence[EvenMotion],
     if motors != d and not learns_map:
         return None
     scales = scales_of(motions, learns_map)
-    fitted: list[tuple[float, int, MechanicalNetwork, dict[str, float]]] = []
-    for angles in chain_angles(known.kinds, known.features) \
-            if known.angles is None else [known.angles]:
-        network = MechanicalNetwork(replace(
-            known, features=known.features or np.eye(d).tolist(), mass_features=[],
-            prior=PLANAR_CHAIN, angles=angles, left_out=(), residual=False,
-            friction_features=None), [1], scales, 0)
-        losses = fit_rigid_body(network, loss, motions)
-        if np.isfinite([*losses.values()]).all():
-            fitted.append(([*losses.values()][-1], len(fitted), network, losses))
-    return min(fitted)[2:] if fitted else None
+    networks = [MechanicalNetwork(replace(
+        known, features=known.features or np.eye(d).tolist(), mass_features=[],
+        prior=PLANAR_CHAIN, angles=angles, left_out=(), residual=False, friction_features=None),
+        [1], scales, 0) for angles in (
+            chain_angles(known.kinds, known.features) if known.angles is None else [known.angles])]
+    return fit_rigid_body(networks, loss, motions) if networks else None
 
 
-def window_fits(network: MechanicalNetwork, loss: Trajectory, samples: Samples, most: int
+def window_fits(network: MechanicalNetwork, loss: TrajectoryLoss, samples: Samples, most: int
                 ) -> Iterator[tuple[str, torch.Tensor, Callable[[Solutions], torch.Tensor]]]:
     """Yield the name of each stage, the starts of about `most` windows, and their errors."""
     for stage in loss.windows:
@@ -179,6 +318,93 @@ def window_fits(network: MechanicalNetwork, loss: Trajectory, samples: Samples, 
 def spread(rows: torch.Tensor, most: int) -> torch.Tensor:
     """Return about `most` rows or fewer, evenly spread."""
     return rows[:: max(1, len(rows) // most)]
+
+
+class _PriorHamiltonian(Hamiltonian):
+    """H of a prior alone."""
+
+    def __init__(self, card: MechanicalCard):
+        self._card = card
+        self.coordinates = tuple(Coordinate(f'q{i}') for i in range(len(card.kinds)))
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions for simulations."""
+        assert self._card.prior is not None
+        return prior_kernel(self._card.prior, self._card.angles)
+
+
+class RigidModel:
+    """
+    A rigid body with friction and motors whose parameters are free; see ParametricModel.
+
+    Parameters
+    ----------
+    unknowns : RigidUnknowns
+        The k parameters, and the network that they belong to.
+    start : np.ndarray, shape (k,)
+        Their initial values in SI units.
+    step_size : float
+        Step size [s].
+    driven : bool
+        True if forces were measured.
+
+    """
+
+    name = 'the rigid body'
+
+    def __init__(self, unknowns: 'RigidUnknowns', start: np.ndarray, step_size: float,
+                 driven: bool):
+        self.unknowns, self._h, self._driven = unknowns, step_size, driven
+        # A number that starts at its bound could stay there.
+        least, most = unknowns.least * unknowns.scale, unknowns.most * unknowns.scale
+        room = ABOVE * unknowns.scale
+        start = np.minimum(np.maximum(start, least + room), most - room)
+        self.numbers = [Number(str(k), '', '', *map(float, one)) for k, one in enumerate(zip(
+            start, least, most, unknowns.scale, strict=True))]
+        # Parameters that are left out stay at these values.
+        self._base = np.zeros(len(start))
+
+    @property
+    def friction(self) -> list[int]:
+        """Return the numbers that are friction or offsets."""
+        first, last = self.unknowns.sizes[0], sum(self.unknowns.sizes[:4])
+        return [k for k, number in enumerate(self.numbers) if first <= int(number.name) < last]
+
+    def without(self, idle: Sequence[int]) -> 'RigidModel':
+        """Return the model with some numbers fixed at their least value, or 0."""
+        other = copy(self)
+        other._base = self._base.copy()
+        for k in idle:
+            other._base[int(self.numbers[k].name)] = max(self.numbers[k].low, 0.0)
+        other.numbers = [number for k, number in enumerate(self.numbers) if k not in idle]
+        return other
+
+    def give(self, values: np.ndarray) -> None:
+        """Set the network's parameters from values of the numbers."""
+        parameters = self._base.copy()
+        parameters[[int(number.name) for number in self.numbers]] = values
+        self.unknowns.give(parameters)
+
+    def parts_at(self, values: np.ndarray) -> ModelParts:
+        """Return the parts at values of the numbers; see ParametricModel."""
+        self.give(values)
+        network = self.unknowns.network
+        if not all(bool(part.isfinite().all()) for part in network.parameters()):
+            raise ModelError('the mass matrix is not positive definite')
+        return parts_of_card(network.card(), self._h, self._driven)
+
+
+def parts_of_card(card: MechanicalCard, step_size: float, driven: bool) -> ModelParts:
+    """Return the parts of a rigid body without networks; see RigidModel."""
+    fields: dict[str, Any] = {'mechanical': card, 'lie_group': None, 'family': 'mechanical'}
+    checkpoint = Checkpoint(ModelCard.model_construct(**fields), {})
+    hamiltonian = _PriorHamiltonian(card)
+    effects: list[Effect] = [LearnedFriction.of(checkpoint)]
+    if driven:
+        effects.insert(0, ExternalForce.of(checkpoint, FOREVER) if has_map(checkpoint) else
+                       ExternalForce([one.name for one in hamiltonian.coordinates], FOREVER))
+    return ModelParts(hamiltonian, INTEGRATORS[_METHOD](), effects, step_size)
 
 
 class RigidUnknowns(ABC):
@@ -283,6 +509,15 @@ def _inverse_softplus(x: torch.Tensor) -> torch.Tensor:
     return x + torch.log(-torch.expm1(-x))
 
 
+def _first(physical: _Physical, samples: Samples) -> tuple[np.ndarray, float]:
+    """Return the parameters that best explain the accelerations, and the loss."""
+    # For rigid links, the forces are linear in the parameters.
+    found = _regression(physical, samples) if physical.prior.linear else physical.now()
+    rows = spread(torch.arange(len(samples.q)), _SAMPLES)
+    return _least_squares(physical, found, lambda _: acceleration_errors(
+        physical.network, samples, rows))
+
+
 def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     """Return the parameters that best explain the forces, with the current input map."""
     rows = spread(torch.arange(len(samples.q)), _SAMPLES)
@@ -308,9 +543,7 @@ def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     n = physical.sizes[0]
     values = physical.prior.possible(torch.tensor(found[:n])).numpy()
     end = n + sum(physical.sizes[1:4])
-    # Regression may find no friction where windows do: start above the lower bound.
-    friction = np.maximum(found[n:], 10.0 * physical.least[n:end] * physical.scale[n:end])
-    return np.concatenate([values, friction, physical.now()[end:]])
+    return np.concatenate([values, found[n:], physical.now()[end:]])
 
 
 def _least_squares(physical: _Physical, start: np.ndarray,
@@ -372,7 +605,7 @@ def fit_errors(network: MechanicalNetwork,
             residuals(at, solutions)
             return torch.func.jacfwd(
                 lambda x: residuals(x, solutions.again()))(at).numpy()
-    start = np.maximum(start, least + _ABOVE)
+    start = np.maximum(start, least + ABOVE)
     if not np.isfinite(values(start)).all():
         return None
     return least_squares(values, start, jacobian, (least, most), loss='soft_l1', x_scale='jac',

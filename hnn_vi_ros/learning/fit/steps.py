@@ -80,8 +80,8 @@ def step(field: Field, integrator: str, z0: torch.Tensor, h: float) -> torch.Ten
         at = _solve(field, z, own) if own.any() else z
         z = z + onward * field(at)
     if not z.isfinite().all():
-        raise DataError(f'a step of {h:g} s is too large for the field that is being learned: its '
-                        'equation was not solved; take a smaller loss.step_size')
+        raise DataError(f'a step of {h:g} s is too large for the learned field: its equation was '
+                        'not solved; reduce loss.step_size')
     return z
 
 
@@ -95,7 +95,7 @@ def _solve(field: Field, z: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
     return found - torch.linalg.solve_ex(matrix, missing[:, :, None])[0][:, :, 0]
 
 
-class Method(NamedTuple):
+class NodeChain(NamedTuple):
     """
     A method as a chain of nodes, in units of the step size h.
 
@@ -115,19 +115,19 @@ class Method(NamedTuple):
     after: float
 
 
-def _method(integrator: str) -> Method:
+def _method(integrator: str) -> NodeChain:
     """Return the nodes of a method; an initial node with known velocity is used only once."""
     found = [(node.a, node.b, node.u - node.a, node.w - node.b) for node in nodes(integrator)]
     (a, b, before, force), *others = found
     after = found[-1][2]
     if a or b or force:
-        return Method(0.0, found, after)
+        return NodeChain(0.0, found, after)
     # The first node coincides with the last one of the previous step: both velocities are H_p.
     *inner, (a, b, g, e) = others
-    return Method(before, [*inner, (a, b, g + before, e)], after)
+    return NodeChain(before, [*inner, (a, b, g + before, e)], after)
 
 
-METHODS: dict[WindowMethod, Method] = {
+METHODS: dict[WindowMethod, NodeChain] = {
     name: _method(name) for name in ('implicit_midpoint', 'variational_euler',
                                      'generalized_leapfrog')}
 

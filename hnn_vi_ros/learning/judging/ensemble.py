@@ -14,7 +14,7 @@ from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterE
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
 from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
 from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of
-from hnn_vi_ros.learning.families.choices import Trajectory
+from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
 from hnn_vi_ros.models import (
     Box, Checkpoint, EnsembleCard, mean_card, ModelCard, MOST_MEMBERS, save_checkpoint)
@@ -99,7 +99,7 @@ def kept_and_held(motions: Sequence[EvenMotion], config: MachineConfig
 
     """
     loss = config.loss_of(motions)
-    stages = loss.windows if isinstance(loss, Trajectory) else []
+    stages = loss.windows if isinstance(loss, TrajectoryLoss) else []
     least = 2.0 * max([_HORIZON, *(stage.duration for stage in stages)])
     lengths = [len(motion.t) * motion.spacing for motion in motions]
     length = max(least, sum(lengths) / _BLOCKS, MIN_SAMPLES * motions[0].spacing)
@@ -108,7 +108,7 @@ def kept_and_held(motions: Sequence[EvenMotion], config: MachineConfig
               for rows in np.array_split(
                   np.arange(len(motion.t)), max(1, int(time / length * (1.0 + 1e-12))))]
     if len(blocks) < _FEWEST_BLOCKS:
-        raise DataError(f'--ensemble: the motions to learn from make {len(blocks)} blocks of '
+        raise DataError(f'--ensemble: the training motions make {len(blocks)} blocks of '
                         f'{length:.3g} s, expected at least {_FEWEST_BLOCKS}; record for longer, '
                         'or train one model')
     order = np.random.default_rng(config.seed).permutation(len(blocks))
@@ -200,7 +200,7 @@ def conformal_factors(scores: np.ndarray, level: float) -> list[float]:
     if rank > len(ordered) or not (
             (0.0 < ordered[rank - 1]) & (ordered[rank - 1] < np.inf)).all():
         raise DataError('the spread of the ensemble cannot be calibrated: too few held-out '
-                        'motions in the training domain, or members that do not differ')
+                        'motions in the training domain, or identical members')
     found: list[float] = ordered[rank - 1].tolist()
     return found
 
@@ -210,12 +210,12 @@ def ensemble_text(card: ModelCard) -> str:
     ensemble = card.ensemble
     if ensemble is None:
         return ''
-    count = f'{len(ensemble.members)} members, whose mean is judged'
+    count = f'Mean of {len(ensemble.members)} members'
     if ensemble.factors is None or ensemble.coverage is None:
-        return f'{count}; their spread was not calibrated ({ensemble.calibration})'
+        return f'{count}; the spread was not calibrated ({ensemble.calibration})'
     factors = ', '.join(f'{factor:.3g}' for factor in ensemble.factors)
     return (f'{count}; bands of {100.0 * ensemble.level:g} %: {factors} times the spread of q and '
-            f'p, which covers {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
+            f'p, with a coverage of {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
 
 
 @contextmanager
@@ -282,12 +282,12 @@ def field_calibration(checkpoint: Checkpoint, config: FieldConfig, test: Dataset
         held = None if test is None else _held_measured(checkpoint, test)
     count = 0 if held is None else held.q.shape[1]
     if held is None or count < _FEWEST:
-        raise DataError(f'{count} held-out motions of H alone, expected at least {_FEWEST}')
+        raise DataError(f'{count} held-out motions without forces, expected at least {_FEWEST}')
     scores = scores_of(checkpoint, held)
     halves = np.split(np.random.default_rng(config.seed).permutation(count), [count // 2])
     first, second = (scores[:, half][held.inside[1:, half]] for half in halves)
     return Calibration(first, second, (
-        f'{len(halves[0])} motions of {held.t[-1]:.3g} s in the training domain, and coverage on '
+        f'{len(halves[0])} motions of {held.t[-1]:.3g} s in the training domain, coverage on '
         f'{len(halves[1])} others'))
 
 
@@ -402,11 +402,11 @@ def machine_calibration(checkpoint: Checkpoint, held: Sequence[EvenMotion],
                       for scores in motion] for motions in (held, test))
     if min(len(first), len(second)) < _FEWEST:
         raise DataError(
-            f'{len(first)} and {len(second)} simulations in the training domain, of what was '
-            f'held out and of the test, expected at least {_FEWEST}')
+            f'{len(first)} held-out and {len(second)} test simulations in the training domain, '
+            f'expected at least {_FEWEST} each')
     return Calibration(np.concatenate(first), np.concatenate(second), (
-        f'{len(first)} simulations of {_duration(held):.3g} s from states of what was held out, '
-        f'and coverage on {len(second)} of the test motions'))
+        f'{len(first)} simulations of {_duration(held):.3g} s from held-out states, coverage on '
+        f'{len(second)} simulations of test motions'))
 
 
 def _duration(motions: Sequence[EvenMotion]) -> float:

@@ -20,13 +20,13 @@ from hnn_vi_ros.learning.fit.machine import Network, runge_kutta
 from hnn_vi_ros.models import Domain, load_checkpoint, load_learned, rows_of_each
 from hnn_vi_ros.run import VALID
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import resolve, Simulation
+from hnn_vi_ros.simulation import build, resolve, Simulation
 import numpy as np
 from scipy.optimize import nnls
 import torch
 
 
-class Balance(NamedTuple):
+class EnergyBalance(NamedTuple):
     """
     Energy and work along one motion, shape (N,) each.
 
@@ -46,10 +46,11 @@ class Balance(NamedTuple):
 def unaccounted(effects: Sequence[Effect]) -> list[str]:
     """Return the classes of effects without work defined by measured states, such as noise."""
     return [type(effect).__name__ for effect in effects
-            if not (effect.conservative or isinstance(effect, Force))]
+            if not (effect.conservative or isinstance(effect, Force)) or effect.internal]
 
 
-def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: EvenMotion) -> Balance:
+def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: EvenMotion
+            ) -> EnergyBalance:
     """
     Return energy and work along a motion.
 
@@ -83,7 +84,7 @@ def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: EvenMot
     ends = [_power(hamiltonian, forces, motion.t[rows], q[rows], p[rows], motion.forces)
             for rows in (slice(None, -1), slice(1, None))]
     steps = 0.5 * motion.spacing * (ends[0] + ends[1])
-    return Balance(hamiltonian.energy(q, p), np.concatenate([[0.0], np.cumsum(steps)]))
+    return EnergyBalance(hamiltonian.energy(q, p), np.concatenate([[0.0], np.cumsum(steps)]))
 
 
 def _power(hamiltonian: Hamiltonian, forces: Sequence[tuple[Any, Any]], t: np.ndarray,
@@ -105,7 +106,7 @@ def _power(hamiltonian: Hamiltonian, forces: Sequence[tuple[Any, Any]], t: np.nd
     return power
 
 
-def energy_mismatch(balances: Sequence[Balance], spacing: float, horizons: Sequence[float]
+def energy_mismatch(balances: Sequence[EnergyBalance], spacing: float, horizons: Sequence[float]
                     ) -> dict[float, float] | None:
     """
     Return the energy change without matching work, relative to the range of H.
@@ -364,8 +365,8 @@ def variance_of(motions: Sequence[EvenMotion]) -> np.ndarray:
     q = np.concatenate([motion.q for motion in motions])
     moves = np.ptp(q, axis=0) > 0.0
     if not moves.any():
-        raise DataError(f'{motions[0].name}: no coordinate moves, so that nothing can be judged; '
-                        'give other motions')
+        raise DataError(f'{motions[0].name}: no coordinate moves, so no error can be computed; '
+                        'use other motions')
     return np.where(moves, q.var(axis=0), np.inf)
 
 
@@ -379,10 +380,11 @@ def fans_of(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[
     """Predict from many measured states, for the durations that ``score`` needs."""
     for horizon in horizons:
         if all(samples_in(horizon, motion) >= len(motion.t) for motion in motions):
-            raise DataError(f'no motion lasts {horizon:g} s, a horizon; give shorter --horizons')
+            raise DataError(f'no motion is as long as the horizon {horizon:g} s; use shorter '
+                            '--horizons')
         if any(samples_in(horizon, motion) < 1 for motion in motions):
-            raise DataError(f'a horizon of {horizon:g} s is less than the {motions[0].spacing:.4g}'
-                            ' s from sample to sample; give longer --horizons')
+            raise DataError(f'the horizon {horizon:g} s is shorter than the sampling interval '
+                            f'{motions[0].spacing:.4g} s; use longer --horizons')
     fans = []
     for motion in motions:
         n = len(motion.t)
@@ -474,7 +476,7 @@ def whole_records(predict: Predict, motions: Sequence[EvenMotion], first: int) -
     found = []
     for motion in motions:
         if first >= len(motion.t) - 1:
-            raise DataError(f'{motion.name} has {len(motion.t)} samples; give a smaller --from')
+            raise DataError(f'{motion.name} has only {len(motion.t)} samples; reduce --from')
         q = predict(motion, np.array([first]), len(motion.t) - 1 - first)[0]
         error = np.where(np.isfinite(q), q - motion.q[first:], np.inf)
         found.append(np.sqrt(np.mean(error**2, axis=0)))
@@ -552,12 +554,12 @@ class Outside(NamedTuple):
     def text(self) -> str:
         """Summarise the result in plain sentences."""
         if not self.share:
-            return 'All samples are inside of what the model has seen.'
+            return 'All samples are inside the training domain of the model.'
         errors = '; '.join(f'{where} ' + ', '.join(
             f'{" ".join(f"{x:.3g}" for x in rms)} after {horizon:g} s'
             for horizon, rms in found.items()) for where, found in self.errors.items() if found)
-        return (f'{100.0 * self.share:.3g} % of the samples are outside of what the model has '
-                f'seen: {"; ".join(self.beyond)}. Errors {errors}.')
+        return (f'{100.0 * self.share:.3g} % of the samples are outside the training domain of '
+                f'the model: {"; ".join(self.beyond)}. RMS errors {errors}.')
 
     @property
     def numbers(self) -> dict[str, Any]:
@@ -600,18 +602,20 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
             return hamiltonian, VariationalMidpoint(), None, []
         return hamiltonian, ImplicitMidpoint(), None, own_effects(model, hamiltonian)
     scene = load_scene(model if not is_path('scene', model) else Path(model))
-    scene, hamiltonian, integrator, effects = resolve(scene)[0].parts()
-    for effect in effects:
+    parts = resolve(scene)[0].parts()
+    build(parts)  # checks that the parts fit each other
+    scene, hamiltonian, integrator, effects = parts
+    for i, effect in enumerate(effects):
         if isinstance(effect, ExternalForce):
             effect.timeout = _FOREVER
             if effect.names:
                 checkpoint = getattr(hamiltonian, 'checkpoint', None)
                 if checkpoint is not None and has_map(checkpoint):
-                    raise DataError(f'{model}: its model has learned what the motors do to the '
-                                    'joints, and external_force acts on the joints themselves; '
-                                    'give it the model in place of coordinates')
+                    raise DataError(f'{model}: its model has a learned input map, but '
+                                    'external_force acts directly on the joints; give it the '
+                                    'model instead of coordinates')
                 # All coordinates have a measured force, in the order of H.
-                effect.names = tuple(names_of(hamiltonian))
+                effects[i] = effect.on(names_of(hamiltonian), _FOREVER)
     return hamiltonian, integrator, scene.step_size, effects
 
 

@@ -108,7 +108,7 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
             'training': (history.train_step, history.train),
             'validation': (history.validation_step, history.validation)})
         pictures += [f'![Losses]({outputs.losses.name})',
-                     f'The losses as curves: `rerun {outputs.curves.name}`.']
+                     f'To view the losses as curves: `rerun {outputs.curves.name}`.']
     facts: dict[str, Any] = {
         'family': card.family, 'data': card.dataset, 'seed': card.seed,
         'steps': history.train_step[-1] if history.train else 0, 'best step': history.best_step,
@@ -134,14 +134,14 @@ def plot_history(history: LossHistory, name: str, path: Path) -> None:
     """Write the loss curves as a PNG, with a line at the start of each stage."""
     figure = Figure(figsize=(7.0, 4.5), layout='constrained')
     axes = figure.add_subplot()
-    axes.semilogy(history.train_step, history.train, label='training, with every term')
+    axes.semilogy(history.train_step, history.train, label='training, all terms')
     if history.validation:
         axes.semilogy(history.validation_step, history.validation, '--', label='validation')
     for stage, step in history.begins.items():
         axes.axvline(step, color='0.6', linewidth=0.8)
         axes.annotate(stage, (step, 0.97), (4, 0), va='top', color='0.4',
                       xycoords=('data', 'axes fraction'), textcoords='offset points')
-    axes.set(title=name, xlabel='step', ylabel='loss [-], in units of the data')
+    axes.set(title=name, xlabel='step', ylabel='loss [-], relative to the data')
     axes.legend()
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=150)
@@ -206,7 +206,7 @@ def _draw_arrows(axes: Any, comparison: Comparison, card: ModelCard, i: int) -> 
                     scale=20.0 * np.sqrt(np.mean(comparison.target[:, i]**2)) / size[0])
     limits = box + 0.15 * size[:, None] * [-1.0, 1.0]  # room for the arrows
     axes.set(xlim=limits[0], ylim=limits[1], xlabel=f'{coordinate.name} [{coordinate.q_unit}]',
-             ylabel=f'its momentum [{coordinate.p_unit}]',
+             ylabel=f'momentum [{coordinate.p_unit}]',
              title='field at held-out states' + (', projected' if d > 1 else ''))
     axes.legend(loc='upper right', framealpha=0.6)
 
@@ -252,7 +252,7 @@ def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], ho
     write_predictions(folder / RECORDING, name, coordinates, runs)
     write_text(folder / REPORT, page(
         name, text, f'![Predictions over the measurement]({PICTURE})',
-        f'All runs: `rerun {RECORDING}`.'))
+        f'To view all runs: `rerun {RECORDING}`.'))
 
 
 def shown(fans: Sequence[Fan], horizon: float) -> list[PredictedRun]:

@@ -14,11 +14,11 @@ from hnn_vi_ros.version import __version__
 import numpy as np
 
 # Note on the energy scale for model cards.
-OPEN_BY_MAP = ('; an input map was learned, which leaves the scale of energy open: the mean '
-               'square of its columns is 1')
+OPEN_BY_MAP = ('; the energy scale is arbitrary, since the input map was learned: the mean square '
+               'of its columns is 1')
 
 
-class Task(ABC):
+class TrainingTask(ABC):
     """
     Base class of a task: data, loss, card and judgement of models of some families.
 

@@ -21,7 +21,7 @@ from hnn_vi_ros.learning.families.priors import in_torch
 from hnn_vi_ros.learning.fit.config import BodyConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import Stage, TrainingProblem
 from hnn_vi_ros.learning.judging.report import Judged
-from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
+from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, TrainingTask
 from hnn_vi_ros.models import Box, Checkpoint, group_of, load_checkpoint, Scheme
 import numpy as np
 import torch
@@ -36,7 +36,7 @@ _CROSS = torch.tensor([[0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
                        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
 
 
-class Node(NamedTuple):
+class BodyState(NamedTuple):
     """Positions (N, k - 3), attitudes (N, 3, 3) and momenta (N, k) at one time."""
 
     x: torch.Tensor
@@ -97,7 +97,7 @@ class LieSteps:
                       'lie_variational_euler': self._variational_euler}[method]
         self._matrices: dict[str, torch.Tensor] = {}
 
-    def __call__(self, node: Node, u: torch.Tensor) -> Node:
+    def __call__(self, node: BodyState, u: torch.Tensor) -> BodyState:
         """Return the node after one step with a held input, shape (N, m)."""
         return self._step(node, u)
 
@@ -122,7 +122,7 @@ class LieSteps:
         guess = right - h * held.rates(right)[1]
         return self._solve('momenta', residual, guess, self._body.momentum_unit)
 
-    def _leapfrog(self, node: Node, u: torch.Tensor) -> Node:
+    def _leapfrog(self, node: BodyState, u: torch.Tensor) -> BodyState:
         h = 0.5 * self._h
         held = HeldBody(self._body, node.x, node.R, u)
         mu = self._inside(held, h, node.p)
@@ -130,9 +130,10 @@ class LieSteps:
         x = h * velocity[:, -3:]
         place, R = node.x + h * velocity[:, :-3], turned(node.R, x, self._tau(x))
         p = node.p - h * slope - _only_turn(torch.linalg.cross(x, mu[:, -3:]), mu)
-        return self._outside(Node(place, R, p), u, h, h * velocity)
+        return self._outside(BodyState(place, R, p), u, h, h * velocity)
 
-    def _outside(self, node: Node, u: torch.Tensor, h: float, guess: torch.Tensor) -> Node:
+    def _outside(self, node: BodyState, u: torch.Tensor, h: float, guess: torch.Tensor
+                 ) -> BodyState:
         """Return the node after half a step with the position and attitude implicit."""
         def pose(change: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
             x = change[:, -3:]
@@ -150,9 +151,9 @@ class LieSteps:
         place, R, mu = pose(change)
         slope = HeldBody(self._body, place, R, u).rates(mu)[1]
         bend = torch.linalg.cross(change[:, -3:], mu[:, -3:])
-        return Node(place, R, node.p - h * slope - _only_turn(bend, mu))
+        return BodyState(place, R, node.p - h * slope - _only_turn(bend, mu))
 
-    def _variational_euler(self, node: Node, u: torch.Tensor) -> Node:
+    def _variational_euler(self, node: BodyState, u: torch.Tensor) -> BodyState:
         h = self._h
         velocity = HeldBody(self._body, node.x, node.R, u).velocity(node.p)
         x = h * velocity[:, -3:]
@@ -160,7 +161,7 @@ class LieSteps:
         place, R = node.x + h * velocity[:, :-3], turned(node.R, x, tau)
         right = node.p + _only_turn(_bend(x, node.p[:, -3:], tau, -1.0), node.p)
         held = HeldBody(self._body, place, R, u)
-        return Node(place, R, self._inside(held, h, right))
+        return BodyState(place, R, self._inside(held, h, right))
 
 
 def _only_turn(torque: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
@@ -179,22 +180,22 @@ def network_of(config: BodyConfig, motions: Sequence[BodyMotions]) -> LieGroupNe
                                                         strict=True))
     velocity, acceleration = _sizes(v), _sizes(a)
     if not (velocity > 0.0).all() or not (acceleration > 0.0).all():
-        raise DataError('the body never moves in the data, or never turns; learn from data in '
-                        'which it does')
+        raise DataError('the body never moves or never rotates in the data; use data in which it '
+                        'does')
     driven = bool(u.any())
     size = np.sqrt(np.mean(u**2, axis=0))
     inertia = np.ones(k)
     if driven and config.family.input_map == 'identity':
         if u.shape[1] != k:
-            raise DataError(f'input_map: identity takes {k} inputs, forces in the frame of the '
-                            f'body; the data have {u.shape[1]}: take input_map: learned')
+            raise DataError(f'input_map: identity requires {k} inputs, the forces in the frame of '
+                            f'the body, but the data have {u.shape[1]}; use input_map: learned')
         inertia = _sizes(u) / acceleration
         inertia = np.where(inertia > 0.0, inertia, 1.0)
     first = None
     if driven and config.family.input_map == 'learned':
         if not size.all():
-            raise DataError('input_map: an input is never used in the data, which say nothing '
-                            'of what it does; leave it out of them')
+            raise DataError('input_map: an input is always zero in the data, so its effect cannot '
+                            'be learned; remove it from the data')
         others = np.hstack([before, np.ones((len(a), 1))])
         inputs = torch.cat([motion.u[:-1].flatten(0, 1) for motion in motions]).numpy()
         rates = np.linalg.lstsq(np.hstack([inputs, others]), a, rcond=None)[0]
@@ -219,13 +220,13 @@ def _accelerations(motion: BodyMotions) -> tuple[np.ndarray, np.ndarray]:
     return states.flatten(0, 1).numpy(), rates.flatten(0, 1).numpy()
 
 
-def simulated(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> list[tuple[
-        torch.Tensor, torch.Tensor, torch.Tensor]]:
+def simulated_body(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
+                   ) -> list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
     """Return x, R and v, shape (M, ...) each, at all samples but the first; inputs are held."""
     h = windows.interval / config.substeps
     step = LieSteps(network, config.method, config.retraction, h)
     x, R = windows.x[0], windows.R[0]
-    node, found = Node(x, R, network.momenta(x, R, windows.v[0])), []
+    node, found = BodyState(x, R, network.momenta(x, R, windows.v[0])), []
     nothing = windows.u[0, :, :0]
     for u in windows.u[:-1]:
         for _ in range(config.substeps):
@@ -238,7 +239,7 @@ def simulated(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
 def window_errors(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
                   ) -> dict[str, torch.Tensor]:
     """Return mean squared errors of position, attitude, linear and angular velocity."""
-    x, R, v = map(torch.stack, zip(*simulated(network, config, windows), strict=True))
+    x, R, v = map(torch.stack, zip(*simulated_body(network, config, windows), strict=True))
     true, places = windows.at(slice(1, None)), x.shape[2]
     # |R - R'|^2 / 2 over nine entries is the squared angle up to terms of fourth order.
     errors = {'place': x - true.x, 'attitude': math.sqrt(4.5) * (R - true.R),
@@ -275,8 +276,8 @@ def joined(windows: Sequence[BodyMotions]) -> BodyMotions:
     first = windows[0]
     for other in windows:
         if abs(other.interval - first.interval) > 0.01 * first.interval:
-            raise DataError(f'motions are sampled every {first.interval:.4g} s and every '
-                            f'{other.interval:.4g} s; take them one by one')
+            raise DataError(f'the sampling intervals of the motions differ: {first.interval:.4g} '
+                            f's and {other.interval:.4g} s; use them separately')
     x, R, v, u = (torch.cat(parts, dim=1) for parts in zip(
         *(other[:4] for other in windows), strict=True))
     return BodyMotions(x, R, v, u, first.interval)
@@ -324,14 +325,14 @@ class BodyProblem(TrainingProblem):
         if stage.adam_steps:
             yield Stage(f'adam_{stage.intervals}', batch, stage.adam_steps,
                         self._config.learning_rate, clip=True, remedy=(
-                            'lower learning_rate, take more substeps, and look for outliers in '
-                            'the data'))
+                            'reduce learning_rate, use more substeps, and check the data for '
+                            'outliers'))
         if stage.lbfgs_steps:
             yield Stage(f'lbfgs_{stage.intervals}',
                         lambda: body_loss(self.module, self._config, chosen), stage.lbfgs_steps,
                         evaluations=2, begin=choose, remedy=(
-                            'no step has a solution there: take more substeps, or adam_steps '
-                            'before, and look for outliers in the data'))
+                            'steps have no solution there: use more substeps, or adam_steps '
+                            'before it, and check the data for outliers'))
 
 
 # Number of intervals per test window, as in the publications.
@@ -339,7 +340,7 @@ INTERVALS = 4
 _UNITS = {'place': 'm', 'attitude': 'rad', 'velocity': 'm/s', 'turning': 'rad/s'}
 
 
-class BodyTask(Task):
+class BodyTask(TrainingTask):
     """
     Training of a rotating body on windows of its motions; see Task.
 
@@ -422,7 +423,7 @@ def _scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> str:
         return OPEN_BY_MAP
     if any(motion.u.any() for motion in motions):
         return ''
-    return '; no inputs, which leaves the scale of energy open: the mean inertia is 1'
+    return '; the energy scale is arbitrary, since there are no inputs: the mean inertia is 1'
 
 
 def _bounds(values: torch.Tensor) -> list[list[float]]:
@@ -438,22 +439,21 @@ def evaluate(arguments: Namespace) -> None:
     model = load_checkpoint(arguments.model)
     if arguments.config is None:
         raise ParameterError(f'{arguments.model}: a model of the family lie_group is evaluated on '
-                             'windows of the data of a training configuration; give it with '
-                             '--config')
+                             'the data windows of a training configuration; name it with --config')
     if arguments.out is not None or arguments.baselines is not None or arguments.whole:
-        raise ParameterError('--out, --baselines and --whole: models of the family lie_group have '
-                             'none yet; leave them out')
+        raise ParameterError('--out, --baselines and --whole: not available for the family '
+                             'lie_group; remove them')
     source, group = find_config(arguments.config), group_of(model)
     config = load_config(source)
     kind = config.kind if isinstance(config, BodyConfig) else config.family.kind
     if not isinstance(config, BodyConfig) or group.kind != kind:
-        raise DataError(f'{source}: is for a {kind}, and {arguments.model} of a {group.kind}')
+        raise DataError(f'{source}: describes a {kind}, but {arguments.model} a {group.kind}')
     file = one_file(source, config.data.path, arguments.data)
     _, test, description = read_bodies(file, config.data, group.kind)
     network, windows = LieGroupNetwork.of(model), _judged(test)
     driven = 'input_map' in network.features
     if driven and windows.u.shape[2] * group.size != len(model.networks['input_map'].biases[-1]):
-        raise DataError(f'{file}: has {windows.u.shape[2]} inputs, which are not those of '
+        raise DataError(f'{file}: its {windows.u.shape[2]} inputs do not match those of '
                         f'{arguments.model}')
     print(f'{arguments.model} on {description}\n{_text(network, config, windows)}')
     if arguments.json is not None:
@@ -477,6 +477,6 @@ def _errors(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
 def _text(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> str:
     parts = ', '.join(f'{name} {value**0.5:.3g} {_UNITS[name]}'
                       for name, value in _errors(network, config, windows).items())
-    return (f'windows of {len(windows.R) - 1} intervals of {windows.interval:.4g} s, '
-            f'{windows.R.shape[1]} of them\nroot mean square errors: {parts}\n'
-            f'loss as published: {published_loss(network, config, windows):.3g}')
+    return (f'{windows.R.shape[1]} windows of {len(windows.R) - 1} intervals of '
+            f'{windows.interval:.4g} s\nRMS errors: {parts}\nloss as published: '
+            f'{published_loss(network, config, windows):.3g}')

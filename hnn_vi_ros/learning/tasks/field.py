@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped, calibrated, ensemble_text, field_calibration, held_out)
 from hnn_vi_ros.learning.judging.evaluation import friction_work, integrated
 from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
-from hnn_vi_ros.learning.tasks import described, Task
+from hnn_vi_ros.learning.tasks import described, TrainingTask
 from hnn_vi_ros.models import (
     Checkpoint, energy_error, energy_spread, EnergyError, FAMILIES, load_member, Units)
 import numpy as np
@@ -148,7 +148,7 @@ def _discrete_euler_lagrange(choice: Any, family: Any, q0: torch.Tensor, q1: tor
 def _velocities(choice: Any, dataset: Dataset) -> Batch:
     if dataset.accelerations is None:
         raise DataError(f'{dataset.description}: no accelerations, which the loss euler_lagrange '
-                        'learns from; give a bag or exact data, or take another family')
+                        'requires; use a bag or exact data, or another family')
     return Batch((_joined(dataset.q, dataset.dq_dt),), torch.tensor(dataset.accelerations))
 
 
@@ -208,8 +208,8 @@ class FieldProblem(TrainingProblem):
         self._test = None if test is None else self._loss.batch(config.loss, test)
         self._unit = self._train.target.square().mean(dim=0).sqrt()
         if not (self._unit > 0.0).all():
-            raise DataError(f'{dataset.description}: a coordinate never changes; learn from data '
-                            'in which every coordinate moves')
+            raise DataError(f'{dataset.description}: a coordinate never changes; use data in '
+                            'which every coordinate moves')
         rng = np.random.default_rng(config.seed)
         self._pairs = [torch.tensor(scales.centre + scales.half * rng.uniform(
             -1, 1, (PAIRS, len(scales.centre)))) for _ in range(2)]
@@ -273,7 +273,7 @@ class FieldProblem(TrainingProblem):
 _STATES = 2000
 
 
-class FieldTask(Task):
+class FieldTask(TrainingTask):
     """
     Training of H(q, p), a Lagrangian or a two-form on states; see Task.
 
@@ -294,7 +294,8 @@ class FieldTask(Task):
 
     def __init__(self, source: Path, config: FieldConfig, given: Sequence[str], ensemble: bool):
         self._config, self._ensemble = config, ensemble
-        self._dataset = make_dataset(config.data, config.seed, source, given)
+        self._dataset = make_dataset(
+            config.data, config.seed, source, given, [one.q_unit for one in config.coordinates])
         print(f'data: {self._dataset.description}', flush=True)
         self._known, self._test = held_out(config, self._dataset) if ensemble else (
             self._dataset, None)
@@ -326,8 +327,8 @@ class FieldTask(Task):
         card = checkpoint.card
         lines = [', '.join(f'{key} {value:.3g}' for key, value in card.losses.items())]
         if error is not None:
-            lines.append(f'energy error: RMS {error.rms:.3g} J, largest {error.sup:.3g} J, '
-                         f'against the {error.compared_with}')
+            lines.append(f'energy error: RMS {error.rms:.3g} J, maximum {error.sup:.3g} J, '
+                         f'compared with the {error.compared_with}')
         lines.append(ensemble_text(card))
         return Judged(checkpoint, '\n'.join(filter(None, lines)), ensemble_text(card),
                       lambda path: plot_field(problem.compare(), card, path))

@@ -12,20 +12,25 @@ from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, train_and_test
 from hnn_vi_ros.learning.families.choices import (
-    AUTO, Forward, RigidBodyChoice, Structure, Trajectory)
+    AUTO, Forward, RigidBodyChoice, Structure, TrajectoryLoss)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.inertias import identified_text, identify_inertias, with_force_errors
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Fading, MachineProblem, scales_of
-from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body, fit_records, fit_rigid_body
+from hnn_vi_ros.learning.fit.rigid_body import (
+    best_rigid_body, fit_records, fit_rigid_body, positions_alone, RigidProblem)
+from hnn_vi_ros.learning.fit.shooting import first_noise
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped_blocks, calibrated, drafted, ensemble_text, kept_and_held, machine_calibration)
 from hnn_vi_ros.learning.judging.evaluation import (
-    balance, judge, linear_model, numbers, outside, own_effects, predicted_by, simulated,
+    balance, judge, linear_model, numbers, outside, own_effects, Predict, predicted_by, simulated,
     simulation_of, table, variance_of, verdict)
+from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
-from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
+from hnn_vi_ros.learning.judging.residuals import (
+    is_noise, judged_model, noise_text, residuals_of, STEP, with_fitted_states)
+from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, TrainingTask
 from hnn_vi_ros.learning.tasks.records import Records
 from hnn_vi_ros.learning.tasks.selection import selected
 from hnn_vi_ros.models import (
@@ -42,7 +47,7 @@ _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
 _MOST_DELAY = 5.0
 
 
-class MachineTask(Task):
+class MachineTask(TrainingTask):
     """
     Training of a machine with friction and motors on measured motions; see Task.
 
@@ -70,7 +75,7 @@ class MachineTask(Task):
         if self._delay:
             self._train, self._test = ([delayed(motion, self._delay) for motion in part]
                                        for part in (self._train, self._test))
-            description += f'; forces act {self._delay:.3g} samples later than they are stamped'
+            description += f'; forces delayed by {self._delay:.3g} samples'
         print(f'data: {description}; {_ranges(config, self._train)}', flush=True)
         _check_motors(config, self._train)
         self._config, self._selection = selected(config, self._train, problem_of)
@@ -116,28 +121,44 @@ class MachineTask(Task):
         horizons = [horizon for horizon in _HORIZONS if any(
             motion.t[-1] - motion.t[0] >= horizon for motion in test)]
         hamiltonian, effects = _parts_of(checkpoint)
-        print('for comparison, a plain network of (q, v, tau):', flush=True)
-        plain = PlainNetwork(network.structure.kinds, config.hidden, scales_of(
-            self._train, config.family.input_map == 'learned'), config.seed)
-        MachineProblem(plain, _of_plain_network(config), self._train).fit()
-        others = {'linear model': linear_model(self._train), 'plain network': predicted_by(plain)}
-        if 'prismatic' not in network.structure.kinds:
-            rigid = best_rigid_body(config.windows, self._train)
-            others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
-        scores, fans = judge(simulation_of(hamiltonian, ImplicitMidpoint(), effects, test),
-                             effects, test, horizons, _EVERY, _LONGEST, others)
+        names, step_size, said, known = [one.name for one in config.coordinates], None, '', {}
+        if positions_alone(test):
+            noise = first_noise(test) if problem.noise is None else problem.noise
+            model, step_size = judged_model(hamiltonian, effects, test), STEP
+            residuals = residuals_of(model, test, noise)
+            test = with_fitted_states(model, test, noise, residuals)
+            known = {'residuals': residuals, 'noise': noise.tolist()}
+            said = f'On what was held out {noise_text(residuals)}.' + (
+                '' if is_noise(residuals) else '\n' + missing_force(network, self._test, names))
+        scores, fans = judge(
+            simulation_of(hamiltonian, ImplicitMidpoint(), effects, test, step_size),
+            effects, test, horizons, _EVERY, _LONGEST, self._baselines(network))
         domain = domain_of(hamiltonian)
         card = checkpoint.card.model_copy(update={
-            'prediction_error': PredictionError.model_validate(numbers(scores['model']))})
+            'prediction_error': PredictionError.model_validate(numbers(scores['model']) | known)})
         text = '\n\n'.join(filter(None, (
-            table(scores, [coordinate.name for coordinate in config.coordinates]),
-            verdict(scores), '' if domain is None else outside(domain, fans, horizons).text,
+            table(scores, names), verdict(scores), said.rstrip(),
+            '' if domain is None else outside(domain, fans, horizons).text,
             '' if card.selection is None else card.selection.text, ensemble_text(card))))
         return Judged(
             replace(checkpoint, card=card), text,
             f'{text}\n\n{_remarks(config, card)}\n{identified_text(card)}'.rstrip(),
             lambda path: draw_predictions(path, card.name, hamiltonian.coordinates,
                                           shown(fans, max(horizons))))
+
+    def _baselines(self, network: MechanicalNetwork) -> dict[str, Predict]:
+        """Return other models of the training motions, to compare with."""
+        config, others = self._config, {'linear model': linear_model(self._train)}
+        if config.baseline:
+            print('baseline, a plain network of (q, v, tau):', flush=True)
+            plain = PlainNetwork(network.structure.kinds, config.hidden, scales_of(
+                self._train, config.family.input_map == 'learned'), config.seed)
+            MachineProblem(plain, _of_plain_network(config), self._train).fit()
+            others['plain network'] = predicted_by(plain)
+        if network.structure.residual and 'prismatic' not in network.structure.kinds:
+            rigid = best_rigid_body(config.windows, self._train)
+            others |= {} if rigid is None else {'rigid body': predicted_by(rigid.module)}
+        return others
 
 
 def estimated_delay(config: MachineConfig, motions: Sequence[EvenMotion]) -> float:
@@ -154,7 +175,7 @@ def estimated_delay(config: MachineConfig, motions: Sequence[EvenMotion]) -> flo
 
     """
     if not any(motion.tau.any() for motion in motions):
-        raise DataError('data.delay: there are no forces to estimate it by; leave it out')
+        raise DataError('data.delay: cannot be estimated without forces; remove it')
     family, loss = config.family, config.windows.model_copy(update={
         'records': False, 'windows': config.windows.windows[:1]})
     rigid = {'residual': []} if isinstance(family, RigidBodyChoice) else {
@@ -163,6 +184,8 @@ def estimated_delay(config: MachineConfig, motions: Sequence[EvenMotion]) -> flo
     config = config.model_copy(update={'loss': loss, 'family': family.model_copy(update=rigid | {
         'friction': family.friction.model_copy(update={'network': False})})})
     structure = config.structure()
+    # Losses of smoothed states can be compared, residuals in units of each fit's noise cannot.
+    motions = [replace(motion, v=motion.v_smooth) for motion in motions]
     angles = _rigid(config, structure, motions).module.structure.angles
 
     def error(delay: float) -> float:
@@ -179,15 +202,15 @@ def _check_motors(config: MachineConfig, motions: Sequence[EvenMotion]) -> None:
         return
     if isinstance(config.family, RigidBodyChoice):
         raise DataError(f'the data have {motors} columns of forces for {d} joints; a rigid_body '
-                        'needs the force of each joint')
+                        'requires the force of each joint')
     if config.family.input_map != 'learned':
-        raise DataError(f'data.tau: {motors} columns of forces, expected {d}, one for each '
-                        'coordinate; give a column of zeros for a joint without a motor, or set '
+        raise DataError(f'data.tau: {motors} columns of forces, expected {d}, one per coordinate; '
+                        'add a column of zeros for a joint without a motor, or set '
                         'family.input_map: learned')
 
 
 def problem_of(config: MachineConfig, motions: Sequence[EvenMotion],
-               rigid: TrainingProblem | None = None) -> TrainingProblem:
+               rigid: RigidProblem | None = None) -> TrainingProblem:
     """
     Return a network with the stages that follow; fit its prior, unless one is given.
 
@@ -206,13 +229,16 @@ def problem_of(config: MachineConfig, motions: Sequence[EvenMotion],
     if rigid is None:
         rigid = _rigid(config, structure, motions)
     if not structure.residual:
-        return TrainingProblem(rigid.module, losses=rigid.losses)
+        return rigid
     network = MechanicalNetwork(replace(structure, angles=rigid.module.structure.angles),
                                 config.hidden, scales, config.seed)
     network.begin_with(rigid.module)
     fading = Fading(network, motions, family.residual_weight, family.fade_weight)
-    return _with_records(MachineProblem(network, config, motions, fading, rigid.losses), config,
-                         motions, lambda: fading(torch.Generator().manual_seed(config.seed)))
+    problem = _with_records(
+        MachineProblem(network, config, motions, fading, rigid.losses), config, motions,
+        lambda: fading(torch.Generator().manual_seed(config.seed)))
+    problem.noise = rigid.noise
+    return problem
 
 
 def _with_records(problem: MachineProblem, config: MachineConfig, motions: Sequence[EvenMotion],
@@ -226,30 +252,33 @@ def _with_records(problem: MachineProblem, config: MachineConfig, motions: Seque
 
 
 def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[EvenMotion]
-           ) -> TrainingProblem:
+           ) -> RigidProblem:
     """Return a fitted prior with friction and without networks, or raise DataError."""
     family = config.family
     if structure.prior == PLANAR_CHAIN:
         found = best_rigid_body(config.windows, motions, structure, family.input_map == 'learned')
-        rigid, losses = found or (None, {'none': np.inf})
-        looked = 'angles of its links from the vertical,'
+        checked = 'angles of its links from the vertical'
     else:
-        rigid = MechanicalNetwork(
+        network = MechanicalNetwork(
             replace(structure, residual=False, friction_features=None), config.hidden,
             scales_of(motions), config.seed)
-        robot = isinstance(family, RigidBodyChoice)
-        losses = identify_inertias(
-            rigid, config, motions, family.rotor_inertia == 'identified', family.offsets
-        ) if isinstance(family, RigidBodyChoice) else fit_rigid_body(
-            rigid, config.windows, motions)
-        looked = 'URDF' if robot else 'coordinates, which must be those of the system,'
-    if rigid is not None and np.isfinite([*losses.values()]).all():
-        if config.windows.records:
-            losses['records'] = fit_records(
-                rigid, config.windows, motions, lambda motion: whole(rigid, config, motion))
-        return TrainingProblem(rigid, losses=losses)
-    raise DataError(f'prior: no {structure.prior} follows these motions; look at the {looked} '
-                    'and for outliers in the data')
+        if isinstance(family, RigidBodyChoice):
+            checked = 'URDF'
+            losses = identify_inertias(network, config, motions,
+                                       family.rotor_inertia == 'identified', family.offsets)
+            found = RigidProblem(network, losses) if np.isfinite(
+                [*losses.values()]).all() else None
+        else:
+            checked = 'coordinates (they must be those of the system)'
+            found = fit_rigid_body([network], config.windows, motions)
+    if found is None:
+        raise DataError(f'prior: no {structure.prior} fits these motions; check the {checked} and '
+                        'the data for outliers')
+    if config.windows.records and found.fitted is None:
+        found.losses['records'] = fit_records(
+            found.module, config.windows, motions,
+            lambda motion: whole(found.module, config, motion))
+    return found
 
 
 def whole(network: MechanicalNetwork, config: MachineConfig, motion: EvenMotion) -> np.ndarray:
@@ -327,9 +356,9 @@ def _scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
     """Return a note on the energy scale for the model card, '' if forces fix the scale."""
     text = ''
     if config.family.prior not in (None, RIGID_BODY, *CHAINS):
-        text = f'; the scale of energy is that of {config.family.prior}'
+        text = f'; the energy scale is that of {config.family.prior}'
     elif _opens_scale(config, motions):
-        text = ('; no forces, which leaves the scale of energy open: the mean inertia of '
+        text = ('; the energy scale is arbitrary, since there are no forces: the mean inertia of '
                 f'{config.coordinates[0].name} is 1')
     if config.family.input_map == 'learned':
         text += OPEN_BY_MAP
@@ -338,26 +367,24 @@ def _scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
 
 def _remarks(config: MachineConfig, card: ModelCard) -> str:
     """Return the remarks below the table of a report."""
-    same = _of_plain_network(config) is config
     held, error = ', '.join(config.data.test_runs) or 'the last fifth of each run', \
         card.energy_error
     energy = '' if error is None else (
-        f'On what was held out H is off by {error.rms:.3g} J RMS '
-        f'({interval_text(error.rms_interval)}) against the '
-        f'{error.compared_with}, which makes it vary by {error.spread:.3g} J.\n')
-    return (f'Held out: {held}. The table is of free simulations of it, from a state every '
-            f'{_EVERY:g} s, with the measured forces: the root mean square of the error at the '
-            'end of each horizon. The energy mismatch is the change of H over each horizon '
-            'less the work of forces and friction, as a share of its range. The plain network '
-            'of (q, v, tau) has the same hidden layers and was trained '
-            f'{"in the same way" if same else "by windows"}; a rigid body is a chain of links '
+        f'On held-out data the RMS error of H is {error.rms:.3g} J '
+        f'({interval_text(error.rms_interval)}), compared with the {error.compared_with}, with '
+        f'which it varies by {error.spread:.3g} J.\n')
+    return (f'Held out: {held}. The table contains the RMS error at the end of each horizon, in '
+            'simulations of the held-out data with the measured forces, started every '
+            f'{_EVERY:g} s. The energy mismatch is the change of H over each horizon minus the '
+            'work of forces and friction, relative to its range. A plain network of (q, v, tau) '
+            'has the same hidden layers; a rigid body is a chain of links '
             f'fitted by least squares.\n\n{energy}')
 
 
 def _of_plain_network(config: MachineConfig) -> MachineConfig:
     """Return the configuration of a plain network; losses that need masses are replaced."""
-    return config if isinstance(config.loss, Forward | Trajectory | None) else \
-        config.model_copy(update={'loss': Trajectory()})
+    return config if isinstance(config.loss, Forward | TrajectoryLoss | None) else \
+        config.model_copy(update={'loss': TrajectoryLoss()})
 
 
 def _read(source: Path, config: MachineConfig, given: Sequence[str]
@@ -367,9 +394,10 @@ def _read(source: Path, config: MachineConfig, given: Sequence[str]
         source, [coordinate.name for coordinate in config.coordinates], given)
     train, test = train_and_test(motions, config.data.test_runs)
     if not train:
-        raise DataError(f'{source}: data.test_runs leave nothing to learn from')
+        raise DataError(f'{source}: data.test_runs leave no run for training')
     longest = max(motion.t[-1] - motion.t[0] for motion in test)
     if longest < _HORIZONS[0]:
-        raise DataError(f'{source}: what is held out lasts {longest:.3g} s, expected at least '
-                        f'{_HORIZONS[0]:g} s to judge by; name longer runs in data.test_runs')
+        raise DataError(f'{source}: the held-out data last {longest:.3g} s, expected at least '
+                        f'{_HORIZONS[0]:g} s for an evaluation; name longer runs in '
+                        'data.test_runs')
     return train, test, description

@@ -9,7 +9,7 @@ import math
 from hnn_vi_ros.effects import has_map
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.learning.data.motions import EvenMotion
-from hnn_vi_ros.learning.families.choices import Trajectory
+from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.loop import Stage
 from hnn_vi_ros.learning.fit.rigid_body import thinned
@@ -50,8 +50,9 @@ class Records:
 
     """
 
-    def __init__(self, network: MechanicalNetwork, loss: Trajectory, motions: Sequence[EvenMotion],
-                 draft: Callable[[], Checkpoint], penalty: Callable[[], torch.Tensor]):
+    def __init__(self, network: MechanicalNetwork, loss: TrajectoryLoss,
+                 motions: Sequence[EvenMotion], draft: Callable[[], Checkpoint],
+                 penalty: Callable[[], torch.Tensor]):
         self._network, self._method = network, loss.method
         self._draft, self._penalty = draft, penalty
         self._records, self._size = thinned(motions, loss.step_size)

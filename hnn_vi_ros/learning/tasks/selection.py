@@ -9,10 +9,13 @@ from typing import NamedTuple
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of, run_of
 from hnn_vi_ros.learning.families.choices import (
-    AUTO, MechanicalChoice, RigidBodyChoice, Trajectory)
+    AUTO, MechanicalChoice, RigidBodyChoice, TrajectoryLoss)
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of, slowness
+from hnn_vi_ros.learning.fit.rigid_body import RigidProblem
+from hnn_vi_ros.learning.judging.residuals import (
+    is_noise, noise_text, Residuals, residuals_of, with_fitted_states)
 from hnn_vi_ros.models import CandidateCard, chain_angles, Errors, PLANAR_CHAIN, SelectionCard
 import numpy as np
 import torch
@@ -47,7 +50,7 @@ _CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
         'rigid body and a network of V': {'residual': ['potential']},
         'rigid body and networks': {'residual': ['potential', 'friction', 'mass']}}}
 # Factory of a problem; the last argument is a previously fitted rigid body.
-Make = Callable[[MachineConfig, Sequence[EvenMotion], TrainingProblem | None], TrainingProblem]
+Make = Callable[[MachineConfig, Sequence[EvenMotion], RigidProblem | None], TrainingProblem]
 
 
 def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
@@ -75,11 +78,12 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     rigid_body = isinstance(family, RigidBodyChoice)
     if (family.residual if rigid_body else family.prior) != AUTO:
         return config, None
-    if not rigid_body and not (chain_angles(kinds) and isinstance(config.loss, Trajectory | None)):
+    if not rigid_body and not (
+            chain_angles(kinds) and isinstance(config.loss, TrajectoryLoss | None)):
         return _named(config, ALONE), None
     trials, else_takes = _Trials(make, motions, *held_out(motions)), RIGID if rigid_body else ALONE
     if not trials.enough:
-        print(f'{AUTO}: {len(motions)} short motions leave nothing to choose by; '
+        print(f'{AUTO}: {len(motions)} motions are too short for a selection; using '
               f'{else_takes}', flush=True)
         return _named(config, else_takes), None
     config, found = _candidates(config, trials)
@@ -89,9 +93,9 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     text = trials.text
     if config.family.friction != family.friction:
         terms = ', '.join(term for term in _TERMS if getattr(config.family.friction, term))
-        text += f'; friction with {terms}, chosen by the same motions'
+        text += f'; friction with {terms}, selected on the same motions'
     return _named(config, best.name), SelectionCard(
-        held_out=text, candidates=found, chosen=best.name, trust=_trust(best))
+        held_out=text, candidates=found, chosen=best.name, trust=_trust(best, config))
 
 
 class _Trials(NamedTuple):
@@ -115,23 +119,41 @@ class _Trials(NamedTuple):
         """Describe the data that judged the candidates."""
         time, total = (sum(len(run.t) * run.spacing for run in runs)
                        for runs in ((*self.furthest, *self.ordinary), self.motions))
-        return (f'{time:.3g} s of {total:.3g} s of the motions, which the candidates had not seen:'
-                ' those that go furthest, in speed, range or force, and ordinary ones; trained '
-                'for half of the steps')
+        return (f'{time:.3g} s of {total:.3g} s of the motions, held out from the candidates: '
+                'those with the largest speed, range or force, and ordinary ones; trained with '
+                'half of the steps')
 
-    def tried(self, name: str, own: MachineConfig, rigid: TrainingProblem | None = None
+    def tried(self, name: str, own: MachineConfig, rigid: RigidProblem | None = None
               ) -> tuple[CandidateCard, TrainingProblem | None]:
         """Return a candidate's result and its problem; `rigid` is a rigid body fitted before."""
         try:
             problem = self.make(_short(own, self.motions), self.kept, rigid)
             problem.fit()
-            card = CandidateCard(name=name, furthest=errors_of(problem.module, self.furthest),
-                                 ordinary=errors_of(problem.module, self.ordinary))
+            own_trials, residuals = self.following(problem)
+            card = CandidateCard(
+                name=name, residuals=residuals,
+                furthest=errors_of(problem.module, own_trials.furthest),
+                ordinary=errors_of(problem.module, own_trials.ordinary))
         except DataError as reason:
             problem, card = None, CandidateCard(name=name, failed=str(reason)[:1000])
         print(f'{name}: ' + (card.failed or (
-            f'ordinary {_line(card.ordinary)}; furthest {_line(card.furthest)}')), flush=True)
+            f'RMS error {_line(card.ordinary, own)}; furthest motions '
+            f'{_line(card.furthest, own)}')), flush=True)
         return card, problem
+
+    def following(self, problem: TrainingProblem) -> tuple['_Trials', Residuals]:
+        """
+        Return the trials with initial states that a rigid body gives, and its residuals.
+
+        Another model, and one of measured velocities, is judged from the states that there are.
+        """
+        if not isinstance(problem, RigidProblem) or problem.noise is None:
+            return self, {}
+        model, noise = problem.known(), problem.noise
+        residuals = residuals_of(model, [*self.furthest, *self.ordinary], noise)
+        pieces = with_fitted_states(model, [*self.furthest, *self.ordinary], noise, residuals)
+        far = len(self.furthest)
+        return self._replace(furthest=pieces[:far], ordinary=pieces[far:]), residuals
 
 
 def _candidates(config: MachineConfig, trials: _Trials
@@ -139,22 +161,28 @@ def _candidates(config: MachineConfig, trials: _Trials
     """Return a configuration with fitting angles and friction, and all candidates' results."""
     first, rigid = trials.tried(RIGID, _named(config, RIGID))
     found, kind = [first], config.family.kind
-    if rigid is not None:
+    if isinstance(rigid, RigidProblem):
+        trials, _ = trials.following(rigid)
         with_angles = _with_angles(config, rigid)
+        if is_noise(first.residuals):
+            print(f'{RIGID}: {noise_text(first.residuals)}; nothing more is tried', flush=True)
+            return with_angles, found
         if 'friction' in config.family.model_fields_set:
             config = with_angles
         else:
             config, rigid, found = _with_friction(with_angles, trials, first, rigid)
+    else:
+        rigid = None
     for name in [*_CANDIDATES[kind]][1:]:
-        found.append(CandidateCard(name=name, failed=f'no {RIGID} follows these motions')
+        found.append(CandidateCard(name=name, failed=f'no {RIGID} fits these motions')
                      if rigid is None and name != ALONE else trials.tried(
                          name, _named(config, name), None if name == ALONE else rigid)[0])
     return config, found
 
 
 def _with_friction(
-        config: MachineConfig, trials: _Trials, plain: CandidateCard, rigid: TrainingProblem
-        ) -> tuple[MachineConfig, TrainingProblem, list[CandidateCard]]:
+        config: MachineConfig, trials: _Trials, plain: CandidateCard, rigid: RigidProblem
+        ) -> tuple[MachineConfig, RigidProblem, list[CandidateCard]]:
     """
     Return a configuration with the friction that held-out motions support, its rigid body, cards.
 
@@ -190,7 +218,7 @@ def _with_friction(
             left_out.append(name)
             best = other
     card, problem, own = best
-    if problem is None or best_of([plain, card]) is plain:
+    if not isinstance(problem, RigidProblem) or best_of([plain, card]) is plain:
         return config, rigid, [plain, *cards]
     plain = plain.model_copy(update={'name': f'{RIGID}, plain friction'})
     return own, problem, [card.model_copy(update={'name': RIGID}), plain, *(
@@ -200,7 +228,7 @@ def _with_friction(
 def _paced(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfig:
     """Return a configuration with longer default windows if samples are rare."""
     loss = config.loss_of(motions)
-    if not isinstance(loss, Trajectory) or 'windows' in loss.model_fields_set:
+    if not isinstance(loss, TrajectoryLoss) or 'windows' in loss.model_fields_set:
         return config
     longest = max(motion.t[-1] - motion.t[0] for motion in motions)
     windows = [stage.model_copy(update={'duration': max(stage.duration, min(
@@ -209,7 +237,7 @@ def _paced(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfi
     return config.model_copy(update={'loss': loss.model_copy(update={'windows': windows})})
 
 
-def _with_angles(config: MachineConfig, rigid: TrainingProblem) -> MachineConfig:
+def _with_angles(config: MachineConfig, rigid: RigidProblem) -> MachineConfig:
     """Return a configuration with the link angles of a fitted rigid body."""
     if not isinstance(config.family, MechanicalChoice):
         return config
@@ -300,7 +328,7 @@ def errors_of(network: Network, pieces: Sequence[EvenMotion]) -> Errors:
         rms = (q - samples.measured[at]).square().mean(dim=0).sqrt().tolist()
         found[f'{horizon:g}'] = [x if math.isfinite(x) else None for x in rms]
     if not found:
-        raise DataError('the pieces that are held out are too short to judge by')
+        raise DataError('the held-out pieces are too short for an evaluation')
     return found
 
 
@@ -348,21 +376,25 @@ def _short(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfi
         'forward_lbfgs_steps': less(loss.forward_lbfgs_steps),
         'batch': math.ceil(_BATCH * loss.batch),
         'windows': [stage.model_copy(update={'steps': less(stage.steps)})
-                    for stage in loss.windows]} if isinstance(loss, Trajectory) else {
+                    for stage in loss.windows]} if isinstance(loss, TrajectoryLoss) else {
         'steps': less(loss.steps), 'lbfgs_steps': less(loss.lbfgs_steps)}
     return config.model_copy(update={'loss': loss.model_copy(update=changes)})
 
 
-def _line(errors: Errors) -> str:
-    """Format errors as text."""
-    return ', '.join(f'{" ".join("inf" if x is None else f"{x:.3g}" for x in values)} after '
-                     f'{horizon} s' for horizon, values in errors.items())
+def _line(errors: Errors, config: MachineConfig) -> str:
+    """Format RMS errors as text."""
+    units = [coordinate.q_unit for coordinate in config.coordinates]
+    return ', '.join(' '.join(
+        f'{math.inf if x is None else x:.3g} {unit}' for x, unit in zip(values, units, strict=True)
+    ) + f' after {horizon} s' for horizon, values in errors.items())
 
 
-def _trust(best: CandidateCard) -> str:
+def _trust(best: CandidateCard, config: MachineConfig) -> str:
     """Return advice on how far to trust the selected model."""
-    beyond = 'nothing holds it there' if best.name == ALONE else \
-        'outside of what was seen it goes back to the rigid body' if best.name != RIGID else \
-        'it has no networks that could fail outside of what was seen'
-    return (f'Trust it for motions like those of its data, to {_line(best.ordinary)}; for motions '
-            f'that go further, to {_line(best.furthest)}; {beyond}.')
+    beyond = 'outside of its training domain its errors are unbounded' if best.name == ALONE else \
+        'outside of its training domain it returns to the rigid body' if best.name != RIGID else \
+        'it has no networks that could fail outside of its training domain'
+    noise = f' On both {noise_text(best.residuals)}.' if best.residuals else ''
+    return ('Trust it for motions like those of its data: RMS error '
+            f'{_line(best.ordinary, config)}; for motions that go further: '
+            f'{_line(best.furthest, config)}; {beyond}.{noise}')

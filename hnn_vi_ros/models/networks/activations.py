@@ -75,6 +75,21 @@ def tanh(x: float) -> float:
     return m / (m + 2.0)
 
 
+# Below the first, exp is 0; above the second, it overflows.
+_UNDERFLOW, _OVERFLOW = -745.2, 709.8
+
+
+@kept(**_PRECISE)
+def exponential(x: float) -> float:
+    """Return exp(x), to about one unit in the last place, without branches, as ``tanh``."""
+    low = _UNDERFLOW if x < _UNDERFLOW else x
+    low = _OVERFLOW if low > _OVERFLOW else low
+    # The power of two in two factors, since one alone may not be a number.
+    half, rest = _exponential(0.5 * low)
+    whole = half * (1.0 + rest)
+    return np.inf if x > _OVERFLOW else whole * whole
+
+
 _TWO_OVER_PI = 0.6366197723675814
 # pi / 2 in three parts: k times each of the first two is exact for abs(k) < 2^20.
 _HALF_PI_HIGH = 1.5707963267341256
@@ -133,6 +148,44 @@ _LOG = (
     0.04400158825434387, 0.08082469084735669)
 
 
+@part(**_PRECISE)
+def _artanh(t: float) -> float:
+    """Return artanh(t) for abs(t) <= 1/3."""
+    t2 = t * t
+    t4 = t2 * t2
+    t8 = t4 * t4
+    tail = ((_LOG[0] + _LOG[1] * t2) + (_LOG[2] + _LOG[3] * t2) * t4) + (
+        ((_LOG[4] + _LOG[5] * t2) + (_LOG[6] + _LOG[7] * t2) * t4)
+        + (_LOG[8] + _LOG[9] * t2) * t8) * t8
+    return t + t * t2 * tail
+
+
+# The bits of the square root of 1/2, less 1024 powers of two; and 2^52 + 1024 with its bits.
+_HALF_ROOT, _MANTISSA = 0x3FE6A09E667F3BCD - (1024 << 52), 0x4330000000000000
+_POWER = 4503599627371520.0
+# Below this, doubles have fewer bits; multiplied by 2^54 they have all.
+_NORMAL, _SCALE = 2.2250738585072014e-308, 18014398509481984.0
+
+
+@kept(**_PRECISE)
+def logarithm(x: float) -> float:
+    """
+    Return log(x), to about one unit in the last place; NaN for negative x.
+
+    With x = 2^k m and m from 2^(-1/2) to 2^(1/2), log x = k ln 2 + 2 artanh((m - 1) / (m + 1)).
+    """
+    scaled = x * _SCALE if x < _NORMAL else x
+    bits: Any = np.float64(scaled).view(np.int64)
+    power = np.int64(np.uint64(bits - _HALF_ROOT) >> np.uint64(52))
+    m: Any = np.int64(bits - ((power - 1024) << 52)).view(np.float64)
+    k = np.int64(power | _MANTISSA).view(np.float64) - _POWER
+    k = k - 54.0 if x < _NORMAL else k
+    t = (m - 1.0) / (m + 1.0)
+    found = k * _LN2_HIGH + (2.0 * _artanh(t) + k * _LN2_LOW)
+    found = found if x < np.inf else x
+    return (found if x > 0.0 else np.nan) if x != 0.0 else -np.inf
+
+
 @kept(**_PRECISE)
 def softplus_and_slope(x: float) -> tuple[float, float]:
     """
@@ -148,15 +201,9 @@ def softplus_and_slope(x: float) -> tuple[float, float]:
     power_of_two, rest = _exponential(low)
     u = power_of_two * (1.0 + rest)
     t = u / (2.0 + u)
-    t2 = t * t
-    t4 = t2 * t2
-    t8 = t4 * t4
-    tail = ((_LOG[0] + _LOG[1] * t2) + (_LOG[2] + _LOG[3] * t2) * t4) + (
-        ((_LOG[4] + _LOG[5] * t2) + (_LOG[6] + _LOG[7] * t2) * t4)
-        + (_LOG[8] + _LOG[9] * t2) * t8) * t8
     positive = 0.0 if x < 0.0 else x
     ratio = 1.0 / (1.0 + u)
-    return positive + 2.0 * (t + t * t2 * tail), (u if x < 0.0 else 1.0) * ratio
+    return positive + 2.0 * _artanh(t), (u if x < 0.0 else 1.0) * ratio
 
 
 # Sums may be reordered to vectorise; NaN and infinity keep their meaning, because the checks for

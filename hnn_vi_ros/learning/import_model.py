@@ -1,16 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Convert a network of the original HNN code or of its forks to a model of this package.
+Convert a torch module of others to a model of this package: ``hnn import``.
 
-These programs save the state_dict of a torch module, ``differentiable_model.linear1.weight``, ...;
-the last layer has no bias, and there are several outputs F:
-
-    hnn              2 outputs, H = F_2 (F_1 is the conservative part, which has no H)
-    sum_second_half  2 d outputs, H = F_(d+1) + ... + F_(2 d)
-
-Only tensors are unpickled from the file. Unit, zero and domain of H are the ones that the authors
-of the source network state.
+The module comes from a function of the user, ``module.py:make``, with the weights of a file, or
+from the file alone if it contains the layers of a multilayer perceptron. It is exported as a
+graph; see learning.export_module. Only tensors are unpickled from files.
 
 The public Lie-group Hamiltonian code saves one state_dict with several tanh networks of layers
 linear1, linear2, ..., for the family lie_group:
@@ -40,13 +35,13 @@ from typing import Any
 import zipfile
 
 from hnn_vi_ros.errors import listed, ModelError, ParameterError
-from hnn_vi_ros.files import check_pickles, in_plain_words, no_file, refuse_pointer
+from hnn_vi_ros.files import check_pickles, in_plain_words, no_file, one_line, refuse_pointer
 from hnn_vi_ros.learning import arguments as command_lines
-from hnn_vi_ros.learning.data.sources import make_dataset
-from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
+from hnn_vi_ros.learning.export_module import export
 from hnn_vi_ros.models import (
-    Box, Checkpoint, CoordinateCard, Layers, LieGroupCard, ModelCard, save_checkpoint, SMOOTH,
+    Box, Checkpoint, CoordinateCard, Layers, LieGroupCard, ModelCard, Network, save_checkpoint,
     widths_of)
+from hnn_vi_ros.scene import load_code
 from hnn_vi_ros.version import __version__
 import numpy as np
 from pydantic import ValidationError
@@ -57,32 +52,17 @@ import torch
 MAX_BYTES = 64 << 20
 _TYPES = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
 _NAME = re.compile(r'(.*\.)?linear([1-9]\d?)\.(weight|bias)')
+# Prefixes that wrappers of modules add to all names.
+_PREFIXES = ('module.', '_orig_mod.', 'module.')
+_SAVE = 'save the state_dict of the module'
+_BY_CODE = 'give the module itself, as module.py:make with --weights'
 _SHAPES = ('expected the state_dict of a network whose layers are named linear1, linear2, ... '
            'with weights and biases')
 
 
-def read_layers(path: Path) -> Layers:
+def read_state(path: Path) -> tuple[dict[str, torch.Tensor], str]:
     """
-    Read the layers of one network from a state_dict saved by torch.save; see read_networks.
-
-    Raises
-    ------
-    ModelError
-        As for read_networks, or the file contains several networks.
-
-    """
-    networks = read_networks(path)
-    if len(networks) != 1:
-        names = listed(f'{name}.linear1' if name else 'linear1' for name in sorted(networks))
-        raise ModelError(f'{path}: holds {len(networks)} networks ({names}), expected one; '
-                         f'{_SHAPES}')
-    (layers,) = networks.values()
-    return layers
-
-
-def read_networks(path: Path) -> dict[str, Layers]:
-    """
-    Read the layers of all networks from a state_dict saved by torch.save.
+    Read the tensors of a state_dict saved by torch.save.
 
     Parameters
     ----------
@@ -91,34 +71,90 @@ def read_networks(path: Path) -> dict[str, Layers]:
 
     Returns
     -------
-    dict of str to Layers
-        Layers in float64, keyed by the prefix of the layer names, '' for none; missing biases are
-        zero.
+    dict of str to torch.Tensor, and str
+        The tensors by name, without a prefix such as ``module.``, and the key of a checkpoint
+        under which they were, '' for none.
 
     Raises
     ------
     ModelError
-        The file is missing or damaged, contains anything but tensors, which would require code to
-        be run, or the tensors are not layers of networks.
+        The file is missing or damaged, contains code, or no tensors by name.
 
     """
     try:
         if not path.is_file():
-            raise ModelError(f'{path}: {no_file(path)}; give a file that torch.save wrote')
+            raise ModelError(f'{path}: {no_file(path)}; give a file written by torch.save')
         with path.open('rb') as stream:
             refuse_pointer(stream.read(32), path, ModelError)
         if max(path.stat().st_size, _unpacked_size(path)) > MAX_BYTES:
-            raise ModelError(f'{path}: larger than {MAX_BYTES >> 20} MiB, which no network needs')
+            raise ModelError(f'{path}: larger than {MAX_BYTES >> 20} MiB, the limit for networks')
         check_pickles(path)
         state = torch.load(path, map_location='cpu', weights_only=True)
     except ModelError:
         raise
     except Exception as problem:  # damaged pickles raise exceptions without a common base class
         first = str(problem).strip().split('\n')[0]
-        raise ModelError(f'{path}: not a file of tensors alone that torch.save wrote '
-                         f'({type(problem).__name__}: {first[:200]}); nothing in it was run; have '
-                         'its author save the state_dict') from problem
-    return _networks(path, state)
+        raise ModelError(f'{path}: not a file of torch.save that contains only tensors '
+                         f'({type(problem).__name__}: {first[:200]}); nothing in it was executed; '
+                         'ask its author to save the state_dict') from problem
+    key = ''
+    if isinstance(state, Mapping) and not _is_state(state):
+        # A checkpoint: the one entry that is a state_dict, beside that of an optimizer.
+        keys = [str(name) for name, part in state.items() if _is_state(part)]
+        if len(keys) != 1:
+            raise ModelError(f'{path}: holds {listed(sorted(map(str, state))) or "nothing"}, of '
+                             f'which {len(keys)} are tensors by name, expected one; {_SAVE}')
+        (key,) = keys
+        state = state[key]
+    if not _is_state(state):
+        raise ModelError(f'{path}: holds {type(state).__name__}, not tensors by name; {_SAVE}')
+    _check_tensors(path, state)
+    found = {name: tensor.detach().resolve_neg() for name, tensor in state.items()}
+    for name, tensor in found.items():
+        if not bool(torch.isfinite(tensor).all()):
+            raise ModelError(f'{path}: {name} holds values that are not finite numbers')
+    for prefix in _PREFIXES:
+        if all(name.startswith(prefix) for name in found):
+            found = {name.removeprefix(prefix): tensor for name, tensor in found.items()}
+    return found, key
+
+
+def _is_state(state: object) -> bool:
+    return isinstance(state, Mapping) and bool(state) and all(
+        isinstance(name, str) and isinstance(tensor, torch.Tensor)
+        for name, tensor in state.items())
+
+
+def perceptron_of(path: Path, state: Mapping[str, torch.Tensor], activation: str
+                  ) -> torch.nn.Module:
+    """
+    Return the multilayer perceptron of a state_dict, with its layers in the order of the file.
+
+    Raises
+    ------
+    ModelError
+        The tensors are not the weights and biases of consecutive linear layers.
+
+    """
+    weights, biases = list[np.ndarray](), list[np.ndarray]()
+    for name, tensor in state.items():
+        owner, _, kind = name.rpartition('.')
+        if kind == 'bias' and f'{owner}.weight' in state:
+            continue
+        if kind != 'weight' or tensor.ndim != 2 or (
+                weights and tensor.shape[1] != len(weights[-1])):
+            raise ModelError(f'{path}: {name} of shape {(*tensor.shape,)} is not the weight of '
+                             f'the next linear layer; {_BY_CODE}')
+        weights.append(tensor.double().numpy())
+        bias = state.get(f'{owner}.bias')
+        biases.append(np.zeros(len(tensor)) if bias is None else bias.double().numpy())
+        if biases[-1].shape != (len(tensor),):
+            raise ModelError(f'{path}: {owner}.bias has shape {biases[-1].shape}, expected '
+                             f'{(len(tensor),)}')
+    if len(weights[-1]) != 1:
+        raise ModelError(f'{path}: its last layer has {len(weights[-1])} outputs, and H is one '
+                         f'number; {_BY_CODE}')
+    return Network(Layers(tuple(weights), tuple(biases)), activation)
 
 
 def _unpacked_size(path: Path) -> int:
@@ -128,22 +164,15 @@ def _unpacked_size(path: Path) -> int:
         return sum(member.file_size for member in archive.infolist())
 
 
-def _networks(path: Path, state: object) -> dict[str, Layers]:
+def _networks(path: Path, state: Mapping[str, torch.Tensor]) -> dict[str, Layers]:
+    """Return the layers of all networks, keyed by the prefix of the layer names, '' for none."""
     found: dict[str, dict[tuple[int, str], np.ndarray]] = {}
-    if not isinstance(state, Mapping) or not state or not all(
-            isinstance(name, str) and isinstance(tensor, torch.Tensor)
-            for name, tensor in state.items()):
-        raise ModelError(f'{path}: holds {type(state).__name__}, not tensors by name; {_SHAPES}')
-    _check_tensors(path, state)
     for name, tensor in state.items():
         match = _NAME.fullmatch(name)
         if match is None:
             raise ModelError(f'{path}: holds {name[:80]!r}; {_SHAPES}')
-        array = tensor.detach().resolve_neg().double().numpy().copy()
-        if not np.isfinite(array).all():
-            raise ModelError(f'{path}: {name} holds values that are not finite numbers')
         network = found.setdefault((match[1] or '').removesuffix('.'), {})
-        network[int(match[2]), match[3]] = array
+        network[int(match[2]), match[3]] = tensor.double().numpy().copy()
     return {name: _layers(path, f'{name}.' if name else '', network)
             for name, network in found.items()}
 
@@ -155,8 +184,8 @@ def _layers(path: Path, prefix: str, found: dict[tuple[int, str], np.ndarray]) -
         name, weight = f'{prefix}linear{layer}', found.get((layer, 'weight'))
         if weight is None or weight.ndim != 2 or not weight.size or (
                 weights and weight.shape[1] != weights[-1].shape[0]):
-            raise ModelError(f'{path}: {name}.weight is missing or does not fit the layer '
-                             f'before; {_SHAPES}')
+            raise ModelError(f'{path}: {name}.weight is missing or does not match the previous '
+                             f'layer; {_SHAPES}')
         bias = found.get((layer, 'bias'), np.zeros(len(weight)))
         if bias.shape != weight.shape[:1]:
             raise ModelError(f'{path}: {name}.bias has shape {bias.shape}, expected '
@@ -182,8 +211,8 @@ def _check_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
         # A tensor may claim a shape larger than its storage.
         total += 8 * tensor.numel()
     if total > MAX_BYTES:
-        raise ModelError(f'{path}: its tensors take more than {MAX_BYTES >> 20} MiB in double '
-                         'precision, which no network needs')
+        raise ModelError(f'{path}: its tensors require more than {MAX_BYTES >> 20} MiB in double '
+                         'precision, the limit for networks')
 
 
 BODIES = ('so3', 'se3')
@@ -275,46 +304,6 @@ def _blocks(networks: Sequence[Layers]) -> Layers:
             *(layers.biases for layers in networks), strict=True)))
 
 
-_OTHER_STATE = ('a network of another state, such as (q, dq/dt), (cos q, sin q, p) or (q, p, t), '
-                'is no H(q, p) and cannot be imported')
-
-
-def energy_layers(layers: Layers, layout: str, order: str = 'qp') -> Layers:
-    """
-    Return the network of H(q, p) only.
-
-    Parameters
-    ----------
-    layers : Layers
-        Layers of the source network.
-    layout : str
-        Layout that selects the outputs of H: ``'hnn'`` or ``'sum_second_half'``.
-    order : str
-        Order of the inputs: ``'qp'`` or ``'pq'``.
-
-    Raises
-    ------
-    ValueError
-        The number of inputs or outputs does not fit the layout.
-
-    """
-    weights, biases = list(layers.weights), list(layers.biases)
-    inputs, outputs = weights[0].shape[1], len(weights[-1])
-    expected = 2 if layout == 'hnn' else inputs
-    if inputs % 2:
-        raise ValueError(f'{inputs} inputs, an odd number, so that its state is not (q, p), of a '
-                         f'momentum for each coordinate; {_OTHER_STATE}')
-    if len(weights) < 2 or outputs != expected:
-        raise ValueError(f'{len(weights)} layers, {inputs} inputs, {outputs} outputs; the layout '
-                         f'{layout} has at least 2 layers and '
-                         f'{"2" if layout == "hnn" else "as many"} outputs')
-    weights[-1] = weights[-1][outputs // 2:].sum(axis=0, keepdims=True)
-    biases[-1] = biases[-1][outputs // 2:].sum(axis=0, keepdims=True)
-    if order == 'pq':
-        weights[0] = np.roll(weights[0], inputs // 2, axis=1)
-    return Layers(tuple(weights), tuple(biases))
-
-
 def parse_box(text: str, d: int) -> Box:
     """
     Parse the box given by ``--box``.
@@ -347,60 +336,84 @@ def parse_box(text: str, d: int) -> Box:
 
 
 def main(argv: Sequence[str]) -> None:
-    """Import a network with the options of the command line."""
-    arguments = command_lines.import_checkpoint().parse_args(argv)
-    names = arguments.coordinates.split(',')
-    out = arguments.out or Path('models') / f'{arguments.file.stem}.safetensors'
+    """Import a module with the options of the command line."""
+    options = command_lines.import_model().parse_args(argv)
+    names = options.coordinates.split(',')
+    code, _, function = options.source.partition('.py:')
+    source = Path(f'{code}.py' if function else options.source)
+    out = options.out or Path('models') / f'{source.stem}.safetensors'
     if out.suffix != '.safetensors':
         raise ParameterError(f'--out {out}: a model file must end in .safetensors')
-    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'import_checkpoint', *argv])
-    make = _body if arguments.layout in BODIES else _energy
-    save_checkpoint(out, make(arguments, names, command))
+    command = shlex.join(['hnn', 'import', *argv])
+    if options.layout is not None:
+        save_checkpoint(out, _body(options, names, command))
+    else:
+        _export(options, source, function, names, out)
     print(f'model: {out}')
-    if not SMOOTH[arguments.activation]:
-        print(f'warning: the gradient of a {arguments.activation} network jumps; no method keeps '
-              'its order there')
 
 
-def _energy(arguments: argparse.Namespace, names: list[str], command: str) -> Checkpoint:
-    """Return the model of a network of H."""
-    if arguments.epsilon is not None or arguments.floor:
-        raise ParameterError(f'--epsilon, --floor: of the layouts {", ".join(BODIES)} alone; '
-                             f'leave them with --layout {arguments.layout}')
-    layers = read_layers(arguments.file)
-    try:
-        layers = energy_layers(layers, arguments.layout, arguments.order)
-    except ValueError as problem:
-        raise ModelError(f'{arguments.file}: {problem}') from problem
-    if layers.weights[0].shape[1] != 2 * len(names):
+def _export(options: argparse.Namespace, source: Path, function: str, names: list[str], out: Path
+            ) -> None:
+    """Write the model of a module."""
+    if options.epsilon is not None or options.floor:
+        raise ParameterError(f'--epsilon, --floor: only with --layout {" or ".join(BODIES)}')
+    box = parse_box(options.box, len(names))
+    weights = Path(options.weights) if options.weights else None if function else source
+    state, key = ({}, '') if weights is None else read_state(weights)
+    if key:
+        print(f'{weights}: took the entry {key!r}')
+    if function:
+        module = _made(source, function, weights, state)
+    elif options.weights or options.activation is None:
         raise ParameterError(
-            f'--coordinates {arguments.coordinates}: {len(names)} names, but the network of '
-            f'{arguments.file} takes {layers.weights[0].shape[1]} inputs: '
-            f'{layers.weights[0].shape[1] // 2} coordinates and as many momenta, if its state is '
-            f'(q, p); {_OTHER_STATE}')
-    return Checkpoint(_energy_card(arguments, names, layers, command), {'energy': layers})
+            f'{source}: a file does not contain the activation between its layers; give '
+            '--activation, or the module as module.py:make with --weights FILE')
+    else:
+        module = perceptron_of(source, state, options.activation)
+    for remark in export(module, out, names, {'q': box.q, 'p': box.p}):
+        print(remark)
+
+
+def _made(source: Path, function: str, weights: Path | None, state: Mapping[str, torch.Tensor]
+          ) -> torch.nn.Module:
+    """Return the module that a function of the user makes, with these weights."""
+    if not source.is_file():
+        raise ParameterError(f'{source}: {no_file(source)}; give FILE.py:FUNCTION')
+    print(f'running {function}() of {source}, once')
+    name = f'{source.stem}:{function}'
+    module = load_code(name, str(source), str(source.parent.resolve()))()
+    if not isinstance(module, torch.nn.Module):
+        raise ModelError(f'{source}: {function}() returned {type(module).__name__}, expected a '
+                         'torch.nn.Module')
+    if weights is not None:
+        try:
+            module.load_state_dict(dict(state))
+        except RuntimeError as problem:
+            raise ModelError(f'{weights}: {one_line(problem)[:500]}') from problem
+    return module
 
 
 def _body(arguments: argparse.Namespace, names: list[str], command: str) -> Checkpoint:
     """Return the model of a rotating body."""
-    epsilon, floor, source = arguments.epsilon, arguments.floor, arguments.file
+    epsilon, floor, source = arguments.epsilon, arguments.floor, Path(arguments.source)
     if epsilon is None:
-        raise ParameterError(f'--epsilon: give it with --layout {arguments.layout}; the file does '
-                             "not say; that code's examples take 0.1 for so3 and 0.01 for se3")
+        raise ParameterError(f'--epsilon: required for --layout {arguments.layout}, since the '
+                             'file does not contain it; examples of that code use 0.1 for so3 and '
+                             '0.01 for se3')
     wrong = [
-        (arguments.box is None, '--box-of: not of bodies that turn; give --box'),
-        (arguments.order != 'qp', '--order pq: not of bodies that turn; leave it'),
-        (arguments.activation != 'tanh',
-         f'--activation {arguments.activation}: networks of bodies that turn have tanh'),
+        (arguments.activation not in (None, 'tanh'),
+         f'--activation {arguments.activation}: networks of rotating bodies use tanh'),
+        (arguments.weights is not None, '--weights: the file itself contains them'),
         (len(names) != 1, f'--coordinates {arguments.coordinates}: {len(names)} names, expected '
-                          'one, of the body')]
+                          'one, that of the body')]
     wrong += [(not 0.0 <= value < np.inf, f'{option} {value}: expected a finite number >= 0')
               for option, value in (('--epsilon', epsilon), ('--floor', floor))]
     for problem in (text for found, text in wrong if found):
         raise ParameterError(problem)
     try:
-        group, networks = body_networks(read_networks(source), arguments.layout, epsilon, floor)
-        card = _card(arguments, names, networks, command, family='lie_group', lie_group=group,
+        group, networks = body_networks(
+            _networks(source, read_state(source)[0]), arguments.layout, epsilon, floor)
+        card = _card(source, names, networks, command, family='lie_group', lie_group=group,
                      box=parse_box(arguments.box, group.size + 1))
     except ValidationError as problem:
         raise ModelError(f'{source}: {in_plain_words(problem)}') from problem
@@ -409,32 +422,8 @@ def _body(arguments: argparse.Namespace, names: list[str], command: str) -> Chec
     return Checkpoint(card, networks)
 
 
-def _energy_card(arguments: argparse.Namespace, names: list[str], layers: Layers, command: str
-                 ) -> ModelCard:
-    if arguments.box is not None:
-        box = parse_box(arguments.box, len(names))
-    else:
-        config = find_config(arguments.box_of)
-        loaded = load_config(config)
-        if not isinstance(loaded, FieldConfig):
-            raise ParameterError(f'--box-of {arguments.box_of}: its data hold no momenta; give '
-                                 '--box')
-        box = make_dataset(loaded.data, loaded.seed, config).box
-    try:
-        return _card(arguments, names, {'energy': layers}, command,
-                     activation=arguments.activation, box=box)
-    except ValidationError as problem:
-        first = problem.errors()[0]
-        if first['loc'][:1] == ('widths',):
-            raise ModelError(f'{arguments.file}: a layer of width {first["input"]}: '
-                             f'{in_plain_words(problem)}') from problem
-        raise ParameterError(
-            f'--coordinates {",".join(names)}: {in_plain_words(problem)}') from problem
-
-
-def _card(arguments: argparse.Namespace, names: list[str], networks: Mapping[str, Layers],
-          command: str, **own: Any) -> ModelCard:
-    source = arguments.file
+def _card(source: Path, names: list[str], networks: Mapping[str, Layers], command: str,
+          **own: Any) -> ModelCard:
     digest = sha256(source.read_bytes()).hexdigest()
     return ModelCard(
         name=source.stem, seed=0, losses={}, training_command=command,

@@ -1,0 +1,182 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Find the samples of a measured motion that its sensor got wrong."""
+
+from hnn_vi_ros.errors import DataError
+import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter
+
+# Samples of the running median, which follows ramps and steps and ignores up to three outliers,
+# and of the median step around each sample.
+_MEDIAN, _AROUND = 7, 17
+# Largest distance from the running median, in median steps: a sinusoid reaches 2.1 (at 6 samples
+# a period), white noise 5.8 (five standard deviations). Velocities may jump in impacts.
+_FAR_POSITION, _FAR_VELOCITY = 7.0, 14.0
+# A step that stays is a fault if it is this many times the usual one, and larger than its
+# neighbours by the second factor.
+_SHIFT, _ALONE = 10.0, 3.0
+# Distance from the mean of the neighbours, in usual steps, and how often a value comes that stands
+# for none: at least, and relative to other values.
+_OFF, _AGAIN, _OFTEN = 2.0, 3, 5.0
+# Largest share of faults that is left out: with more, the usual step is no longer known.
+_FEW = 0.1
+# Equal samples in a row that may be a stuck sensor; the share of other equal neighbours below
+# which a sensor never repeats a value by itself; the speed, relative to the usual one, that is
+# fast; and the share of values repeated equally often above which a sensor is slower than its log.
+_EQUAL, _NEVER, _FAST, _REGULAR = 5, 0.01, 0.3, 0.9
+
+
+def times_text(t: np.ndarray) -> str:
+    """Return the first of some times for a message, such as ``' (at 0.5, 1, ... s)'``."""
+    return f' (at {", ".join(f"{time:.6g}" for time in t[:4])}{", ..." * (len(t) > 4)} s)'
+
+
+def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, where: str
+           ) -> tuple[np.ndarray, list[str]]:
+    """
+    Find glitches and stuck sensors.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (N,)
+        Increasing times [s].
+    q : np.ndarray, shape (N, d)
+        Coordinates; angles may be wrapped.
+    v : np.ndarray, shape (N, d), or None
+        Velocities.
+    where : str
+        File and run, for error messages.
+
+    Returns
+    -------
+    np.ndarray of bool, shape (N,), and list of str
+        Mask of wrong samples, and notes that name them.
+
+    Raises
+    ------
+    DataError
+        Faults are more than a tenth of the samples, or a coordinate jumps and stays there.
+
+    """
+    wrong, notes = np.zeros(len(t), dtype=bool), list[str]()
+    if len(t) < _AROUND:
+        return wrong, notes
+    columns = [(f'coordinate {k + 1}', x, _FAR_POSITION) for k, x in enumerate(q.T)]
+    columns += [] if v is None else [
+        (f'velocity {k + 1}', x, _FAR_VELOCITY) for k, x in enumerate(v.T)]
+    for name, x, far in columns:
+        x = unwrapped(t, x) if far == _FAR_POSITION else x
+        found = _glitches(t, x, far)
+        stuck = _stuck(x) if far == _FAR_POSITION else np.zeros(len(t), dtype=bool)
+        text = f'{name} jumps away and back in {found.sum()} samples{times_text(t[found])}'
+        if count := _repeats(x):
+            notes.append(f'{name} is repeated in {count} samples, of which the first is taken')
+            wrong[1:] |= np.diff(x) == 0.0
+        elif stuck.any():
+            text = f'{name} stands still in {stuck.sum()} samples of a motion' \
+                f'{times_text(t[stuck])}' + f'; {text}' * bool(found.any())
+            found |= stuck
+        if found.mean() > _FEW:
+            raise DataError(f'{where}: {text}, of {len(t)}; no rate beside them explains that; '
+                            'look at the sensor, or leave these samples out')
+        if far == _FAR_POSITION:
+            _check_shifts(t[~found & ~wrong], x[~found & ~wrong], f'{where}: {name}')
+        if found.any():
+            notes.append(text)
+        wrong |= found
+    return wrong, notes
+
+
+def unwrapped(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return a coordinate, unwrapped if it is an angle that jumps by a turn, glitches aside."""
+    good = ~_glitches(t, x, _FAR_POSITION)
+    inside = x[good]
+    if np.ptp(inside) > 2.0 * np.pi * (1.0 + 1e-6) or np.abs(np.diff(inside)).max(
+            initial=0.0) <= np.pi:
+        return x
+    x = x.copy()
+    x[good] = np.unwrap(inside)
+    # Samples that flicker between both ends are near their neighbours in some turn.
+    near = np.interp(t[~good], t[good], x[good])
+    x[~good] += 2.0 * np.pi * np.round((near - x[~good]) / (2.0 * np.pi))
+    return x
+
+
+def _usual(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return the usual size of each step of a coordinate, shape (N - 1,)."""
+    steps, intervals = np.abs(np.diff(x)), np.diff(t) / np.median(np.diff(t))
+    each = steps / intervals
+    least = max(np.median(each), np.median(each[each > 0.0]))
+    return np.maximum(median_filter(each, _AROUND, mode='reflect'), least) * intervals
+
+
+def _glitches(t: np.ndarray, x: np.ndarray, far: float) -> np.ndarray:
+    """Return the mask of samples that are away from those before and after."""
+    if not np.ptp(x):
+        return np.zeros(len(x), dtype=bool)
+    usual = maximum_filter1d(_usual(t, x), _MEDIAN)
+    usual = np.append(usual, usual[-1])
+    found = _abrupt(x, np.abs(x - median_filter(x, _MEDIAN, mode='reflect')) > far * usual)
+    # A value that stands for none comes again and again, mostly off the line of its neighbours.
+    _, value, count = np.unique(x, return_inverse=True, return_counts=True)
+    off = np.zeros(len(x), dtype=bool)
+    off[1:-1] = np.abs(x[1:-1] - 0.5 * (x[2:] + x[:-2])) > _OFF * usual[1:-1]
+    often = count >= max(_AGAIN, _OFTEN * len(x) / len(count))
+    return found | (often & (np.bincount(value, off | found) >= 0.5 * count))[value]
+
+
+def _abrupt(x: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Return the mask of those samples that a step leads to or from which no other announces."""
+    steps = np.pad(np.abs(np.diff(x)), 3)
+    kept = np.zeros(len(x), dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], found, [False]])))
+    for i, j in edges.reshape(-1, 2):
+        # Steps are shifted by 3: steps[i + 2] leads to sample i.
+        if steps[i + 2] > _ALONE * steps[i:i + 2].max() or \
+                steps[j + 2] > _ALONE * steps[j + 3:j + 5].max():
+            kept[i:j] = True
+    return kept
+
+
+def _repeats(x: np.ndarray) -> int:
+    """Return how often a sensor that is slower than its log repeats each value, 0 for one."""
+    between = np.diff(np.flatnonzero(np.diff(x)))
+    count = int(np.median(between)) if between.size else 1
+    regular = np.abs(between - count) <= count // 4
+    return count if count > 1 and regular.mean() >= _REGULAR else 0
+
+
+def _stuck(x: np.ndarray) -> np.ndarray:
+    """Return the mask of samples that repeat the one before while the motion goes on."""
+    found, steps = np.zeros(len(x), dtype=bool), np.abs(np.diff(x))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0.0, [False]])))
+    runs = [(i, j) for i, j in edges.reshape(-1, 2) if j - i >= _EQUAL - 1]
+    moving = steps[steps > 0.0]
+    if not runs or not moving.size:
+        return found
+    usual = np.quantile(moving, 0.75)
+    repeats = (len(steps) - len(moving) - sum(j - i for i, j in runs)) / len(steps)
+    for i, j in runs:
+        if i == 0 or j == len(steps):
+            continue
+        before, after = steps[max(i - 3, 0):i].mean(), steps[j + 1:j + 4].mean(
+            ) if j + 1 < len(steps) else 0.0
+        # The first step after it makes up for what was missed; or both sides are fast.
+        if steps[j] > _ALONE * max(before, after, usual) or (
+                repeats < _NEVER and min(before, after) > _FAST * usual):
+            found[i + 1:j + 1] = True
+    return found
+
+
+def _check_shifts(t: np.ndarray, x: np.ndarray, where: str) -> None:
+    """Raise DataError if a coordinate jumps and stays there."""
+    steps = np.abs(np.diff(x))
+    if not steps.any():
+        return
+    padded = np.pad(steps, 2)
+    beside = np.max([padded[k:k + len(steps)] for k in (0, 1, 3, 4)], axis=0)
+    at = np.flatnonzero((steps > _SHIFT * _usual(t, x)) & (steps > _ALONE * beside))
+    if at.size:
+        raise DataError(f'{where} jumps by {steps[at[0]]:.4g} and stays there'
+                        f'{times_text(t[at + 1])}; no motion does; cut the log there, number its '
+                        'runs in a column (data.trial), or look at the sensor')

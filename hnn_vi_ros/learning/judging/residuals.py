@@ -1,0 +1,89 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Residuals of a model on measured motions, in units of the noise of their sensors."""
+
+from collections.abc import Mapping, Sequence
+
+from hnn_vi_ros.effects import Effect
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import ImplicitMidpoint
+from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.fit.rigid_body import thinned
+from hnn_vi_ros.learning.fit.shooting import residuals_by_length, with_states_of
+from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts, ParametricModel
+import numpy as np
+
+# Largest step size of a model that is judged; its error is far below that of most sensors [s].
+STEP = 0.01
+# Residual in units of the noise up to which nothing but noise is left.
+_ONLY_NOISE = 1.25
+
+# Residual of each coordinate in units of its noise, by the length of the windows [s].
+Residuals = dict[str, list[float]]
+
+
+def residuals_of(model: ParametricModel, motions: Sequence[EvenMotion], noise: np.ndarray
+                 ) -> Residuals:
+    """
+    Return the residuals of a model on motions.
+
+    Parameters
+    ----------
+    model : ParametricModel
+        Model without free numbers.
+    motions : sequence of EvenMotion
+        Motions that it was not fitted to.
+    noise : np.ndarray, shape (C,)
+        Noise of each measured quantity.
+
+    """
+    d = motions[0].q.shape[1]
+    return {f'{length:.3g}': ratios[:d].tolist() for length, ratios in residuals_by_length(
+        model, thinned(motions, None)[0], noise).items()}
+
+
+def followed(residuals: Mapping[str, Sequence[float]]) -> float:
+    """Return the length [s] up to which nothing but noise is left, 0 if there is more in all."""
+    within = 0.0
+    for length, ratios in residuals.items():
+        if max(ratios) > _ONLY_NOISE:
+            break
+        within = float(length)
+    return within
+
+
+def is_noise(residuals: Mapping[str, Sequence[float]]) -> bool:
+    """Return True if nothing but noise is left in windows of all lengths."""
+    return bool(residuals) and followed(residuals) == float([*residuals][-1])
+
+
+def noise_text(residuals: Mapping[str, Sequence[float]]) -> str:
+    """Describe the residuals in a clause."""
+    if not residuals:
+        return 'no simulation comes through the shortest windows'
+    within, (last, ratios) = followed(residuals), [*residuals.items()][-1]
+    worst = max(ratios)
+    if is_noise(residuals):
+        return f'its residuals are {worst:.2f} of the noise in windows of up to {last} s'
+    growing = f'{worst:.2g} of it in windows of {last} s'
+    if not within:
+        return f'its residuals exceed the noise: {growing}'
+    return f'its residuals are those of the noise in windows of up to {within:g} s, and {growing}'
+
+
+def judged_model(hamiltonian: Hamiltonian, effects: Sequence[Effect],
+                 motions: Sequence[EvenMotion]) -> KnownModel:
+    """Return a trained model as it is judged along motions."""
+    return KnownModel('the model', ModelParts(
+        hamiltonian, ImplicitMidpoint(), effects, min(STEP, motions[0].spacing)))
+
+
+def with_fitted_states(model: ParametricModel, motions: Sequence[EvenMotion],
+                       noise: np.ndarray, residuals: Residuals) -> list[EvenMotion]:
+    """
+    Return motions whose smoothed states are those of a model where it follows them.
+
+    Where it does not, even in the shortest windows, the states stay those of the filter.
+    """
+    within = followed(residuals)
+    return with_states_of(model, motions, within, noise) if within else [*motions]

@@ -1,0 +1,368 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Compiled loops that run tapes: one loop for each operation, over one memory.
+
+Places and counts are unsigned, since a check for negative indices would prevent vectorisation.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.kernels import kept, part
+from hnn_vi_ros.models.graphs.tape import (
+    AMAX, COPY, FILL, FIRST_BINARY, FIRST_UNARY, MATMUL, PUT, SUM, TAKE, WHERE)
+from hnn_vi_ros.models.networks.activations import (
+    exponential, FASTMATH, logarithm, sine_and_cosine, softplus_and_slope, tanh)
+import numpy as np
+
+_compiled = kept(fastmath=FASTMATH, error_model='numpy')
+_part = part(fastmath=FASTMATH, error_model='numpy', forceinline=True)
+_ONE, _TILE = np.uint64(1), np.uint64(8)
+_FIRST_TRANSCENDENTAL = FIRST_UNARY + 10
+_1, _2, _3, _4, _5, _6, _7 = (np.uint64(k) for k in range(1, 8))
+
+
+class GraphParameters(NamedTuple):
+    """
+    Parameters of the functions of a graph.
+
+    Parameters
+    ----------
+    memory : np.ndarray
+        Inputs, constants and results.
+    numbers : np.ndarray of uint64
+        Indices of take and put.
+    energy, gradient, product : np.ndarray of uint64, shape (instructions, 9)
+        Tapes of H, its gradient, and its Hessian times a vector; see tape.
+    places : np.ndarray of uint64, shape (4,)
+        Places of the results of the three, and d.
+
+    """
+
+    memory: np.ndarray
+    numbers: np.ndarray
+    energy: np.ndarray
+    gradient: np.ndarray
+    product: np.ndarray
+    places: np.ndarray
+
+
+@_compiled
+def energy(graph: GraphParameters, q: np.ndarray, p: np.ndarray) -> float:
+    """Return H(q, p) [J] for q and p of shape (d,)."""
+    _load(graph.memory, 0, q.size, q, p, 0)
+    _run(graph.energy, graph.memory, graph.numbers)
+    return float(graph.memory[graph.places[0]])
+
+
+@_compiled
+def gradient(graph: GraphParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+             dH_dp: np.ndarray) -> None:
+    """Fill dH_dq and dH_dp, all of shape (m d,): m states in sequence."""
+    memory, place = graph.memory, np.int64(graph.places[1])
+    d = np.int64(graph.places[3])
+    for s in range(0, q.size, d):
+        _load(memory, 0, d, q, p, s)
+        _run(graph.gradient, memory, graph.numbers)
+        for i in range(d):
+            dH_dq[s + i], dH_dp[s + i] = memory[place + i], memory[place + d + i]
+
+
+@_compiled
+def hessian_vector(graph: GraphParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                   v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    """Fill the last two with H''(q, p) (v_q, v_p), all of shape (m d,)."""
+    memory, place = graph.memory, np.int64(graph.places[2])
+    d = np.int64(graph.places[3])
+    for s in range(0, q.size, d):
+        _load(memory, 0, d, q, p, s)
+        _load(memory, 2 * d, d, v_q, v_p, s)
+        _run(graph.product, memory, graph.numbers)
+        for i in range(d):
+            product_q[s + i], product_p[s + i] = memory[place + i], memory[place + d + i]
+
+
+@_part
+def _load(memory: np.ndarray, at: int, d: int, q: np.ndarray, p: np.ndarray, s: int) -> None:
+    for i in range(d):
+        memory[at + i], memory[at + d + i] = q[s + i], p[s + i]
+
+
+@_compiled
+def _run(code: np.ndarray, x: np.ndarray, index: np.ndarray) -> None:
+    """Run a tape."""
+    for k in range(len(code)):
+        op, out, n, a, b = code[k, 0], code[k, 1], code[k, 2], code[k, 3], code[k, 4]
+        if op >= FIRST_BINARY:
+            _binary(op - np.uint64(FIRST_BINARY), x, out, n, a, b)
+        elif op >= _FIRST_TRANSCENDENTAL:
+            _transcendental(op - np.uint64(FIRST_UNARY), x, out, n, a)
+        elif op >= FIRST_UNARY:
+            _unary(op - np.uint64(FIRST_UNARY), x, out, n, a)
+        elif op == MATMUL:
+            if code[k, 8]:
+                _times_rows(x, code[k])
+            else:
+                _times_columns(x, code[k])
+        elif op == SUM:
+            _sum(x, out, n, a, b, code[k, 5])
+        elif op == AMAX:
+            _amax(x, out, n, a, b, code[k, 5])
+        elif op == FILL:
+            for i in range(n):
+                x[out + i] = x[a]
+        elif op == TAKE:
+            for i in range(n):
+                x[out + i] = x[a + index[b + i]]
+        elif op == PUT:
+            for i in range(n):
+                x[out + i] = 0.0
+            for i in range(code[k, 5]):
+                x[out + index[b + i]] += x[a + i]
+        elif op == COPY:
+            for i in range(n):
+                x[out + i] = x[a + i]
+        elif op == WHERE:
+            c = code[k, 5]
+            for i in range(n):
+                x[out + i] = x[b + i] if x[a + i] != 0.0 else x[c + i]
+
+
+@_part
+def _times_columns(x: np.ndarray, code: np.ndarray) -> None:
+    """Set out to a b, of shapes (rows, inner) and (inner, columns), row by row of out."""
+    out, rows, columns, inner, a, b = code[1], code[2], code[3], code[4], code[5], code[6]
+    step, across = (_ONE, rows) if code[7] else (inner, _ONE)
+    whole = inner // _TILE * _TILE
+    for i in range(rows):
+        o, y = out + i * columns, a + i * step
+        for j in range(columns):
+            x[o + j] = 0.0
+        for k in range(np.uint64(0), whole, _TILE):
+            w, u = b + k * columns, y + k * across
+            c0, c1, c2, c3 = x[u], x[u + across], x[u + _2 * across], x[u + _3 * across]
+            c4, c5 = x[u + _4 * across], x[u + _5 * across]
+            c6, c7 = x[u + _6 * across], x[u + _7 * across]
+            for j in range(columns):
+                v = w + j
+                x[o + j] += (
+                    x[v] * c0 + x[v + columns] * c1 + x[v + _2 * columns] * c2
+                    + x[v + _3 * columns] * c3 + x[v + _4 * columns] * c4
+                    + x[v + _5 * columns] * c5 + x[v + _6 * columns] * c6
+                    + x[v + _7 * columns] * c7)
+        for k in range(whole, inner):
+            c = x[y + k * across]
+            for j in range(columns):
+                x[o + j] += x[b + k * columns + j] * c
+
+
+@_part
+def _times_rows(x: np.ndarray, code: np.ndarray) -> None:
+    """Set out to a b^T, of shapes (rows, inner) and (columns, inner), by eight rows of b."""
+    out, rows, columns, inner, a, b = code[1], code[2], code[3], code[4], code[5], code[6]
+    step, across = (_ONE, rows) if code[7] else (inner, _ONE)
+    whole = columns // _TILE * _TILE
+    for i in range(rows):
+        o, y = out + i * columns, a + i * step
+        for j in range(np.uint64(0), whole, _TILE):
+            w = b + j * inner
+            z0 = z1 = z2 = z3 = z4 = z5 = z6 = z7 = 0.0
+            for k in range(inner):
+                c, v = x[y + k * across], w + k
+                z0 += x[v] * c
+                z1 += x[v + inner] * c
+                z2 += x[v + _2 * inner] * c
+                z3 += x[v + _3 * inner] * c
+                z4 += x[v + _4 * inner] * c
+                z5 += x[v + _5 * inner] * c
+                z6 += x[v + _6 * inner] * c
+                z7 += x[v + _7 * inner] * c
+            t = o + j
+            x[t], x[t + _1], x[t + _2], x[t + _3] = z0, z1, z2, z3
+            x[t + _4], x[t + _5], x[t + _6], x[t + _7] = z4, z5, z6, z7
+        for j in range(whole, columns):
+            z = 0.0
+            for k in range(inner):
+                z += x[y + k * across] * x[b + j * inner + k]
+            x[o + j] = z
+
+
+@_part
+def _sum(x: np.ndarray, out: Any, outer: Any, count: Any, inner: Any, a: Any) -> None:
+    """Set out to sums over the second of three axes."""
+    if inner == 1:
+        for i in range(outer):
+            total, begin = 0.0, a + i * count
+            for k in range(count):
+                total += x[begin + k]
+            x[out + i] = total
+        return
+    for i in range(outer):
+        o, begin = out + i * inner, a + i * count * inner
+        for j in range(inner):
+            x[o + j] = x[begin + j]
+        for k in range(_ONE, count):
+            for j in range(inner):
+                x[o + j] += x[begin + k * inner + j]
+
+
+@_part
+def _amax(x: np.ndarray, out: Any, outer: Any, count: Any, inner: Any, a: Any) -> None:
+    """Set out to the largest values over the second of three axes; NaN is the largest."""
+    for i in range(outer):
+        for j in range(inner):
+            begin = a + i * count * inner + j
+            best = x[begin]
+            for k in range(_ONE, count):
+                y = x[begin + k * inner]
+                best = y if y > best or y != y else best
+            x[out + i * inner + j] = best
+
+
+@_part
+def _unary(op: Any, x: np.ndarray, out: Any, n: Any, a: Any) -> None:
+    """Set out to a function of a; op is its place in UNARY, below 10."""
+    if op == 0:
+        for i in range(n):
+            x[out + i] = -x[a + i]
+    elif op == 1:
+        for i in range(n):
+            x[out + i] = abs(x[a + i])
+    elif op == 2:
+        for i in range(n):
+            y = x[a + i]
+            x[out + i] = 1.0 if y > 0.0 else -1.0 if y < 0.0 else y
+    elif op == 3:
+        for i in range(n):
+            x[out + i] = math.floor(x[a + i])
+    elif op == 4:
+        for i in range(n):
+            x[out + i] = math.ceil(x[a + i])
+    elif op == 5:
+        for i in range(n):
+            x[out + i] = np.rint(x[a + i])
+    elif op == 6:
+        for i in range(n):
+            x[out + i] = 1.0 if x[a + i] == 0.0 else 0.0
+    elif op == 7:
+        for i in range(n):
+            y = x[a + i]
+            x[out + i] = 0.0 if y <= 0.0 else y
+    elif op == 8:
+        for i in range(n):
+            x[out + i] = 1.0 / x[a + i]
+    elif op == 9:
+        for i in range(n):
+            x[out + i] = math.sqrt(x[a + i])
+
+
+@_part
+def _transcendental(op: Any, x: np.ndarray, out: Any, n: Any, a: Any) -> None:
+    """Set out to a function of a; op is its place in UNARY, from 10 on."""
+    if op == 10:
+        for i in range(n):
+            x[out + i] = exponential(x[a + i])
+    elif op == 11:
+        for i in range(n):
+            x[out + i] = math.expm1(x[a + i])
+    elif op == 12:
+        for i in range(n):
+            x[out + i] = logarithm(x[a + i])
+    elif op == 13:
+        for i in range(n):
+            x[out + i] = math.log1p(x[a + i])
+    elif op == 14:
+        for i in range(n):
+            x[out + i] = sine_and_cosine(x[a + i])[0]
+    elif op == 15:
+        for i in range(n):
+            x[out + i] = sine_and_cosine(x[a + i])[1]
+    elif op == 16:
+        for i in range(n):
+            x[out + i] = math.tan(x[a + i])
+    elif op == 17:
+        for i in range(n):
+            x[out + i] = math.asin(x[a + i])
+    elif op == 18:
+        for i in range(n):
+            x[out + i] = math.acos(x[a + i])
+    elif op == 19:
+        for i in range(n):
+            x[out + i] = math.atan(x[a + i])
+    elif op == 20:
+        for i in range(n):
+            x[out + i] = math.sinh(x[a + i])
+    elif op == 21:
+        for i in range(n):
+            x[out + i] = math.cosh(x[a + i])
+    elif op == 22:
+        for i in range(n):
+            x[out + i] = tanh(x[a + i])
+    elif op == 23:
+        for i in range(n):
+            x[out + i] = math.asinh(x[a + i])
+    elif op == 24:
+        for i in range(n):
+            x[out + i] = softplus_and_slope(x[a + i])[1]
+    elif op == 25:
+        for i in range(n):
+            x[out + i] = softplus_and_slope(x[a + i])[0]
+    elif op == 26:
+        for i in range(n):
+            x[out + i] = x[a + i]
+    elif op == 27:
+        for i in range(n):
+            x[out + i] = math.erf(x[a + i])
+    elif op == 28:
+        for i in range(n):
+            x[out + i] = math.sqrt(x[a + i])
+
+
+@_part
+def _binary(op: Any, x: np.ndarray, out: Any, n: Any, a: Any, b: Any) -> None:
+    """Set out to a function of a and b; op is its place in BINARY."""
+    if op == 0:
+        for i in range(n):
+            x[out + i] = x[a + i] + x[b + i]
+    elif op == 1:
+        for i in range(n):
+            x[out + i] = x[a + i] - x[b + i]
+    elif op == 2:
+        for i in range(n):
+            x[out + i] = x[a + i] * x[b + i]
+    elif op == 3:
+        for i in range(n):
+            x[out + i] = x[a + i] / x[b + i]
+    elif op == 4:
+        for i in range(n):
+            x[out + i] = math.pow(x[a + i], x[b + i])
+    elif op == 5:
+        for i in range(n):
+            y, z = x[a + i], x[b + i]
+            x[out + i] = y if y > z or y != y else z
+    elif op == 6:
+        for i in range(n):
+            y, z = x[a + i], x[b + i]
+            x[out + i] = y if y < z or y != y else z
+    elif op == 7:
+        for i in range(n):
+            x[out + i] = math.atan2(x[a + i], x[b + i])
+    elif op == 8:
+        for i in range(n):
+            x[out + i] = 1.0 if x[a + i] < x[b + i] else 0.0
+    elif op == 9:
+        for i in range(n):
+            x[out + i] = 1.0 if x[a + i] <= x[b + i] else 0.0
+    elif op == 10:
+        for i in range(n):
+            x[out + i] = 1.0 if x[a + i] > x[b + i] else 0.0
+    elif op == 11:
+        for i in range(n):
+            x[out + i] = 1.0 if x[a + i] >= x[b + i] else 0.0
+    elif op == 12:
+        for i in range(n):
+            x[out + i] = 1.0 if x[a + i] == x[b + i] else 0.0
+    elif op == 13:
+        for i in range(n):
+            x[out + i] = 1.0 if x[a + i] != x[b + i] else 0.0
