@@ -8,12 +8,14 @@ from hnn_vi_ros.exports import lazy_exports
 from hnn_vi_ros.version import __version__
 
 if TYPE_CHECKING:
+    from hnn_vi_ros.learning import export
     from hnn_vi_ros.run import simulate_spread
-    from hnn_vi_ros.scene import load_scene, Scene
+    from hnn_vi_ros.scene import list_effects, list_integrators, list_scenes, load_scene, Scene
     from hnn_vi_ros.simulation import simulate, simulate_many, Trajectory
     from hnn_vi_ros.sweeps import sweep
 
-__all__ = ['Scene', 'Trajectory', '__version__', 'load_scene', 'simulate', 'simulate_many',
+__all__ = ['Scene', 'Trajectory', '__version__', 'export', 'list_effects',
+           'list_integrators', 'list_scenes', 'load_scene', 'simulate', 'simulate_many',
            'simulate_spread', 'sweep']
 
 # Without `__version__`, which is defined directly.

@@ -15,10 +15,11 @@ from types import FrameType
 from typing import Any, NoReturn
 import warnings
 
-from hnn_vi_ros.commands import ALIASES, COMMANDS, EXECUTABLES, module_of, parser_of, refuse
+from hnn_vi_ros.commands import (
+    ALIASES, check_names, COMMANDS, EXECUTABLES, module_of, parser_of, refuse)
 from hnn_vi_ros.errors import HnnViRosError, pip_command
 from hnn_vi_ros.files import (
-    call_by_hnn, called, ENDING, guard_streams, lost_output, private_folder, usual_folder,
+    ENDING, guard_streams, lost_output, private_folder, usual_folder,
     write_problem)
 from hnn_vi_ros.ros import settle_ros_environment
 
@@ -28,16 +29,15 @@ _ROS_WHEELS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces')
 # Packages of the extra `train` besides rerun; simulations do not need them.
 _TRAINING = ('plotly', 'torch')
 # Period in which several SIGINT count as one [s].
-_ONE_INTERRUPT = 1.0
+_INTERRUPT_PERIOD = 1.0
 # Message for work that cannot be resumed.
-_STOPPED = 'stopped: nothing more is written; the same command begins anew'
+_STOPPED = 'stopped: nothing more is written; the same command starts from the beginning'
 # Exit status of a process terminated by SIGINT, as in shells.
 _INTERRUPTED = 128 + signal.SIGINT
 
 
 def main() -> NoReturn:
     """Run ``hnn``: one command for all executables, and for commands without ROS."""
-    call_by_hnn()
     if '_ARGCOMPLETE' in os.environ:
         # A shell requests completions and ignores other output.
         import_module('hnn_vi_ros.commands.completion').complete()
@@ -83,34 +83,41 @@ def _merge_interrupts() -> None:
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         nonlocal last
-        if time.monotonic() - last > _ONE_INTERRUPT:
+        if time.monotonic() - last > _INTERRUPT_PERIOD:
             last = time.monotonic()
             raise KeyboardInterrupt
 
     signal.signal(signal.SIGINT, on_signal)
 
 
+def _end_at_interrupt() -> None:
+    """Make SIGINT end the process: C libraries turn it into other errors of their import."""
+    signal.signal(signal.SIGINT, lambda number, frame: os._exit(_INTERRUPTED))
+
+
 def _answer_at_once(name: str, argv: Sequence[str]) -> None:
-    """Print help or version and exit if requested, without importing the module's libraries."""
+    """Answer help, mistakes and files that do not exist, without the module's libraries."""
     asked = [word for word in argv if word in ('-h', '--help', '--version')]
     if asked:
         parser_of(name).parse_args(asked[:1])
+    if not module_of(name, argv).startswith('hnn_vi_ros.ros.'):
+        check_names(parser_of(name), argv)
 
 
 def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     """Call the ``main`` of an executable, and exit; errors are reported in one line."""
     argv = list(sys.argv[1:] if argv is None else argv)
     name, *meant = ALIASES.get(name, (name,))
-    argv, shown = [*meant, *argv], called(name)
-    _merge_interrupts()
+    argv, shown = [*meant, *argv], f'hnn {name}'
+    _end_at_interrupt()
     guard_streams()
     # Otherwise the viewer's library would write to standard error.
     os.environ.setdefault('RUST_LOG', 'off')
     try:
         _choose_cache()
     except OSError as problem:
-        sys.exit(f'{shown}: neither the home nor a folder for temporary files can be written '
-                 f'({problem.strerror}); set TMPDIR to one that can')
+        sys.exit(f'{shown}: neither the home folder nor a temporary folder is writable '
+                 f'({problem.strerror}); set TMPDIR to a writable folder')
     try:
         # Libraries query it at import.
         os.getcwd()
@@ -122,6 +129,8 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     except SystemExit as end:
         # From argparse, which has printed the help or an error.
         status = end.code
+    except HnnViRosError as problem:
+        status = _lines(shown, problem)
     for number in ENDING:
         # Ignore further signals until the interpreter has ended.
         signal.signal(number, signal.SIG_IGN)
@@ -130,9 +139,14 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
         # The interpreter's normal exit takes half a second, and waits for compiling threads.
         os._exit(_INTERRUPTED)
     if isinstance(status, str):
-        write_problem(status)
+        for line in status.splitlines():
+            write_problem(line)
         status = 1
     sys.exit(status)
+
+
+def _lines(shown: str, problem: HnnViRosError) -> str:
+    return '\n'.join(f'{shown}: {line}' for line in problem.lines)
 
 
 def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
@@ -151,21 +165,20 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
     Returns
     -------
     int, str or None
-        Exit status; or one line for an error that the user can correct.
+        Exit status; or lines for problems that the user can correct.
 
     """
     try:
         if module.startswith('hnn_vi_ros.ros.'):
             # Before any ROS library is loaded, because some terminate the process.
             settle_ros_environment()
-        # C libraries turn an interrupt during their import into other errors.
-        signal.signal(signal.SIGINT, lambda number, frame: os._exit(_INTERRUPTED))
-        found = import_module(module)
+        _end_at_interrupt()
+        loaded = import_module(module)
         _merge_interrupts()
         _warn_in_lines(shown)
-        return found.main(argv)
+        return loaded.main(argv)
     except HnnViRosError as problem:
-        return f'{shown}: {problem}'
+        return _lines(shown, problem)
     except ModuleNotFoundError as problem:
         if problem.name is None or problem.name.partition('.')[0] == 'hnn_vi_ros':
             raise
@@ -178,12 +191,12 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
 
 def _warn_in_lines(shown: str) -> None:
     """Print each warning as one line on standard error, once per text."""
-    told: set[str] = set()
+    shown_texts: set[str] = set()
 
     def show(message: Warning | str, *_where: Any, **_more: Any) -> None:
         text = ' '.join(str(message).split())
-        if text not in told:
-            told.add(text)
+        if text not in shown_texts:
+            shown_texts.add(text)
             write_problem(f'{shown}: warning: {text}')
 
     warnings.showwarning = show
@@ -198,7 +211,7 @@ def _missing(package: str) -> str:
         packages = list(_ROS_WHEELS)
     if package in _TRAINING:
         packages = [*_TRAINING, 'rerun']
-        text += 'what training needs (1 GB, or 5 GB with CUDA) '
+        text += 'the packages for training (1 GB, or 5 GB with CUDA) '
         # It marks an environment created with `make`, and is written by requirements/make_venv.
         made = Path(sys.prefix) / '.installed'
         if made.is_file():
@@ -208,7 +221,7 @@ def _missing(package: str) -> str:
         text += 'it ' if len(packages) == 1 else 'its wheels '
     text += f'with: {pip_command(*packages)}'
     if sys.prefix == sys.base_prefix:
-        text += ' (best in a virtual environment, active while colcon builds)'
+        text += ' (preferably in a virtual environment that is active while colcon builds)'
     return text
 
 
@@ -225,7 +238,7 @@ def _with_output(name: str, status: int | str | None) -> int | str | None:
         return status
     if isinstance(problem, BrokenPipeError) and matters:
         return status or 128 + signal.SIGPIPE
-    print(f'{name}: standard output: {problem.strerror}: what was printed is lost',
+    print(f'{name}: standard output: {problem.strerror}: the output is lost',
           file=sys.stderr)
     # Different from all statuses with which executables report findings.
     return status or os.EX_IOERR if matters else status

@@ -52,7 +52,7 @@ class Transition(NamedTuple):
     ended: str | None
 
 
-_RESET = 'the episode has ended, or none has begun: reset()'
+_NEEDS_RESET = 'the episode has ended, or none has started: call reset()'
 # Information on an action in addition to its transition, by name.
 _Info = dict[str, Any]
 Step = tuple[np.ndarray, float, bool, bool, _Info]
@@ -162,8 +162,8 @@ class SceneEnv(gymnasium.Env):
         """
         super().reset(seed=seed)
         if options:
-            raise ValueError(f'options = {options!r:.80}: there are none; the argument '
-                             'initial_state of the environment says where an episode begins')
+            raise ValueError(f'options = {options!r:.80}: no options exist; the argument '
+                             'initial_state of the environment sets the initial state')
         state = self._scene.initial_state
         q, p = (state.q, state.p) if self._initial_state is None else \
             self._initial_state(self.np_random)
@@ -179,10 +179,10 @@ class SceneEnv(gymnasium.Env):
     def step(self, action: ArrayLike) -> Step:
         """Apply an action: advance the simulation by the steps of the action."""
         if self.over:
-            raise gymnasium.error.ResetNeeded(_RESET)
+            raise gymnasium.error.ResetNeeded(_NEEDS_RESET)
         if self._ahead is None:
             self.begin([self], check_action(action, self.action_space)[None])
-        assert self._ahead is not None, 'begin() has taken the steps'
+        assert self._ahead is not None, 'begin() has computed the steps'
         (transition, info), self._ahead = self._ahead, None
         self._taken += 1
         terminated = transition.ended is not None
@@ -253,17 +253,17 @@ class SceneEnv(gymnasium.Env):
     def _check_commands(self) -> None:
         """Raise ValueError if no effect takes commands, or a time-out is too short."""
         holds = [choice.timeout for choice, effect in zip(
-            self._scene.effects, self._parts.effects, strict=True)
+            self._scene.effects, self._parts.effects, strict=False)
             if isinstance(effect, Commanded) and NUMBERS in effect.takes]
         if not holds:
             raise ValueError(
-                f'{self._scene.name} takes no commands, which actions are: add an effect, such as '
-                "effects=[{'kind': 'external_force', 'coordinates': [...]}]")
+                f'{self._scene.name} takes no commands, which are the actions: add an effect, '
+                "such as effects=[{'kind': 'external_force', 'coordinates': [...]}]")
         lasts = self._every * self._scene.known_step_size
         if lasts > min(holds):
-            raise ValueError(f'an action lasts {lasts:g} s, every = {self._every} steps, and a '
-                             f'command of the scene ends after {min(holds):g} s: give its '
-                             'external_force a larger timeout')
+            raise ValueError(f'an action lasts {lasts:g} s, every = {self._every} steps, but a '
+                             f'command of the scene expires after {min(holds):g} s: increase the '
+                             'timeout of its external_force')
 
 
 class SceneVectorEnv(SyncVectorEnv):
@@ -315,7 +315,7 @@ class SceneVectorEnv(SyncVectorEnv):
         # Check all actions before any environment moves.
         checked = check_action(actions, self.action_space)
         if self.autoreset_mode is AutoresetMode.DISABLED and any(env.over for env in self.envs):
-            raise gymnasium.error.ResetNeeded(_RESET)
+            raise gymnasium.error.ResetNeeded(_NEEDS_RESET)
         # Consume the iterator, so that a failure in a thread is raised here.
         list(self._pool.map(self._begin, self._shares, [checked[own] for own in self._shares]))
         return super().step(checked)
@@ -353,8 +353,8 @@ def check_action(action: ArrayLike, space: Any) -> np.ndarray:
     if not (np.isfinite(array) & (array >= space.low) & (array <= space.high)).all():
         text = ' '.join(str(array.tolist()).split())
         raise ValueError(f'action = {text:.80} must be finite, and within the limits '
-                         f'{np.ravel(space.high)[:array.shape[-1]].tolist()}; the wrapper '
-                         'ClipAction of gymnasium clips those of a policy')
+                         f'{np.ravel(space.high)[:array.shape[-1]].tolist()}; the gymnasium '
+                         'wrapper ClipAction clips the actions of a policy')
     return array
 
 

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     import numpy as np
 
 # Maximum number of names in a list; below, of characters of a message, and of its kept end.
-_MOST_LISTED = 20
+_MAX_LISTED = 20
 # Maximum number of letters to list all names; otherwise number of similar names listed.
-_MOST_LETTERS, _MOST_NEAR = 200, 8
-_LONGEST, _TAIL = 2000, 400
+_MAX_LETTERS, _MAX_SIMILAR = 200, 8
+_MAX_MESSAGE, _MESSAGE_TAIL = 2000, 400
 # Control characters of terminals (C0, DEL and C1), which can make them write files or hide output;
 # and characters that are invisible, end lines, or change the reading direction.
 _CONTROL = re.compile('[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f'
@@ -45,8 +45,9 @@ def printable(text: str, keep: str = '') -> str:
 
 def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.7) -> str:
     """Return ``'; did you mean ...?'`` if a word resembles a known one, else ''."""
-    nearest = get_close_matches(word, known, n=1, cutoff=cutoff)
-    return f'; did you mean {nearest[0]}?' if nearest else ''
+    names = {name.lower(): name for name in known}
+    nearest = get_close_matches(word.lower(), names, n=1, cutoff=cutoff)
+    return f'; did you mean {names[nearest[0]]}?' if nearest else ''
 
 
 def offered(word: str, known: Iterable[str], what: str = 'valid') -> str:
@@ -65,9 +66,9 @@ def offered(word: str, known: Iterable[str], what: str = 'valid') -> str:
     """
     names = [*known]
     text = ', '.join(names)
-    if len(text) > _MOST_LETTERS:
+    if len(text) > _MAX_LETTERS:
         near = sorted(names, key=lambda name: -SequenceMatcher(None, name, word).ratio())
-        shown = near[:_MOST_NEAR]
+        shown = near[:_MAX_SIMILAR]
         text = f'{", ".join(shown)}, ... ({len(names) - len(shown)} more)'
     return f'{did_you_mean(word, names)}; {what}: {text}'
 
@@ -75,8 +76,8 @@ def offered(word: str, known: Iterable[str], what: str = 'valid') -> str:
 def listed(names: Iterable[object]) -> str:
     """Return names for a message: the first ones, and the number of the remaining ones."""
     every = [*names]
-    more = len(every) - _MOST_LISTED
-    return ', '.join(map(str, every[:_MOST_LISTED])) + (f', ... ({more} more)' if more > 0 else '')
+    more = len(every) - _MAX_LISTED
+    return ', '.join(map(str, every[:_MAX_LISTED])) + (f', ... ({more} more)' if more > 0 else '')
 
 
 def reduce_error(error: BaseException) -> tuple[Any, ...]:
@@ -91,11 +92,24 @@ def _made_again(cls: type[BaseException], args: tuple[Any, ...], state: dict[str
     return error
 
 
+def _shortened(message: object) -> str:
+    text = str(message)
+    return text if len(text) <= _MAX_MESSAGE else (
+        f'{text[:_MAX_MESSAGE - _MESSAGE_TAIL]} ... {text[-_MESSAGE_TAIL:]}')
+
+
 class HnnViRosError(Exception):
     """
     Base class of all intended errors of this package; their text is one printable line.
 
     A message of more than 2000 characters is shortened in the middle, since quotes may be long.
+
+    Parameters
+    ----------
+    message : object
+        Place, problem, remedy.
+    *more : object
+        The same of further problems, such as others in a file; ``lines`` has one each.
 
     Attributes
     ----------
@@ -107,31 +121,31 @@ class HnnViRosError(Exception):
     remedy: ClassVar[str] = ''
     __reduce__ = reduce_error
 
-    def __init__(self, message: object = ''):
+    def __init__(self, message: object = '', *more: object):
         # Libraries construct an error from another one, as gymnasium does across processes.
-        message = str(message)
-        if len(message) > _LONGEST:
-            message = f'{message[:_LONGEST - _TAIL]} ... {message[-_TAIL:]}'
-        super().__init__(message)
+        super().__init__(*map(_shortened, (message, *more)))
+
+    @property
+    def lines(self) -> list[str]:
+        """Return a printable line for each problem."""
+        return [printable(str(text)) for text in self.args]
 
     def __str__(self) -> str:
-        return printable(super().__str__())
+        return _shortened('; '.join(self.lines))
 
 
 class SceneError(HnnViRosError):
     """A scene file cannot be read, or requests something that does not exist."""
 
-    remedy = ('correct the key that the message names by file and line; `hnn scene --check '
-              'FILE` checks a scene without running it, and the page on scene files lists '
-              'all keys')
+    remedy = ('correct the key at the file and line in the message; `hnn scene --check FILE` '
+              'checks a scene without running it, and the page on scene files lists all keys')
 
 
 class ModelError(HnnViRosError):
     """A model file is missing, damaged, or is not a model of this package."""
 
-    remedy = ('name a shipped model or the path of a .safetensors file; `hnn '
-              'import_checkpoint` imports checkpoints of the original HNN code, and `hnn '
-              'train` makes a missing model anew')
+    remedy = ('name a shipped model or the path of a .safetensors file; `hnn import` '
+              'converts torch modules, and `hnn train` trains a missing model again')
 
 
 class DataError(HnnViRosError):
@@ -151,31 +165,30 @@ class ParameterError(HnnViRosError):
 class RecordingError(HnnViRosError):
     """A recording cannot be created or written, for example because the file exists."""
 
-    remedy = ('name a path that does not exist in a folder that is writable; on a full disk '
-              'free space, or run with `record:=false` and `rerun_sink:=none`; '
-              '`recover_bag` completes the bag that was interrupted')
+    remedy = ('name a new path in a writable folder; if the disk is full, free space, or run with '
+              '`record:=false` and `rerun_sink:=none`; `recover_bag` repairs an interrupted bag')
 
 
 class UnsupportedSystem(HnnViRosError):
     """The chosen integrator cannot integrate the system."""
 
-    remedy = ('take one of the methods that the message names; an explicit method needs H = '
-              'T(p) + V(q), and bodies that turn need a method `lie_...`')
+    remedy = ('use one of the methods that the message names; an explicit method needs H = T(p) + '
+              'V(q), and rotating bodies need a method `lie_...`')
 
 
 class CalibrationError(HnnViRosError):
     """No method reaches the requested error."""
 
-    remedy = ('ask for a larger error or a shorter horizon; in a chaotic motion no method '
-              'holds a trajectory error beyond some Lyapunov times, but an energy error can '
-              'be held')
+    remedy = ('allow a larger error or a shorter horizon; in a chaotic motion no method limits '
+              'the trajectory error beyond a few Lyapunov times, but the energy error can be '
+              'limited')
 
 
 class MissingPackage(HnnViRosError, ImportError):
     """A Python package needed for the requested work is not installed."""
 
-    remedy = ('run the pip command in the message, in the environment that hnn_vi_ros is '
-              'installed in; `hnn doctor` lists what is there')
+    remedy = ('run the pip command in the message, in the environment of hnn_vi_ros; `hnn doctor` '
+              'lists the installed packages')
 
 
 class AlarmWarning(UserWarning):
@@ -193,8 +206,8 @@ class Interrupted(HnnViRosError):
 class StateError(HnnViRosError, ValueError):
     """An invalid initial state, such as one behind a wall or off its constraints."""
 
-    remedy = ('begin elsewhere: at finite numbers, within the limits of joints and walls, and '
-              'where constraints hold')
+    remedy = ('choose another initial state: finite, within the limits of joints and walls, and '
+              'on the constraints')
 
 
 # Remedy for most failed steps.
@@ -223,9 +236,9 @@ class StepFailure(HnnViRosError):
 
     """
 
-    remedy = ('use a smaller step_size or another integrator; `on_failure: substep`, the '
-              'default, or `implicit` takes such steps otherwise, and a state far outside '
-              'of the training domain needs a better model or `confine: true`')
+    remedy = ('use a smaller step_size or another integrator; `on_failure: substep`, the default, '
+              'or `implicit` takes such steps differently; a state far outside the training '
+              'domain needs a better model or `confine: true`')
 
     def __init__(self, reason: str, t: float, h: float, relative_residual: float,
                  evaluations: int, advice: str = ADVICE):
@@ -236,7 +249,7 @@ class StepFailure(HnnViRosError):
             f', relative residual {relative_residual:.3g}')
         super().__init__(
             f'step failed at t = {t:.9g} s ({reason}): h = {h:g} s{residual} after {evaluations} '
-            f'evaluations of gradients and products with second derivatives; {advice}')
+            f'evaluations of gradients and Hessian-vector products; {advice}')
 
     def dated(self, t: float) -> 'StepFailure':
         """Return the failure with another time [s], such as that of a stamp."""
@@ -259,7 +272,7 @@ class StoppedByEvent(HnnViRosError):
 
     """
 
-    remedy = 'none is needed: the scene asks for it; `then: log` lets the run go on'
+    remedy = 'none is needed: the scene requests it; with `then: log` the run continues'
 
     def __init__(self, event: 'Event', q: 'np.ndarray', p: 'np.ndarray',
                  state: 'Callable[[float], tuple[np.ndarray, np.ndarray]]'):

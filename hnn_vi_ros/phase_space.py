@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 import re
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,14 @@ IN_DEGREES = re.compile(r'(?<![a-z])deg(rees?)?(?![a-z])|°', re.IGNORECASE)
 _NORM_ERROR = 1e-6
 
 
+class Follower(NamedTuple):
+    """A joint without a coordinate of its own: multiplier times a coordinate, plus an offset."""
+
+    name: str
+    multiplier: float
+    offset: float
+
+
 @dataclass(frozen=True)
 class Coordinate:
     """
@@ -40,6 +48,10 @@ class Coordinate:
         that maps body vectors to the world frame, and the angular momentum in the body frame,
         three numbers. ``'pose'``: a position and its momentum in the world frame, each followed by
         the columns of a rotation.
+    followers : tuple of Follower
+        Joints that move with it.
+    rotor_of : str
+        Joint whose rotor it is, behind an elastic gear; empty for all other coordinates.
 
     """
 
@@ -47,6 +59,25 @@ class Coordinate:
     q_unit: str = '1'
     p_unit: str = '1'
     kind: Literal['scalar', 'rotation', 'pose'] = 'scalar'
+    followers: tuple[Follower, ...] = ()
+    rotor_of: str = ''
+
+
+def leaders(coordinates: Sequence[Coordinate]) -> dict[str, str]:
+    """Return the coordinate that each follower moves with, by name."""
+    return {follower.name: coordinate.name for coordinate in coordinates
+            for follower in coordinate.followers}
+
+
+def rotor_name(joint: str) -> str:
+    """Return the name of the coordinate of a joint's rotor."""
+    return f'{joint}_motor'
+
+
+def motor_names(coordinates: Sequence[Coordinate]) -> dict[str, str]:
+    """Return the coordinate on which the motor of each coordinate acts: its rotor, or itself."""
+    rotors = {c.rotor_of: c.name for c in coordinates}
+    return {c.name: rotors.get(c.name, c.name) for c in coordinates}
 
 
 def columns(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str]]:

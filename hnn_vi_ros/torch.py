@@ -3,35 +3,34 @@
 """
 Differentiable simulations for torch: exact derivatives of the compiled steps.
 
-Requires the extra ``train``. See docs/gradients.md.
+Requires the extra ``train``. See docs/how-to/gradients.md.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-import re
 from typing import Any, NamedTuple, NoReturn
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import listed, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.models import Checkpoint, FAMILIES, LearnedHamiltonian, Network, warn_of_scheme
-from hnn_vi_ros.scene import check_names, load_scene, Scene
+from hnn_vi_ros.scene import check_names, LearnedChoice, load_scene, Scene
 from hnn_vi_ros.simulation import (
     base_of, Change, check_count, check_in_files, check_memory, check_seconds, Dependence, Numbers,
-    OnHamiltonian, OnLagrangian, Recorded, resolve, SceneRun, States, whole_steps)
+    OnHamiltonian, OnLagrangian, resolve, RunRecord, SceneRun, StateSequence, whole_steps)
 import numpy as np
 import torch
 
 # Inputs of each network of H, for families whose H or Lagrangian consists of networks and of terms
 # without weights; for a mechanism, of features of these inputs.
-_SEES = {
+_INPUTS = {
     'hnn': {'energy': 'both'}, 'dissipative_hnn': {'energy': 'both'}, 'dgnet': {'energy': 'both'},
     'separable_hnn': {'kinetic': 'p', 'potential': 'q'}, 'vin': {'potential': 'q'},
     'mechanical': {'mass': 'q', 'potential': 'q', 'friction': 'q'}}
 # Number of states differentiated together.
-_ROWS = 4096
+_BLOCK_STATES = 4096
 
 
 def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]) -> Checkpoint:
@@ -67,14 +66,14 @@ def check_weights(hamiltonian: Hamiltonian, names: Iterable[str]) -> dict[str, n
     """Return the tensors of a trained H by name; raise as in ``with_weights``."""
     if not isinstance(hamiltonian, LearnedHamiltonian):
         raise UnsupportedSystem(
-            f'weights of {type(hamiltonian).__name__} are not differentiable yet: it is not H of '
-            'a trained model, or it is confined to its box (confine: false)')
+            f'weights of {type(hamiltonian).__name__} are not differentiable yet: it is not a '
+            'trained model, or it is confined to its training domain (set confine: false)')
     checkpoint = hamiltonian.checkpoint
-    if checkpoint.card.family not in _SEES:
+    if checkpoint.card.family not in _INPUTS:
         raise UnsupportedSystem(f'weights of the family {checkpoint.card.family} are not '
-                                f'differentiable yet; families whose are: {", ".join(_SEES)}')
+                                f'differentiable yet; supported families: {", ".join(_INPUTS)}')
     if checkpoint.members:
-        raise UnsupportedSystem('weights of an ensemble are not differentiable yet: take one of '
+        raise UnsupportedSystem('weights of an ensemble are not differentiable yet: use one of '
                                 'its members, with member: K in hamiltonian')
     known = _of_H(checkpoint).tensors
     for name in names:
@@ -85,7 +84,7 @@ def check_weights(hamiltonian: Hamiltonian, names: Iterable[str]) -> dict[str, n
 
 def _of_H(checkpoint: Checkpoint) -> Checkpoint:
     """Return a model with only the networks that are part of H or of a machine's friction."""
-    sees = _SEES[checkpoint.card.family]
+    sees = _INPUTS[checkpoint.card.family]
     return replace(checkpoint, networks={
         network: layers for network, layers in checkpoint.networks.items() if network in sees})
 
@@ -100,7 +99,7 @@ class _Slopes(torch.nn.Module):
     def __init__(self, checkpoint: Checkpoint):
         super().__init__()
         card = checkpoint.card
-        self._sees, self._lagrangian = _SEES[card.family], None
+        self._inputs, self._lagrangian = _INPUTS[card.family], None
         self.networks = torch.nn.ModuleDict({
             name: Network(layers, card.activation)
             for name, layers in checkpoint.networks.items()})
@@ -118,7 +117,7 @@ class _Slopes(torch.nn.Module):
             return slopes + torch.cat([self._friction(q, p), 0.0 * p], dim=1)
         seen = {'q': q, 'p': p, 'both': z}
         return _gradient(torch.cat([
-            network(seen[self._sees[name]]) for name, network in self.networks.items()]), z)
+            network(seen[self._inputs[name]]) for name, network in self.networks.items()]), z)
 
 
 def _gradient(values: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
@@ -150,7 +149,7 @@ class OnWeights:
         self._names, self._d = [prefix + name for name in names], len(card.coordinates)
         self._module = _Slopes(_of_H(checkpoint))
 
-    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
+    def contracted(self, at: StateSequence, weights: np.ndarray) -> np.ndarray:
         """Return the gradient, shape (W,); see Dependence."""
         total = np.zeros(())
         for states, directions in zip(self._rows(at.q, at.p), self._rows(*weights), strict=True):
@@ -160,7 +159,7 @@ class OnWeights:
             total = total + part.numpy()
         return total
 
-    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
+    def changed(self, at: StateSequence, change: np.ndarray) -> np.ndarray:
         """Return the change due to weight changes of shape (W,); see Dependence."""
         parts = []
         for states in self._rows(at.q, at.p):
@@ -178,7 +177,7 @@ class OnWeights:
     def _rows(self, q: np.ndarray, p: np.ndarray) -> tuple[torch.Tensor, ...]:
         """Return states, shape (N, 2 d), split into blocks."""
         states = np.hstack([q.reshape(-1, self._d), p.reshape(-1, self._d)])
-        return torch.from_numpy(states).split(_ROWS)
+        return torch.from_numpy(states).split(_BLOCK_STATES)
 
     def _slopes(self, states: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the weights, (W,), and the networks' H' as their function, (N, 2 d)."""
@@ -191,18 +190,16 @@ class OnWeights:
                     self._names, parts, own, strict=True)}, (states,))
 
 
-__all__ = ['DifferentiableSimulation', 'Motion', 'simulate']
+__all__ = ['DifferentiableSimulation', 'SimulatedMotion', 'simulate']
 
-# Pattern of a model's tensors among the names of a scene's numbers.
-_WEIGHT = re.compile(r'hamiltonian\.(\w+\.)?linear\d+\.(weight|bias)')
 # Names for all weights, and for h, among the tensors of a run.
 _WEIGHTS, _STEP = 'weights', 'step_size'
-_TWICE = ('a simulation is differentiable once: detach its gradient or tangent, or take '
-          'differences of gradients; for torch.autograd.functional.jvp, which differentiates '
-          'twice, take torch.func.jvp')
-_HIDDEN = ('a simulation takes no tensors that vmap batches, nor weights in torch.func: use '
-           'torch.autograd.grad, torch.autograd.functional.jacobian without vectorize, and q0, p0 '
-           'of shape (m, d) for many trajectories')
+_ONLY_ONCE = ('a simulation is differentiable only once: detach its gradient or tangent, or use '
+              'differences of gradients; torch.autograd.functional.jvp differentiates twice, so '
+              'use torch.func.jvp instead')
+_NO_VMAP = ('a simulation supports neither tensors batched by vmap, nor weights in torch.func: '
+            'use torch.autograd.grad, torch.autograd.functional.jacobian without vectorize, and '
+            'q0, p0 of shape (m, d) for many trajectories')
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +229,7 @@ class _Call:
     names: list[str]
     samples: int
     every: int
-    recorded: list[Recorded] = field(default_factory=list)
+    recorded: list[RunRecord] = field(default_factory=list)
 
 
 class _Function(torch.autograd.Function):
@@ -240,7 +237,7 @@ class _Function(torch.autograd.Function):
 
     @staticmethod
     def vmap(*_: object) -> NoReturn:
-        raise UnsupportedSystem(_HIDDEN)
+        raise UnsupportedSystem(_NO_VMAP)
 
 
 class _Run(_Function):
@@ -287,11 +284,11 @@ class _Derivative(_Function):
 
     @staticmethod
     def backward(*_: object) -> NoReturn:
-        raise UnsupportedSystem(_TWICE)
+        raise UnsupportedSystem(_ONLY_ONCE)
 
     @staticmethod
     def jvp(*_: object) -> NoReturn:
-        raise UnsupportedSystem(_TWICE)
+        raise UnsupportedSystem(_ONLY_ONCE)
 
 
 class _Gradient(_Derivative):
@@ -340,10 +337,10 @@ def _array(tensor: torch.Tensor) -> np.ndarray:
     try:
         return tensor.detach().contiguous().numpy()
     except RuntimeError as problem:
-        raise UnsupportedSystem(_HIDDEN) from problem
+        raise UnsupportedSystem(_NO_VMAP) from problem
 
 
-class Motion(NamedTuple):
+class SimulatedMotion(NamedTuple):
     """
     Result of ``simulate``.
 
@@ -364,7 +361,7 @@ class Motion(NamedTuple):
 def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, duration: float,
              parameters: Mapping[str, torch.Tensor] | None = None,
              commands: torch.Tensor | None = None, step_size: float | torch.Tensor | None = None,
-             every: int = 1) -> Motion:
+             every: int = 1) -> SimulatedMotion:
     """
     Simulate a scene differentiably in torch, once, in reverse or forward mode.
 
@@ -399,7 +396,7 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
 
     Returns
     -------
-    Motion
+    SimulatedMotion
         Times and states. Guards are not evaluated: see ``hnn_vi_ros.simulate`` for alarms.
 
     Raises
@@ -449,10 +446,12 @@ class DifferentiableSimulation:
     def __init__(self, scene: Scene | str | Path, parameters: Sequence[str] = ()):
         self._scene, _ = resolve(scene if isinstance(scene, Scene) else load_scene(scene))
         if self._scene.events:
-            raise ValueError('events are not differentiable yet: leave those of '
-                             f'{self._scene.name} out')
-        self._weights = [name for name in parameters if _WEIGHT.fullmatch(name)]
-        self._names = [name for name in parameters if not _WEIGHT.fullmatch(name)]
+            raise ValueError('events are not differentiable yet: remove the events of '
+                             f'{self._scene.name}')
+        # The scene itself has no numbers of a trained H: they are in its file.
+        self._weights = [name for name in parameters if name.startswith('hamiltonian.')
+                         and isinstance(self._scene.hamiltonian, LearnedChoice)]
+        self._names = [name for name in parameters if name not in self._weights]
         self._parts = self._scene.parts()
         inside = check_in_files(self._parts, self._names)
         check_names(self._scene, [name for name in self._names if name not in inside])
@@ -461,15 +460,15 @@ class DifferentiableSimulation:
             if any(name.startswith('hamiltonian.friction.') for name in self._weights) and not any(
                     isinstance(effect, EFFECTS['learned_friction'])
                     for effect in self._parts.effects):
-                raise ValueError(f'{self._scene.name} has no learned_friction, in which alone '
-                                 'weights of friction act')
+                raise ValueError(f'{self._scene.name} has no learned_friction, the only effect '
+                                 'that uses weights of friction')
         # Runs that no thread is using at the moment.
         self._idle = [SceneRun(self._parts)]
 
     def __call__(self, q0: torch.Tensor, p0: torch.Tensor, *, duration: float,
                  parameters: Mapping[str, torch.Tensor] | None = None,
                  commands: torch.Tensor | None = None,
-                 step_size: float | torch.Tensor | None = None, every: int = 1) -> Motion:
+                 step_size: float | torch.Tensor | None = None, every: int = 1) -> SimulatedMotion:
         """
         Simulate with tensors for all declared parameters.
 
@@ -480,7 +479,7 @@ class DifferentiableSimulation:
 
         Returns
         -------
-        Motion
+        SimulatedMotion
             Times and states.
 
         Raises
@@ -521,7 +520,7 @@ class DifferentiableSimulation:
         z = _Run.apply(call, z0.reshape(-1, 2 * d), *(
             None if tensor is None else tensor.clone() for tensor in (commands, *tensors)))
         q, p = z.reshape(samples + 1, *z0.shape).chunk(2, dim=-1)
-        return Motion(torch.arange(samples + 1, dtype=torch.float64) * every * (
+        return SimulatedMotion(torch.arange(samples + 1, dtype=torch.float64) * every * (
             step_size if isinstance(step_size, torch.Tensor) else h), q, p)
 
     def _arranged(self, parameters: Mapping[str, torch.Tensor],
@@ -530,8 +529,8 @@ class DifferentiableSimulation:
         """Return names and tensors of a run's inputs; all weights are concatenated to one."""
         expected = [*self._names, *self._weights]
         if parameters.keys() != set(expected):
-            raise ValueError(f'parameters are {listed(parameters) or "none"}; expected those '
-                             f'that the simulation was made for: {listed(expected) or "none"}')
+            raise ValueError(f'parameters are {listed(parameters) or "none"}; expected those of '
+                             f'this simulation: {listed(expected) or "none"}')
         single = {name: parameters[name] for name in self._names}
         if isinstance(step_size, torch.Tensor):
             _check_tensors({_STEP: step_size})
@@ -595,14 +594,14 @@ def _check_tensors(tensors: Mapping[str, torch.Tensor]) -> None:
         if not isinstance(tensor, torch.Tensor):
             raise TypeError(f'{name} is a {type(tensor).__name__}: give a tensor of float64')
         if tensor.dtype != torch.float64 or tensor.device.type != 'cpu':
-            raise TypeError(f'{name} is of {tensor.dtype} on {tensor.device}: give one of float64 '
-                            'on the processor, as by .double().cpu()')
+            raise TypeError(f'{name} is {tensor.dtype} on {tensor.device}: give a float64 tensor '
+                            'on the CPU, as from .double().cpu()')
 
 
 def _samples(duration: float, h: float, every: int) -> int:
     """Return the number of samples in a duration."""
     steps, share = whole_steps(duration, h)
     if share or steps % every:
-        raise ValueError(f'duration = {duration:g} s is {duration / (h * every):g} samples, one '
-                         f'every {every * h:g} s: give a whole number of them')
+        raise ValueError(f'duration = {duration:g} s is {duration / (h * every):g} sample '
+                         f'intervals of {every * h:g} s: give a whole number of them')
     return steps // every

@@ -12,14 +12,14 @@ import sys
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.run import check_outputs, write_outputs
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files import called, dump_yaml, ProgressLine
+from hnn_vi_ros.files import dump_yaml, ProgressLine
 from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
-from hnn_vi_ros.simulation import build, Cost, CostStudy, measure_costs, Method, problem_of
+from hnn_vi_ros.simulation import build, CostStudy, measure_costs, Method, MethodCost, problem_of
 import numpy as np
 
 # Candidate errors for the columns of the table, and its maximum number of columns.
-_ERRORS, _COLUMNS = [10.0 ** -k for k in range(1, 15)], 4
-_CELL = 18
+_CANDIDATE_ERRORS, _MAX_COLUMNS = [10.0 ** -k for k in range(1, 15)], 4
+_CELL_WIDTH = 18
 _FIELDS = ('method', 'step_size', 'path_error', 'energy_error', 'seconds_per_simulated_second',
            'gradients_per_simulated_second', 'status')
 
@@ -37,7 +37,8 @@ def main(argv: list[str]) -> int:
         # Import now, so that a missing package is reported before a minute of work.
         from hnn_vi_ros.commands.cost_figure import draw
     scene = load_scene(options.scene)
-    study = _measured(scene, options.duration, options.seconds, options.error)
+    duration = scene.duration if options.duration is None else options.duration
+    study = _measured(scene, duration, options.seconds, options.error)
     for line in _lines(scene, study):
         print(line)
     write_outputs(paths, {'--csv': partial(_write_csv, study)} | (
@@ -63,42 +64,41 @@ def _measured(scene: Scene, duration: float, seconds: float, error: float | None
 def _lines(scene: Scene, study: CostStudy) -> Iterator[str]:
     """Yield lines on the error measurement, the table, and the methods not in it."""
     what = 'path errors' if not study.no_path else (
-        f'energy errors, over {study.known.energy_scale:.3g} J')
-    yield f'{scene.name}: {what} up to {study.reference.horizon:g} s, and the time they take'
-    yield f'no path: {study.no_path}' if study.no_path else (
-        f'reference: {study.reference.how}, known to {study.floor:.1e}')
+        f'energy errors, relative to {study.known.energy_scale:.3g} J')
+    yield f'{scene.name}: {what} up to {study.reference.horizon:g} s, and run times'
+    yield f'no reference: {study.no_path}' if study.no_path else (
+        f'reference: {study.reference.how}, accurate to {study.floor:.1e}')
     if scene.events:
-        yield 'events of the scene are not looked for'
+        yield 'events of the scene are not detected'
     yield from ('', *_table(study), '')
     for reason, kinds in study.left_out.items():
-        yield f'left out, since each {reason}: {", ".join(kinds)}'
+        yield f'omitted, because each {reason}: {", ".join(kinds)}'
     if study.unreached:
-        yield (f'no time for: {", ".join(study.unreached)}; repeat it, now that more is compiled, '
-               'or give it more --seconds')
+        yield (f'no time for: {", ".join(study.unreached)}; run it again, now that more is '
+               'compiled, or increase --seconds')
 
 
 def _table(study: CostStudy) -> Iterator[str]:
     names = list(dict.fromkeys(str(cost.method) for cost in study.costs))
     reached = min((study.error(cost) for cost in study.costs), default=math.inf)
-    errors = [error for error in _ERRORS if reached <= error <= study.lost]
-    if len(errors) > _COLUMNS:
-        places = np.linspace(0, len(errors) - 1, _COLUMNS).round().astype(int)
+    errors = [error for error in _CANDIDATE_ERRORS if reached <= error <= study.lost]
+    if len(errors) > _MAX_COLUMNS:
+        places = np.linspace(0, len(errors) - 1, _MAX_COLUMNS).round().astype(int)
         errors = [errors[place] for place in places]
     if not errors:
-        yield f'no run errs by less than {study.lost:.2g}'
+        yield f'no run has an error below {study.lost:.2g}'
         return
     width = max(map(len, names))
     best = {error: study.cheapest(error) for error in errors}
-    yield f'{"error":{width}}' + ''.join(f'{error:>{_CELL}.0e}' for error in errors)
-    yield f'{"method":{width}}' + ''.join(f'{"h [s]  us/s":>{_CELL}}' for _ in errors)
+    yield f'{"error":{width}}' + ''.join(f'{error:>{_CELL_WIDTH}.0e}' for error in errors)
+    yield f'{"method":{width}}' + ''.join(f'{"h [s]    us ":>{_CELL_WIDTH}}' for _ in errors)
     for name in names:
         cells = (_cell(study.cheapest(error, name), best[error]) for error in errors)
-        yield f'{name:{width}}' + ''.join(f'{cell:>{_CELL}}' for cell in cells)
-    yield ('us/s: microseconds of the processor for a simulated second; *: the least; '
-           '-: not reached')
+        yield f'{name:{width}}' + ''.join(f'{cell:>{_CELL_WIDTH}}' for cell in cells)
+    yield 'us: processor time [us per simulated second]; *: fastest; -: not reached'
 
 
-def _cell(cost: Cost | None, best: Cost | None) -> str:
+def _cell(cost: MethodCost | None, best: MethodCost | None) -> str:
     if cost is None:
         return '- '
     time = 1e6 * cost.seconds
@@ -111,13 +111,13 @@ def _recommend(study: CostStudy, error: float) -> int:
     best = study.recommended(error)
     if best is None:
         nearest = min(study.costs, key=study.error)
-        print(f'{called("cost")}: --error {error:g}: nothing that was measured holds it; the '
-              f'nearest is {nearest.method} with h = {nearest.step_size:.3g} s, which errs by '
-              f'{study.error(nearest):.2g}, where no less than {study.floor:.1e} is known; allow '
-              'a larger error, a shorter --duration or more --seconds', file=sys.stderr)
+        print(f'hnn cost: --error {error:g}: no measured method reaches it; the nearest '
+              f'is {nearest.method} with h = {nearest.step_size:.3g} s and error '
+              f'{study.error(nearest):.2g} (the reference is accurate to {study.floor:.1e}); '
+              'allow a larger error, a shorter --duration or more --seconds', file=sys.stderr)
         return 1
-    print(f'\nfor an error of {error:g} take this, which errs by {study.error(best):.2g} (energy: '
-          f'{best.energy_error:.1e}), at {1e6 * best.seconds:.3g} us for a simulated second:\n')
+    print(f'\nRecommended for error {error:g} (measured error {study.error(best):.2g}, energy '
+          f'error {best.energy_error:.1e}, {1e6 * best.seconds:.3g} us per simulated second):\n')
     chosen = {'kind': best.method.kind, **best.method.arguments}
     print(dump_yaml({'integrator': chosen, 'step_size': best.step_size}), end='')
     return 0

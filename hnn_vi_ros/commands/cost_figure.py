@@ -12,7 +12,7 @@ from textwrap import fill
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import Cost, CostStudy
+from hnn_vi_ros.simulation import CostStudy, MethodCost
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import hsv_to_rgb, to_hex
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.constants import golden
 
 # Height of a line of labels [points].
-_LINE = 9.0
+_LABEL_HEIGHT = 9.0
 
 
 class Label(NamedTuple):
@@ -52,7 +52,7 @@ def label_front(ax: Axes, labels: Iterable[Label]) -> None:
     least = math.inf
     for label in sorted(labels, key=lambda label: float(label.point[0])):
         height = float(ax.transData.transform(label.point)[1]) * 72.0 / ax.figure.dpi
-        if height < least - _LINE:
+        if height < least - _LABEL_HEIGHT:
             least, (x, y) = height, label.point
             ax.annotate(label.text, (x, y), (-5, -3), textcoords='offset points', ha='right',
                         va='top', fontsize=7.5, color=label.color, zorder=6)
@@ -62,19 +62,22 @@ def _styles() -> dict[str, tuple[str, str]]:
     """
     Return a colour and a marker for each method.
 
-    Methods of a family, whose names differ only in numbers, share a hue, which is darker for
-    methods later in the list; markers differ within a family.
+    Methods of a family, whose names differ only in numbers, have neighbouring hues, from bright
+    for the first of the list to dark for the last; markers differ within a family.
     """
     styles, met, markers = {}, Counter[str](), cycle('osD^v<>pPhX*d8H')
+    names = list(dict.fromkeys(kind.removeprefix('lie_') for kind in INTEGRATORS))
+    sizes = Counter(name.rstrip(digits) for name in names)
     # Methods for rotations are never in one plot with others; they use paler variants.
-    for name in dict.fromkeys(kind.removeprefix('lie_') for kind in INTEGRATORS):
+    for name in names:
         family = name.rstrip(digits)
+        share = met[family] / max(1, sizes[family] - 1)
         met[family] += 1
         # Steps of the golden ratio around the colour circle separate eight families well; each
         # further group of eight is darker.
-        number = list(met).index(family)
-        hue, value = number / golden % 1.0, 0.95 - 0.07 * met[family] - 0.25 * (number // 8)
-        styles[name] = [to_hex(hsv_to_rgb((hue, saturation, value)).tolist())
+        number = list(sizes).index(family)
+        hue, value = number / golden - 0.2 * share, 0.92 - 0.55 * share - 0.25 * (number // 8)
+        styles[name] = [to_hex(hsv_to_rgb((hue % 1.0, saturation, max(value, 0.2))).tolist())
                         for saturation in (0.75, 0.45)], next(markers)
     found = {}
     for kind in INTEGRATORS:
@@ -114,10 +117,10 @@ def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
         study, [cost for cost in good if cost.method.kind == kind])) for kind in kinds]
     _dress(ax, study, good)
     handles = [*lines, *_draw_levels(ax, study, error)]
-    figure.text(0.08, 0.955, f'{name}: what accuracy costs over {study.reference.horizon:g} s',
+    figure.text(0.08, 0.955, f'{name}: cost of accuracy over {study.reference.horizon:g} s',
                 fontsize=14, color=INK, va='center')
-    told = study.no_path if study.no_path else f'reference: {study.reference.how}'
-    figure.text(0.08, 0.918, told[:120], fontsize=8.5, color=FAINT, va='center')
+    subtitle = study.no_path if study.no_path else f'reference: {study.reference.how}'
+    figure.text(0.08, 0.918, subtitle[:120], fontsize=8.5, color=FAINT, va='center')
     figure.legend(handles=handles, loc='upper left', bbox_to_anchor=(0.735, 0.855), fontsize=8.5,
                   frameon=False, labelspacing=0.55, handlelength=2.2)
     label_front(ax, [Label(f'{cost.step_size:.2g} s', STYLES[cost.method.kind][0], _point(
@@ -125,11 +128,11 @@ def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
     figure.savefig(path)
 
 
-def _point(study: CostStudy, cost: Cost) -> np.ndarray:
-    return np.array([cost.seconds, study.error(cost)])
+def _point(study: CostStudy, cost: MethodCost) -> np.ndarray:
+    return np.array([1e6 * cost.seconds, study.error(cost)])
 
 
-def _draw_line(ax: Axes, study: CostStudy, costs: list[Cost]) -> Line2D:
+def _draw_line(ax: Axes, study: CostStudy, costs: list[MethodCost]) -> Line2D:
     color, marker = STYLES[costs[0].method.kind]
     points = np.array([_point(study, cost) for cost in costs])
     line, = ax.plot(*points.T, color=color, marker=marker, markersize=5.0, linewidth=1.2,
@@ -137,7 +140,7 @@ def _draw_line(ax: Axes, study: CostStudy, costs: list[Cost]) -> Line2D:
     return line
 
 
-def _dress(ax: Axes, study: CostStudy, good: list[Cost]) -> None:
+def _dress(ax: Axes, study: CostStudy, good: list[MethodCost]) -> None:
     """Set scales, limits and labels of the axes."""
     ax.set(xscale='log', yscale='log')
     if good:
@@ -146,8 +149,9 @@ def _dress(ax: Axes, study: CostStudy, good: list[Cost]) -> None:
         ax.set(xlim=(x.min() / 2.5, x.max() * 1.6),
                ylim=(10.0 ** math.floor(math.log10(low) - 0.1), 1.5 * study.lost))
     else:
-        ax.text(0.5, 0.5, 'every run is lost', ha='center', transform=ax.transAxes, color=FAINT)
-    ax.set_xlabel('processor time of a simulated second [s]', fontsize=10)
+        ax.text(0.5, 0.5, 'no run has a usable error', ha='center', transform=ax.transAxes,
+                color=FAINT)
+    ax.set_xlabel('processor time [us per simulated second]', fontsize=10)
     ax.set_ylabel('energy error, largest |H - H0 - W| over the energy scale [1]'
                   if study.no_path else
                   'path error, largest deviation of a coordinate or momentum [SI units]',
@@ -163,7 +167,7 @@ def _dress(ax: Axes, study: CostStudy, good: list[Cost]) -> None:
 
 def _inverse(x: ArrayLike) -> np.ndarray:
     with np.errstate(divide='ignore'):
-        return 1.0 / np.asarray(x)
+        return 1e6 / np.asarray(x)
 
 
 def _draw_levels(ax: Axes, study: CostStudy, error: float | None) -> list[Line2D | Patch]:
@@ -171,23 +175,24 @@ def _draw_levels(ax: Axes, study: CostStudy, error: float | None) -> list[Line2D
     handles: list[Line2D | Patch] = []
     if study.floor > 0.0:
         ax.axhspan(ax.get_ylim()[0], study.floor, color='#ececec', zorder=0.5)
-        handles.append(Patch(color='#ececec', label=f'not known: below {study.floor:.0e}'))
+        handles.append(Patch(
+            color='#ececec', label=f'accuracy of the reference: {study.floor:.0e}'))
     if error is not None:
         handles.append(ax.axhline(error, color=INK, linewidth=1.0, linestyle=(0, (6, 3)), zorder=2,
-                                  label=f'asked for: {error:g}'))
+                                  label=f'requested: {error:g}'))
         best = study.recommended(error)
         if best is not None:
             point = _point(study, best)
             mark, = ax.plot(*point, marker='o', markersize=13.0, markerfacecolor='none',
                             markeredgecolor=INK, markeredgewidth=1.6, linestyle='', zorder=5,
-                            label=f'take {best.method.kind}, h = {best.step_size:.3g} s')
+                            label=f'recommended: {best.method.kind}, h = {best.step_size:.3g} s')
             handles.append(mark)
     return handles
 
 
-def _front(study: CostStudy, good: list[Cost]) -> list[Cost]:
+def _front(study: CostStudy, good: list[MethodCost]) -> list[MethodCost]:
     """Return the Pareto front of error and time; the cheapest first."""
-    front: list[Cost] = []
+    front: list[MethodCost] = []
     for cost in sorted(good, key=lambda cost: cost.seconds):
         if not front or study.error(cost) < study.error(front[-1]):
             front.append(cost)

@@ -20,8 +20,8 @@ from hnn_vi_ros.simulation import usable_processors
 from hnn_vi_ros.version import __version__
 
 # Import names of required and of optional packages; names on PyPI that differ.
-_NEEDED = ('numpy', 'numba', 'llvmlite', 'scipy', 'pydantic', 'yaml', 'safetensors', 'mcap',
-           'contourpy')
+_REQUIRED = ('numpy', 'numba', 'llvmlite', 'scipy', 'pydantic', 'yaml', 'safetensors', 'mcap',
+             'contourpy')
 _OPTIONAL = {'rerun': 'the viewer', 'matplotlib': 'figures', 'torch': 'training',
              'pandas': 'to_dataframe', 'xarray': 'to_xarray', 'pyarrow': 'sweeps',
              'ray': 'sweep --ray', 'argcomplete': 'completion'}
@@ -54,18 +54,18 @@ def _here() -> Iterator[Finding]:
         yield Finding('scenes', 'wrong', str(problem))
     good = sys.version_info >= (3, 11)
     yield Finding('Python', 'ok' if good else 'wrong', f'{platform.python_version()}, '
-                  f'{sys.executable}' + ('' if good else '; take 3.11 or newer'))
+                  f'{sys.executable}' + ('' if good else '; install 3.11 or newer'))
     yield Finding('processor', 'ok', f'{platform.machine()}, {os.cpu_count()} cores, of which '
                   f'{usable_processors()} for this process')
 
 
 def _packages() -> Iterator[Finding]:
-    for module in (*_NEEDED, *_OPTIONAL):
+    for module in (*_REQUIRED, *_OPTIONAL):
         name, what = _ON_PYPI.get(module, module), _OPTIONAL.get(module)
         if find_spec(module) is not None:
             yield Finding(name, 'ok', _version(name))
         else:
-            state, reason = ('absent', f'only for {what}') if what else ('wrong', 'absent')
+            state, reason = ('absent', f'needed only for {what}') if what else ('wrong', 'absent')
             yield Finding(name, state, f'{reason}; install it with: {pip_command(module)}')
 
 
@@ -73,7 +73,7 @@ def _version(name: str) -> str:
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
-        return 'of an unknown version'
+        return 'unknown version'
 
 
 def _kernels() -> Finding:
@@ -84,16 +84,16 @@ def _kernels() -> Finding:
     files = [*folder.rglob('*.nb[ic]')]
     size = sum(file.stat().st_size for file in files) / 1e6
     if not can_be_written(folder):
-        return Finding('kernel cache', 'wrong', f'{folder} cannot be written: each start compiles '
-                       'anew; set NUMBA_CACHE_DIR to a folder of yours')
+        return Finding('kernel cache', 'wrong', f'{folder} is not writable: every start compiles '
+                       'again; set NUMBA_CACHE_DIR to a writable folder')
     return Finding('kernel cache', 'ok', f'{len(files)} files, {size:.0f} MB in {folder}')
 
 
 def _ros() -> Iterator[Finding]:
     found = find_spec('rclpy')
     if found is None:
-        yield Finding('ROS 2', 'absent', 'only for simulator, replay, listener and rerun_bridge: '
-                      'source ROS 2 Jazzy, or take `make build` of the checkout')
+        yield Finding('ROS 2', 'absent', 'needed only for simulator, replay, listener and '
+                      'rerun_bridge: source ROS 2 Jazzy, or run `make build` in the checkout')
         return
     named = os.environ.get('AMENT_PREFIX_PATH', '')
     try:
@@ -103,24 +103,24 @@ def _ros() -> Iterator[Finding]:
         return
     prefix = os.environ.get('AMENT_PREFIX_PATH', '')
     where = f'AMENT_PREFIX_PATH={prefix}' + (
-        '' if prefix == named else ', as found by the prefix of this Python')
+        '' if prefix == named else ', found from the prefix of this Python')
     place = Path(found.origin or '').parent
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
     reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
     yield Finding('ROS 2', 'ok', f'{distribution() or "unknown"}, rclpy in {place}, {where}, '
                   f'domain {domain}, discovery {reach}')
     if shutil.which('ros2') is None:
-        yield Finding('ros2', 'absent', 'the command of ROS 2 is not on the PATH; nodes run '
-                      'without it, by hnn simulator')
+        yield Finding('ros2', 'absent', 'the command ros2 is not on the PATH; nodes run without '
+                      'it, with hnn simulator')
 
 
 def _viewer() -> Finding:
     beside = Path(sys.prefix) / 'bin' / 'rerun'
     found = str(beside) if beside.exists() else shutil.which('rerun')
     if found is None:
-        return Finding('viewer', 'absent', f'no command rerun; install it with: '
+        return Finding('viewer', 'absent', 'the command rerun is missing; install it with: '
                        f'{pip_command("rerun")}')
     shown = os.environ.get('WAYLAND_DISPLAY') or os.environ.get('DISPLAY')
-    text = 'a screen' if shown or sys.platform == 'darwin' else \
-        'no screen here: open recordings elsewhere, or take rerun_sink:=serve'
+    text = 'a display' if shown or sys.platform == 'darwin' else \
+        'no display: open recordings on another machine, or use rerun_sink:=serve'
     return Finding('viewer', 'ok', f'{found}, {text}')

@@ -13,7 +13,7 @@ import sys
 
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.files import (
-    command, dump_yaml, one_line, package_file, Parser, SCHEME, share_folder, write_new_scene)
+    dump_yaml, one_line, package_file, Parser, SCHEME, share_folder, write_new_scene)
 from hnn_vi_ros.hamiltonians import (
     Formula, Graph, Joint, MOST_JOINTS, read_urdf, Reader, RigidBodyTree, Robot, SLIDING)
 from hnn_vi_ros.scene import load_scene
@@ -22,10 +22,10 @@ from scipy.optimize import minimize
 
 # Number of steps per shortest period of small oscillations about equilibrium; and maximum share of
 # a velocity that friction removes in a step.
-_STEPS, _SHARE = 100, 0.5
-_LONGEST_STEP, _SHORTEST_STEP = 0.01, 1e-5
+_STEPS_PER_PERIOD, _MAX_FRICTION_SHARE = 100, 0.5
+_MAX_STEP_SIZE, _MIN_STEP_SIZE = 0.01, 1e-5
 # Speed of dry friction, the default of the effect, unless the step size needs a larger one.
-_SPEED = 0.01
+_DRY_FRICTION_SPEED = 0.01
 
 
 def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
@@ -52,23 +52,32 @@ def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
     urdf = _find(file)
     out = Path(f'{urdf.stem}.yaml') if out is None else out
     robot = read_urdf(urdf)
-    reasons = held(robot)
+    reasons = fixed_joints(robot)
     locked = {name: place for name, (place, _) in reasons.items()}
-    told = '; '.join(f'{name} at {place:g}: {why}' for name, (place, why) in reasons.items())
-    if reasons and not any(joint.moves and joint.name not in locked
-                           for link in robot.links.values() for joint in link.joints):
-        raise ModelError(f'{urdf}: no joint moves ({told}); give joints their limits, make them '
-                         'continuous, or leave lower and upper out')
-    if told:
-        print(f'held, as locked in the scene says: {told}', file=sys.stderr)
+    why_fixed = '; '.join(f'{name} at {place:g}: {why}' for name, (place, why) in reasons.items())
+    if reasons and not any(joint.moves and joint.mimic is None and joint.name not in locked
+                           for joint in robot.joints.values()):
+        raise ModelError(f'{urdf}: no joint moves ({why_fixed}); set the limits of joints, make '
+                         'them continuous, or remove lower and upper')
+
+    def built(rotors: dict[str, float]) -> RigidBodyTree:
+        return RigidBodyTree(str(urdf), locked=locked, rotor_inertia=rotors)
     try:
-        tree = RigidBodyTree(str(urdf), locked=locked)
+        tree = built({})
         # Rotors change how fast the robot falls, but not its equilibrium.
         rest = resting_state(tree)
         rotors = missing_rotors(tree, rest)
-        tree = RigidBodyTree(str(urdf), locked=locked, rotor_inertia=rotors)
+        tree = built(rotors)
     except ValueError as problem:
         raise ModelError(f'{urdf}: {problem}') from problem
+    held = '; '.join(f'{name} at {value:g}' for name, value in tree.robot.locked.items()
+                     if name not in locked)
+    for title, content in (
+            ('moves', ', '.join(joint.name for joint in tree.joints)),
+            ('follows', '; '.join(followers_of(tree))),
+            ('fixed (see locked in the scene)', why_fixed), ('fixed with its leader', held)):
+        if content:
+            print(f'{title}: {content}', file=sys.stderr)
     name = file if file.startswith(SCHEME) else os.path.relpath(urdf, out.parent)
     write_new_scene(out, scene_text(name, out, tree, locked, rotors, rest), force)
     return out
@@ -83,11 +92,12 @@ def _find(file: str) -> Path:
         raise ModelError(str(problem)) from problem
 
 
-def held(robot: Robot) -> dict[str, tuple[float, str]]:
+def fixed_joints(robot: Robot) -> dict[str, tuple[float, str]]:
     """
     Return the joints to be fixed, with the value and the reason for each.
 
-    They are joints that mimic others, joints whose limits leave no room, and the last of too many.
+    They are joints whose limits leave no room, the last of too many, and those that mimic joints
+    that do not exist.
     """
     moving, locked = 0, {}
     waiting = list(reversed(robot.links[robot.root].joints))
@@ -96,19 +106,22 @@ def held(robot: Robot) -> dict[str, tuple[float, str]]:
         waiting += reversed(robot.links[joint.child].joints)
         low, high = joint.bounds
         if joint.moves:
-            why = ''
-            if joint.mimics is not None:
-                why = f'it follows {joint.mimics}'
+            why, counts = '', joint.mimic is None
+            if joint.mimic is not None:
+                try:
+                    robot.followed(joint, {})
+                except ModelError:
+                    why = f'it mimics {joint.mimic.joint}, which is not a joint that can lead it'
             elif low is not None and low == high:
                 # CAD exports mark missing limits like this.
-                why = f'limits {low:g} and {high:g} leave no room'
+                why = f'its limits {low:g} and {high:g} are equal'
             elif moving == MOST_JOINTS:
                 why = f'at most {MOST_JOINTS} joints move'
             if why:
                 place = float(np.clip(0.0, low, high)) if low is not None else 0.0
                 locked[joint.name] = place, why
             else:
-                moving += 1
+                moving += counts
     return locked
 
 
@@ -199,9 +212,20 @@ def rates(tree: RigidBodyTree, q: np.ndarray) -> tuple[float, np.ndarray]:
             inverse = np.linalg.inv(mass / size / size[:, None])
             squares = np.linalg.eigvals(inverse @ (curvature / size / size[:, None])).real
     except np.linalg.LinAlgError as problem:
-        raise ModelError(f'{tree.robot.where}: where it rests, masses and lengths are of sizes '
-                         f'whose quotients are lost ({problem}); see their units') from problem
+        raise ModelError(f'{tree.robot.where}: at equilibrium the ratios of masses and lengths '
+                         f'exceed the floating-point precision ({problem}); check their '
+                         'units') from problem
     return math.sqrt(max(0.0, squares.max())), size**2 / np.diag(inverse)
+
+
+def followers_of(tree: RigidBodyTree) -> list[str]:
+    """Return a line on each joint that follows another: ``finger = -0.5 m/rad * motor + 0 m``."""
+    lines = []
+    for name, (leader, multiplier, offset) in tree.robot.followers.items():
+        unit, other = (tree.robot.joints[one].units.q for one in (name, leader))
+        rate = '' if unit == other else f' {unit}/{other}'
+        lines.append(f'{name} = {multiplier:g}{rate} * {leader} + {offset:g} {unit}')
+    return lines
 
 
 def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, float],
@@ -211,11 +235,12 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
     frequency, inertia = rates(tree, rest)
     damping, friction = (np.array([getattr(joint, name) for joint in joints])
                          for name in ('damping', 'friction'))
-    periods = 2.0 * np.pi / frequency / _STEPS if frequency > 0.0 else math.inf
+    periods = 2.0 * np.pi / frequency / _STEPS_PER_PERIOD if frequency > 0.0 else math.inf
     with np.errstate(divide='ignore', over='ignore'):
-        step_size = _round(max(_SHORTEST_STEP, min(
-            _LONGEST_STEP, periods, (_SHARE * inertia / damping).min())), up=False)
-    speed = max(_SPEED, (friction * step_size / (_SHARE * inertia)).max())
+        step_size = _round(max(_MIN_STEP_SIZE, min(
+            _MAX_STEP_SIZE, periods, (_MAX_FRICTION_SHARE * inertia / damping).min())), up=False)
+    speed = max(_DRY_FRICTION_SPEED,
+                (friction * step_size / (_MAX_FRICTION_SHARE * inertia)).max())
     effects = []
     if damping.any() or friction.any():
         effects.append('# f = -b v - F tanh(v / speed), with damping b and friction F of the URDF')
@@ -230,9 +255,10 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
         robot=one_line(Path(file).name), scene=one_line(out), file=_quoted(file),
         description=_quoted(f'{Path(file).stem}, from its URDF'), rotors=_rotors(rotors, names[0]),
         names=', '.join(names), locked=_locked(tree.robot, locked),
+        followers=''.join(f'  # Follows another: {line}\n' for line in followers_of(tree)),
         rotor_units=_units(joint.units.rotor for joint in joints),
         force_units=', '.join(f'[{joint.units.force}]' for joint in joints),
-        joints='\n'.join(f'    - {name:{wide}}   # {_told(joint)}'
+        joints='\n'.join(f'    - {name:{wide}}   # {_comment(joint)}'
                          for name, joint in zip(names, joints, strict=True)),
         effects=''.join(f'\n  {line}' for line in effects) or ' []', step_size=f'{step_size:g}',
         q=q.tolist(), rest=rest.tolist(), p=[0.0] * q.size,
@@ -249,10 +275,9 @@ def _template(name: str) -> str:
 def _locked(robot: Robot, locked: dict[str, float]) -> str:
     if not locked:
         return ''
-    units = {joint.name: joint.units.q for link in robot.links.values() for joint in link.joints}
-    lines = ''.join(f'    {_quoted(name)}: {value}   # [{units[name]}]\n'
+    lines = ''.join(f'    {_quoted(name)}: {value}   # [{robot.joints[name].units.q}]\n'
                     for name, value in locked.items())
-    return ('  # Held there: they follow others, have no room, or are too many.\n'
+    return ('  # Fixed: they have equal limits, are too many, or follow what cannot move.\n'
             f'  locked:\n{lines}')
 
 
@@ -261,7 +286,7 @@ def _rotors(rotors: dict[str, float], first: str) -> str:
     if not rotors:
         return f'\n  # rotor_inertia: {{{first}: 0.1}}'
     named = ', '.join(f'{_quoted(name)}: {value:g}' for name, value in rotors.items())
-    return ('\n  # Guessed for joints that carry next to nothing: a thousandth of the largest.\n'
+    return ('\n  # Guessed for joints with almost no inertia: a thousandth of the largest.\n'
             f'  rotor_inertia: {{{named}}}')
 
 
@@ -270,7 +295,7 @@ def _units(units: Iterable[str]) -> str:
     return ', '.join(f'[{unit}]' for unit in dict.fromkeys(units))
 
 
-def _told(joint: Joint) -> str:
+def _comment(joint: Joint) -> str:
     """Return the comment on a joint."""
     low, high = joint.bounds
     parts = [joint.kind if low is None else f'{joint.kind}, {low:g} to {high:g} {joint.units.q}']
@@ -316,7 +341,7 @@ def formula_text(text: str, schema: str) -> str:
                   name[2:] for name in names if re.match(r'p(_\w|\d+$|$)', name)}
         parameters = dict.fromkeys(names.keys() - owners.keys() - {*owners.values()}, 1.0)
         if not owners:
-            raise ValueError('no momentum: write p_x for that of the coordinate x')
+            raise ValueError('no momentum: write p_x for the momentum of the coordinate x')
         hamiltonian, d = Formula([*owners.values()], text, parameters), len(owners)
         q, p = 0.1 * np.arange(1.0, d + 1.0), np.zeros(d)
         hamiltonian.check_state(q, p)
@@ -329,17 +354,18 @@ def formula_text(text: str, schema: str) -> str:
             kernel.parameters, q, p, unit[:d], unit[d:], row[:d], row[d:])
     rate = np.abs(np.linalg.eigvals(np.vstack([hessian[d:], -hessian[:d]]))).max()
     return _template('formula').format(
-        schema=schema, description=_quoted('a first scene of a formula'),
+        schema=schema, description=_quoted('scene of a formula'),
         coordinates=f'[{", ".join(owners.values())}]', H=json.dumps(text, ensure_ascii=False),
-        parameters=json.dumps(dict(sorted(parameters.items())), ensure_ascii=False), steps=_STEPS,
-        step_size=_round(2.0 * math.pi / max(rate, 1.0) / _STEPS, up=False),
+        parameters=json.dumps(dict(sorted(parameters.items())), ensure_ascii=False),
+        steps=_STEPS_PER_PERIOD,
+        step_size=_round(2.0 * math.pi / max(rate, 1.0) / _STEPS_PER_PERIOD, up=False),
         q=np.round(q, 6).tolist(), p=p.tolist())
 
 
 def write_new(options: Namespace, parser: Parser) -> int:
     """Run `scene --new`: write the file, and print the next steps."""
     if options.file is None and options.robot is None:
-        parser.error('FILE is missing: name what to write')
+        parser.error('FILE is missing: name the file to write')
     path = options.file if options.file is None or options.file.suffix in ('.yaml', '.yml') else \
         options.file.with_name(f'{options.file.name}.yaml')
     if options.robot is not None:
@@ -361,6 +387,6 @@ def write_new(options: Namespace, parser: Parser) -> int:
 def _written(path: Path) -> int:
     """Print the next steps with a scene."""
     print(path)
-    print(f'  change it; check it by: {command(f"scene --check {path}")}')
-    print(f'  run it by: {command(f"run {path}")}')
+    print(f'  edit it; check it with: hnn scene --check {path}')
+    print(f'  run it with: hnn run {path}')
     return 0

@@ -6,15 +6,16 @@ from collections.abc import Callable, Mapping
 from functools import partial
 import os
 from pathlib import Path
+import sys
+from typing import TextIO
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files import elapsed, no_file, replacing
 from hnn_vi_ros.simulation import is_wrong, simulate, Trajectory
-import numpy as np
 
 # Exit status of an unreliable run, if requested.
-_WRONG = 3
+_UNRELIABLE_STATUS = 3
 # Suffixes by option; options without an entry accept any suffix.
 _PICTURES = ('.png', '.svg', '.pdf')
 SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--animate': ('.gif',),
@@ -42,21 +43,24 @@ def check_outputs(paths: Mapping[str, Path | None], force: bool) -> None:
     for option, path in asked.items():
         others = [other for other in asked if other != option and asked[other] == path]
         if others:
-            raise ParameterError(f'{option} {path}: {others[0]} names the same file; name two')
+            raise ParameterError(f'{option} {path}: {others[0]} names the same file; name two '
+                                 'different files')
         valid = SUFFIXES.get(option, (path.suffix,))
         if path.suffix not in valid:
-            raise ParameterError(f'{option} {path}: no file of this kind can be written; valid: '
+            raise ParameterError(f'{option} {path}: files of this type cannot be written; valid: '
                                  f'{", ".join(valid)}')
         if os.path.lexists(path) and not (force and path.is_file()):
             raise ParameterError(f'{option} {path}: ' + (
                 f'{no_file(path)}; name a file' if force else
                 'exists already; name another file, or add --force'))
         if not path.parent.is_dir():
-            raise ParameterError(f'{option} {path}: no folder {str(path.parent)!r}; make it first')
+            raise ParameterError(f'{option} {path}: no folder {str(path.parent)!r}; create it '
+                                 'first')
 
 
 def write_outputs(paths: Mapping[str, Path | None],
-                  writers: Mapping[str, Callable[[Path], object]]) -> None:
+                  writers: Mapping[str, Callable[[Path], object]],
+                  shown: TextIO | None = None) -> None:
     """
     Write the requested files, and print the path of each.
 
@@ -66,6 +70,8 @@ def write_outputs(paths: Mapping[str, Path | None],
         See ``check_outputs``.
     writers : mapping
         Function that writes to a path, by option.
+    shown : text stream, optional
+        Where paths are printed, by default standard output.
 
     Raises
     ------
@@ -85,7 +91,7 @@ def write_outputs(paths: Mapping[str, Path | None],
                                  f'({problem.strerror or problem})') from problem
         except ValueError as problem:
             raise ParameterError(f'{option} {path}: {problem}') from problem
-        print(path)
+        print(path, file=shown)
 
 
 def main(argv: list[str]) -> int:
@@ -100,7 +106,9 @@ def main(argv: list[str]) -> int:
     """
     options = arguments.run().parse_args(argv)
     paths = {option: getattr(options, option[2:]) for option in _WRITERS}
-    check_outputs(paths, options.force)
+    to_output = options.csv == Path('-')
+    shown = sys.stderr if to_output else sys.stdout
+    check_outputs(paths | {'--csv': None} if to_output else paths, options.force)
     try:
         with elapsed('compiling or simulating'):
             trajectory = simulate(
@@ -108,28 +116,34 @@ def main(argv: list[str]) -> int:
                 integrator=options.integrator, every=options.every)
     except ValueError as problem:
         raise ParameterError(str(problem)) from problem
-    print(trajectory)
+    print(trajectory, file=shown)
     for event in trajectory.events:
-        print(f'event {event}')
-    write_outputs(paths, {option: partial(write, trajectory)
-                          for option, write in _WRITERS.items()})
+        print(f'event {event}', file=shown)
+    if to_output:
+        trajectory.to_csv(sys.stdout)
+    write_outputs(paths | {'--csv': None} if to_output else paths, {
+        option: partial(write, trajectory) for option, write in _WRITERS.items()}, shown)
+    if not any(paths.values()):
+        print(_next_steps(options.scene, trajectory), file=shown)
     wrong = [kind for kind in trajectory.alarm_kinds() if is_wrong(kind)]
     if wrong:
         print(f'the run may be qualitatively wrong: {", ".join(wrong)}'
-              + f' (status {_WRONG})' * options.strict)
-    return _WRONG if wrong and options.strict else 0
+              + f' (status {_UNRELIABLE_STATUS})' * options.strict, file=shown)
+    return _UNRELIABLE_STATUS if wrong and options.strict else 0
 
 
-def _write_csv(trajectory: Trajectory, path: Path) -> None:
-    """Write t [s], coordinates, momenta and H [J]; they are read back exactly."""
-    q, p = trajectory.names
-    table = np.column_stack([trajectory.t, trajectory.q, trajectory.p, trajectory.energy])
-    np.savetxt(path, table, delimiter=',', header=','.join(['t', *q, *p, 'H']), comments='',
-               fmt='%.17g')
+def _next_steps(name: str, trajectory: Trajectory) -> str:
+    """Return where the scene and its models are, and commands for what to do next."""
+    scene = trajectory.scene
+    assert scene is not None, 'a run has a scene'
+    models = ''.join(f', {path}' for path in scene.model_files().values())
+    return (f'scene: {scene.source}{models}; no files were written\n'
+            f'next:  hnn run {name} --plot {scene.name}.png   (or --csv -, --rerun, --animate)\n'
+            f'       hnn scene --explain {name}')
 
 
 _WRITERS: dict[str, Callable[[Trajectory, Path], object]] = {
-    '--csv': _write_csv,
+    '--csv': Trajectory.to_csv,
     '--plot': lambda run, path: run.plot().savefig(path, dpi=150),
     '--portrait': lambda run, path: run.phase_portrait().savefig(path, dpi=150),
     '--animate': lambda run, path: run.animate().save(path, writer='pillow'),

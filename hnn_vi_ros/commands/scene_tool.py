@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write, check, list, explain and compile scenes, and print their JSON schema."""
+"""Write, check, explain and compile scenes, and print their JSON schema."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
@@ -9,10 +9,10 @@ import sys
 from typing import Any, TYPE_CHECKING
 
 from hnn_vi_ros.commands import arguments
-from hnn_vi_ros.errors import HnnViRosError, ModelError
-from hnn_vi_ros.files import called, json_schema, shipped_names
+from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.files import json_schema, shipped_names
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate
-from hnn_vi_ros.scene import AutoChoice, load_scene, Scene
+from hnn_vi_ros.scene import AutoChoice, lacks_a_model, load_scene, Scene
 
 if TYPE_CHECKING:
     from hnn_vi_ros.run import EffectCosts
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # The simulation is imported lazily, so that lists and schemas are shown immediately.
 
 # Number of steps over which neighbouring trajectories are followed; fewer if H is plain Python.
-_STEPS, _PLAIN_STEPS = 2 ** 16, 2 ** 12
+_LYAPUNOV_STEPS, _PLAIN_LYAPUNOV_STEPS = 2 ** 16, 2 ** 12
 
 
 def main(argv: list[str]) -> int:
@@ -31,25 +31,23 @@ def main(argv: list[str]) -> int:
         from hnn_vi_ros.commands.new_scene import write_new
         return write_new(options, parser)
     if options.file is not None:
-        parser.error(f'say what to do with {options.file}: --explain, --check, --compile or --new')
+        parser.error(f'choose a task for {options.file}: --explain, --check, --compile or --new')
     if options.no_rescue and options.compile is None:
-        parser.error('--no-rescue is for --compile')
+        parser.error('--no-rescue needs --compile')
     for name in ('like', 'formula', 'robot', 'force'):
         if getattr(options, name):
-            parser.error(f'--{name} is for a new scene: add --new')
+            parser.error(f'--{name} needs --new')
     if options.check:
         return check(options.check)
     if options.compile is not None:
         return compile_all(options.compile, not options.no_rescue)
     lines: Iterable[str]
-    if options.list:
-        lines = list_scenes()
-    elif options.schema:
+    if options.schema:
         lines = [json_schema(Scene, 'A scene of hnn_vi_ros')]
     elif options.explain is not None:
         lines = explain(load_scene(options.explain))
     else:
-        parser.error('say what to do: --list, --explain, --check, --compile, --schema or --new')
+        parser.error('choose a task: --explain, --check, --compile, --schema or --new')
     for line in lines:
         print(line, flush=True)
     return 0
@@ -68,7 +66,8 @@ def check(names: Sequence[str]) -> int:
                 ensemble_card(parts)
             print(_in_a_line(scene, watched(build(parts), scene).conservative))
         except HnnViRosError as problem:
-            print(f'{called("scene")}: {problem}', file=sys.stderr)
+            for line in problem.lines:
+                print(f'hnn scene: {line}', file=sys.stderr)
             status = 1
     return status
 
@@ -78,26 +77,14 @@ def compile_all(names: Sequence[str], rescue: bool) -> int:
     from hnn_vi_ros.run import compile_scenes
     status = 0
     names = names or [
-        name for name in shipped_names('scene') if not _lacks_a_model(load_scene(name))]
+        name for name in shipped_names('scene') if not lacks_a_model(load_scene(name))]
     for scene in compile_scenes(names, rescue):
         if scene.problem:
-            print(f'{called("scene")}: {scene.problem}', file=sys.stderr)
+            print(f'hnn scene: {scene.problem}', file=sys.stderr)
             status = 1
         else:
             print(f'{scene.name}: compiled in {scene.seconds:.1f} s', flush=True)
     return status
-
-
-def list_scenes() -> list[str]:
-    """Return a line for each shipped scene: name, description, and whether it can run."""
-    names = shipped_names('scene')
-    width = max(map(len, names))
-    lines = []
-    for name in names:
-        scene = load_scene(name)
-        mark = ' (model absent)' if _lacks_a_model(scene) else ''
-        lines.append(f'{name:{width}}  {scene.description}{mark}')
-    return lines
 
 
 def explain(scene: Scene) -> Iterator[str]:
@@ -123,7 +110,7 @@ def explain(scene: Scene) -> Iterator[str]:
     yield from _choice('hamiltonian', scene.hamiltonian)
     yield from (f'  {name}: {value}' for name, value in hamiltonian.provenance.items())
     yield from _coordinates(hamiltonian.coordinates, scene)
-    for choice, effect in zip(scene.effects, parts.effects, strict=True):
+    for choice, effect in zip(scene.effects, parts.effects, strict=False):
         yield from _choice('effect', choice)
         yield f'  {"conservative" if effect.conservative else "does work"}'
     yield from _choice('integrator', scene.integrator)
@@ -134,7 +121,8 @@ def explain(scene: Scene) -> Iterator[str]:
         yield f'event {event.when} ({event.direction}): {event.then}'
     yield f'conservative: {"yes" if simulation.conservative else "no"}'
     print('measuring ...', file=sys.stderr)
-    yield lyapunov_line(scene, _STEPS if hamiltonian.kernel.compiled else _PLAIN_STEPS)
+    yield lyapunov_line(scene, _LYAPUNOV_STEPS if hamiltonian.kernel.compiled else
+                        _PLAIN_LYAPUNOV_STEPS)
     yield from _times(measure_effects(parts))
 
 
@@ -177,9 +165,9 @@ def lyapunov_line(scene: Scene, steps: int) -> str:
 def _times(costs: 'EffectCosts') -> Iterator[str]:
     yield f'time per step: {1e6 * costs.total:.3f} us'
     if not math.isnan(costs.bare):
-        yield f'  of the bare integrator: {1e6 * costs.bare:.3f} us'
+        yield f'  integrator alone: {1e6 * costs.bare:.3f} us'
     for label, added in costs.added.items():
-        text = 'cannot be left out' if math.isnan(added) else f'adds {1e6 * added:.3f} us'
+        text = 'cannot be removed' if math.isnan(added) else f'adds {1e6 * added:.3f} us'
         yield f'  {label} {text}'
 
 
@@ -189,14 +177,6 @@ def _in_a_line(scene: Scene, conservative: bool) -> str:
     kept = 'conservative' if conservative else 'not conservative'
     return (f'{scene.name}: valid: {" + ".join(parts)}, {scene.integrator.kind}, '
             f'h = {scene.step_size:g} s, {kept}')
-
-
-def _lacks_a_model(scene: Scene) -> bool:
-    try:
-        scene.model_files()
-    except ModelError:
-        return True
-    return False
 
 
 if __name__ == '__main__':

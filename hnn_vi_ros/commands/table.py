@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import NoReturn
 
-from hnn_vi_ros.errors import did_you_mean
-from hnn_vi_ros.files import Parser
+from hnn_vi_ros.errors import did_you_mean, SceneError
+from hnn_vi_ros.files import find_yaml, Parser, YAML_KINDS
 
 # Commands by purpose, each with the module of the package whose ``main(argv)`` it calls.
 GROUPS = {
-    'simulate': {'run': 'commands.run', 'scene': 'commands.scene_tool', 'cost': 'commands.cost',
-                 'sweep': 'sweeps.running'},
+    'simulate': {'run': 'commands.run', 'list': 'commands.names', 'scene': 'commands.scene_tool',
+                 'cost': 'commands.cost', 'sweep': 'sweeps.running'},
     'learn': {'train': 'learning.train', 'evaluate': 'learning.evaluate',
               'identify': 'identify.identify',
-              'import_checkpoint': 'learning.import_checkpoint'},
+              'import': 'learning.import_model'},
     'control': {'controller': 'ros.controller_node'},
     'ROS': {'simulator': 'ros.simulator_node', 'rerun_bridge': 'ros.rerun_bridge',
             'listener': 'ros.listener_node'},
@@ -26,7 +26,7 @@ COMMANDS = {name: module for group in GROUPS.values() for name, module in group.
 # Deprecated names and their replacements.
 ALIASES = {'new_scene': ('scene', '--new')}
 # Commands that are not ROS 2 executables.
-_WITHOUT_ROS = ('run', 'cost', 'doctor', 'completion')
+_WITHOUT_ROS = ('run', 'list', 'cost', 'doctor', 'completion')
 EXECUTABLES = [name for name in (*COMMANDS, *ALIASES) if name not in _WITHOUT_ROS]
 
 
@@ -42,7 +42,23 @@ def parser_of(name: str) -> Parser:
     """Return the parser of a command, without importing the libraries that its work needs."""
     room = COMMANDS[name].partition('.')[0]
     arguments = import_module(f'hnn_vi_ros.{room}.arguments')
-    return getattr(arguments, name)()
+    # A keyword of Python cannot name a function, and a built-in type should not.
+    return getattr(arguments, {'import': 'import_model', 'list': 'names'}.get(name, name))()
+
+
+def check_names(parser: Parser, argv: Sequence[str]) -> None:
+    """Raise SceneError for an invalid scene, or a sweep, task or configuration without a file."""
+    from hnn_vi_ros.scene import load_scene
+    options = parser.parse_args(argv)
+    given = [(kind, getattr(options, action.dest)) for action in parser.known
+             if (kind := getattr(action, 'names_of', '')) in YAML_KINDS]
+    for kind, texts in given:
+        for text in [texts] if isinstance(texts, str) else texts or ():
+            if kind == 'scene':
+                # Without a compiler, all problems of its keys are known as well.
+                load_scene(text)
+            else:
+                find_yaml(kind, text, SceneError)
 
 
 def hnn() -> Parser:
@@ -53,7 +69,7 @@ def hnn() -> Parser:
     parser = Parser('', (
         'Simulate learned and exact Hamiltonians with variational integrators. `hnn COMMAND '
         '--help` lists the arguments of a command.'), [
-        'hnn run pendulum --duration 20 --plot pendulum.png', 'hnn scene --list',
+        'hnn run pendulum --duration 20 --plot pendulum.png', 'hnn list scenes',
         'hnn train --help', 'hnn doctor'], '\n'.join(lines).rstrip())
     parser.usage = 'hnn COMMAND ...'
     return parser

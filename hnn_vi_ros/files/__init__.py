@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.files.command_line import (
-        call_by_hnn, called, command, complete_by, Parser, seconds)
+    from hnn_vi_ros.files.command_line import complete_by, Parser, seconds
     from hnn_vi_ros.files.limits import (
-        array_names, check_pickles, parse_json, plain_number, safetensors_header, sha256_of,
-        text_lines, unpack_arrays)
+        array_names, check_pickles, LONGEST_LINE, parse_json, plain_number, safetensors_header,
+        sha256_of, text_lines, unpack_arrays)
     from hnn_vi_ros.files.named_code import find_beside, import_named, NAMES_CODE
     from hnn_vi_ros.files.regular_file import (
         check_new, in_bytes, limited, no_file, numbered, open_file, read_limited, refuse_pointer,
         replacing, write_new, write_new_scene, write_text)
     from hnn_vi_ros.files.resources import (
         cache_folder, can_be_written, expand_user, find_yaml, is_path, package_file, prefixes,
-        private_folder, SCHEME, share_folder, shipped_file, shipped_names, usual_folder)
+        private_folder, SCHEME, share_folder, shipped_file, shipped_names, usual_folder,
+        YAML_KINDS)
     from hnn_vi_ros.files.standard_streams import (
         elapsed, ENDING, guard_streams, lost_output, ProgressLine, rewrite_line, spare_output,
         write_problem)

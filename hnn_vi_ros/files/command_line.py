@@ -4,36 +4,17 @@
 
 import argparse
 from collections.abc import Sequence
-from contextvars import ContextVar
 import re
 from textwrap import fill
 from typing import NoReturn
 
-from hnn_vi_ros.errors import did_you_mean
+from hnn_vi_ros.errors import did_you_mean, offered
 from hnn_vi_ros.files.standard_streams import write_problem
 from hnn_vi_ros.version import __version__
 
-# Prefixes of a command: the executable found by ROS 2, and the common command.
-_BY_ROS, _BY_HNN = 'ros2 run hnn_vi_ros', 'hnn'
-_called: ContextVar[str] = ContextVar('called', default=_BY_ROS)
 # Exit status for an invalid command line, as in argparse.
-_USAGE = 2
-_WIDTH = 99
-
-
-def call_by_hnn() -> None:
-    """Name executables as ``hnn NAME`` instead of ``ros2 run`` in all further output."""
-    _called.set(_BY_HNN)
-
-
-def called(name: str) -> str:
-    """Return the name of an executable for its help and its errors."""
-    return name if _called.get() == _BY_ROS else f'{_BY_HNN} {name}'.strip()
-
-
-def command(words: str) -> str:
-    """Return a command line that a user can type: an executable with its arguments."""
-    return f'{_called.get()} {words}'
+_USAGE_STATUS = 2
+_HELP_WIDTH = 99
 
 
 def complete_by(action: argparse.Action, kind: str) -> None:
@@ -55,7 +36,7 @@ def seconds(text: str) -> float:
         return float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f'{text!r} is no number of seconds, e.g. 0.001') from None
+            f'{text!r} is not a number of seconds, e.g. 0.001') from None
 
 
 class Parser(argparse.ArgumentParser):
@@ -79,9 +60,10 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, name: str, description: str, examples: Sequence[str], details: str = '',
                  parameters: Sequence[str] = ()):
-        shown = '\n'.join(f'  {example.replace(_BY_ROS, _called.get())}' for example in examples)
+        shown = '\n'.join(f'  {example}' for example in examples)
         super().__init__(
-            prog=called(name), description=fill(description, _WIDTH), allow_abbrev=False,
+            prog=f'hnn {name}'.strip(), description=fill(description, _HELP_WIDTH),
+            allow_abbrev=False,
             epilog=f'{details}\n\nexamples:\n{shown}'.strip(),
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self._parameters = parameters
@@ -119,7 +101,11 @@ class Parser(argparse.ArgumentParser):
         """Exit with a one-line error."""
         # Replace the names of Python types, which a user need not know.
         message = re.sub(r"invalid (int|float) value: ('.*')", lambda found: (
-            f'{found[2]} is no {"whole " * (found[1] == "int")}number'), ' '.join(message.split()))
+            f'{found[2]} is not a '
+            f'{"whole " * (found[1] == "int")}number'), ' '.join(message.split()))
+        message = re.sub(r"invalid choice: '(.*)' \(choose from (.*)\)", lambda found: (
+            f'unknown {found[1]!r}{offered(found[1], found[2].replace(chr(39), "").split(", "))}'
+            ), message)
         line = f'{self.prog}: {message}; see {self.prog} --help'
         write_problem(line)
-        self.exit(_USAGE)
+        self.exit(_USAGE_STATUS)

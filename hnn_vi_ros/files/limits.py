@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import errno
 from hashlib import file_digest
-from io import BufferedReader, FileIO
 import json
 import math
 from pathlib import Path
@@ -22,7 +21,6 @@ import zipfile
 
 from hnn_vi_ros.files.regular_file import in_bytes, limited
 import numpy as np
-from numpy.lib import format as npy
 
 # Maximum length of a line of text [characters].
 LONGEST_LINE = 1 << 20
@@ -30,15 +28,11 @@ LONGEST_LINE = 1 << 20
 MOST_VALUES = 1_200_000
 # Maximum header of safetensors [bytes]: the card of an ensemble of 1000 members takes 3 MiB.
 LONGEST_HEADER = 4 << 20
-# Maximum directory of an archive [bytes]: 80 thousand arrays.
-_LONGEST_DIRECTORY = 4 << 20
-# Maximum header of an array with dtype and shape in numpy's format [bytes].
-_LONGEST_ARRAY_HEADER = 10_000
 # Opcodes of a pickle that refer to names; and the names in pickles of tensors.
-_NAMING = frozenset({'GLOBAL', 'STACK_GLOBAL', 'INST', 'EXT1', 'EXT2', 'EXT4'})
-_PLAIN = re.compile(r'collections OrderedDict|torch\._utils _rebuild_\w+|torch (?!Tensor\b)\w+|'
-                    r'torch\.storage \w+|torch\.serialization _get_layout|'
-                    r'torch\.nn\.parameter Parameter')
+_NAMING_OPCODES = frozenset({'GLOBAL', 'STACK_GLOBAL', 'INST', 'EXT1', 'EXT2', 'EXT4'})
+_TENSOR_NAMES = re.compile(
+    r'collections OrderedDict|torch\._utils _rebuild_\w+|torch (?!Tensor\b)\w+|torch\.storage \w+|'
+    r'torch\.serialization _get_layout|torch\.nn\.parameter Parameter')
 
 
 def sha256_of(path: Path, most: int) -> str:
@@ -47,7 +41,7 @@ def sha256_of(path: Path, most: int) -> str:
         return file_digest(stream, 'sha256').hexdigest()
 
 
-def text_lines(path: Path, most: int) -> Iterator[tuple[int, str]]:
+def text_lines(path: Path, most: int, encoding: str = 'utf-8-sig') -> Iterator[tuple[int, str]]:
     """
     Yield the lines of a text file without line breaks, each with its number from 1.
 
@@ -56,19 +50,20 @@ def text_lines(path: Path, most: int) -> Iterator[tuple[int, str]]:
     OSError
         See ``limited``.
     ValueError
-        A line is too long, or not UTF-8; the message starts with its number.
+        A line is too long, or not in this encoding; the message starts with its number.
 
     """
     number = 0
-    with limited(path, most), path.open(encoding='utf-8-sig') as stream:
+    with limited(path, most), path.open(encoding=encoding) as stream:
         while True:
             number += 1
             try:
                 line = stream.readline(LONGEST_LINE + 1)
-            except UnicodeDecodeError as problem:
+            except UnicodeError as problem:
                 # Decoding is ahead of the lines, so the line number is a lower bound.
-                raise ValueError(f'{number}: not a text file in UTF-8, here or below: '
-                                 f'{problem.reason}') from problem
+                name = encoding.removesuffix('-sig').upper()
+                raise ValueError(f'{number}: not {name} text, in this line or below: '
+                                 f'{getattr(problem, "reason", problem)}') from problem
             if not line:
                 return
             line = line.rstrip('\n')
@@ -101,7 +96,7 @@ def parse_json(text: bytes) -> Any:
     try:
         return json.loads(text)
     except RecursionError as problem:
-        raise ValueError('nested too deep') from problem
+        raise ValueError('nested too deeply') from problem
 
 
 def safetensors_header(stream: BinaryIO) -> bytes:
@@ -119,14 +114,14 @@ def safetensors_header(stream: BinaryIO) -> bytes:
         raise ValueError(f'a header of more than {in_bytes(LONGEST_HEADER)}')
     header = stream.read(size)
     if len(header) < max(size, 1):
-        raise ValueError('it ends in its header')
+        raise ValueError('it ends inside its header')
     return header
 
 
 def array_names(path: Path, most: int) -> list[str]:
     """Return the keys of an .npz file; see ``unpack_arrays``."""
     with _archive(path, most) as archive:
-        return [member.filename.removesuffix('.npy') for member in archive.infolist()]
+        return [*archive.files]
 
 
 def unpack_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
@@ -149,46 +144,26 @@ def unpack_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
 
     """
     with _archive(path, most) as archive:
-        members = archive.infolist()
-        if sum(member.file_size for member in members) > most:
+        if sum(member.file_size for member in archive.zip.infolist()) > most:
             raise OSError(errno.EFBIG, f'unpacks to more than {in_bytes(most)}')
-        return {member.filename.removesuffix('.npy'): _array(archive, member)
-                for member in members}
-
-
-class _Bounded(BufferedReader):
-    """A file that rejects reads larger than the maximum directory of an archive."""
-
-    def read(self, size: int | None = -1) -> bytes:
-        if size is not None and size > _LONGEST_DIRECTORY:
-            raise zipfile.BadZipFile('its directory is too long')
-        return super().read(size)
+        found = {name: archive[name] for name in archive.files}
+        # numpy returns the bytes of a member that is not an array.
+        if not all(isinstance(array, np.ndarray) for array in found.values()):
+            raise ValueError
+        return found
 
 
 @contextmanager
-def _archive(path: Path, most: int) -> Iterator[zipfile.ZipFile]:
-    with limited(path, most), _Bounded(FileIO(path)) as stream:
+def _archive(path: Path, most: int) -> Iterator[Any]:
+    with limited(path, most):
         try:
-            with zipfile.ZipFile(stream) as archive:
+            with np.load(path, allow_pickle=False) as archive:
                 yield archive
         except OSError:
             raise
         except Exception as problem:  # damaged archives raise exceptions without a common class
             # Not numpy's message, which recommends unpickling untrusted files.
             raise ValueError('not an .npz file of plain arrays') from problem
-
-
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    # Other methods decompress a whole block at once.
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise zipfile.BadZipFile('packed in a way that numpy does not use')
-    with archive.open(member) as content:
-        # numpy reads a header before checking its length.
-        length = 2 if npy.read_magic(content) == (1, 0) else 4
-        if int.from_bytes(content.read(length), 'little') > _LONGEST_ARRAY_HEADER:
-            raise ValueError('too long a header')
-        content.seek(0)
-        return npy.read_array(content, allow_pickle=False)
 
 
 def check_pickles(path: Path) -> None:
@@ -214,6 +189,6 @@ def check_pickles(path: Path) -> None:
 
 def _check_pickle(stream: IO[bytes]) -> None:
     for code, argument, _ in pickletools.genops(stream):
-        if code.name in _NAMING and not (
-                code.name == 'GLOBAL' and _PLAIN.fullmatch(str(argument))):
-            raise ValueError(f'it names {str(argument)[:80]}')
+        if code.name in _NAMING_OPCODES and not (
+                code.name == 'GLOBAL' and _TENSOR_NAMES.fullmatch(str(argument))):
+            raise ValueError(f'it refers to {str(argument)[:80]}')

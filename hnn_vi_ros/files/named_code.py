@@ -27,7 +27,7 @@ def _check(name: str | None, info: ValidationInfo) -> str | None:
     if name is not None and not (info.context or {}).get(_TRUST, False):
         raise ValueError(
             f'{repr(name)[:80]} is code, which is run only for scene files that you name; if you '
-            'trust who wrote this, allow it by --trust-code or the parameter trust_code')
+            'trust its author, allow it with --trust-code or the parameter trust_code')
     return name
 
 
@@ -90,4 +90,5 @@ def _check_origins(named: str, folder: Path) -> None:
             if own.is_file() and not own.samefile(taken) and (
                     own.read_bytes() != taken.read_bytes()):
                 raise ImportError(f'{name} was imported from {taken}, and {own} is another; '
-                                  'rename one of them, as a process holds one module of a name')
+                                  'rename one of them, because a process has only one module of '
+                                  'each name')

@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError, SceneError
 
-_BEGIN = b'version https://git-lfs'
+_LFS_POINTER = b'version https://git-lfs'
 
 
 def refuse_pointer(raw: bytes, where: object, error: type[HnnViRosError]) -> None:
@@ -31,9 +31,9 @@ def refuse_pointer(raw: bytes, where: object, error: type[HnnViRosError]) -> Non
         Exception to raise, with one line.
 
     """
-    if raw.startswith(_BEGIN):
-        raise error(f'{where}: a git-LFS pointer in the place of the file; fetch the file with: '
-                    'git lfs pull')
+    if raw.startswith(_LFS_POINTER):
+        raise error(f'{where}: a Git LFS pointer instead of the file; fetch the file with: git '
+                    'lfs pull')
 
 
 def check_new(option: str, path: Path) -> None:
@@ -149,7 +149,7 @@ def no_file(path: Path, missing: str = 'no such file') -> str:
     """Describe the object at a path that cannot be read as a file."""
     if os.path.isdir(path):
         return 'is a folder'
-    return 'is no regular file' if os.path.exists(path) else missing
+    return 'is not a regular file' if os.path.exists(path) else missing
 
 
 def regular(path: Path) -> Path:
@@ -218,6 +218,7 @@ def open_file(path: Path, name: Path) -> BinaryIO:
     """
     # Check this first: opening a device may have side effects.
     if not stat.S_ISREG(os.stat(path).st_mode):
-        raise RecordingError(f'{name}: is no regular file; give the folder of a bag, or its file')
+        raise RecordingError(f'{name}: is not a regular file; give the folder of a bag, or its '
+                             'file')
     stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), 'rb')
     return stream

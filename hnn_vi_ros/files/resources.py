@@ -35,8 +35,8 @@ def package_file(uri: str) -> Path:
     for prefix in prefixes():
         if (prefix / 'share/ament_index/resource_index/packages' / package).is_file():
             return prefix / 'share' / package / path
-    raise ValueError(f'{uri}: no package {package!r} is in what AMENT_PREFIX_PATH lists; source '
-                     'the workspace that holds it, or give the path of the file')
+    raise ValueError(f'{uri}: the package {package!r} is not in AMENT_PREFIX_PATH; source the '
+                     'workspace that contains it, or give the path of the file')
 
 
 def prefixes() -> list[Path]:
@@ -91,10 +91,12 @@ _FOLDERS = {
     'training': ('config/training', '.yaml'),
     'model': ('resource/models', '.safetensors'),
 }
+# Kinds that `find_yaml` finds.
+YAML_KINDS = ('scene', 'sweep', 'task', 'training')
 # Command that lists all shipped files of a kind.
-_ALL = {'scene': '; `hnn scene --list` lists them'}
+_LIST_HINTS = {'scene': '; `hnn list scenes` lists them', 'task': '; `hnn list tasks` lists them'}
 # Names of kinds in messages, if different.
-_WHAT = {'training': 'training configuration'}
+_KIND_NAMES = {'training': 'training configuration'}
 
 
 def share_folder() -> Path:
@@ -109,7 +111,7 @@ def share_folder() -> Path:
         for candidate in (folder, folder / 'share' / 'hnn_vi_ros'):
             if (candidate / 'config' / 'scenes').is_dir():
                 return candidate
-    raise FileNotFoundError(f'no config/scenes belongs to the package at {package}; reinstall it')
+    raise FileNotFoundError(f'the package at {package} has no config/scenes; reinstall it')
 
 
 def shipped_names(kind: str) -> list[str]:
@@ -145,17 +147,20 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
         closest one.
 
     """
+    if kind == 'scene' and text.endswith(('.urdf', '.xacro')):
+        raise error(f'{text}: is a robot, which needs a scene; write one with: hnn scene --new '
+                    f'--robot {text}')
     named = is_path(kind, text)
     path = Path(text) if named else shipped_file(kind, text)
     if os.path.isfile(path):
         return path
-    names, what = shipped_names(kind), _WHAT.get(kind, kind)
+    names, what = shipped_names(kind), _KIND_NAMES.get(kind, kind)
     if os.path.isdir(text) or (named and os.path.exists(text)):
         raise error(f'{text}: {no_file(Path(text))}; give the path of a {what} (.yaml)')
     if not named:
         beside = f'; for the file {text} give ./{text}' if os.path.isfile(text) else ''
         raise error(f'no {what} {text!r}{beside}{offered(text, names, "shipped")}'
-                    f'{_ALL.get(kind, "")}; or give the path of a .yaml file')
+                    f'{_LIST_HINTS.get(kind, "")}; or give the path of a .yaml file')
     # Compare stems only, because all files share the suffix.
     files = path.parent.glob('*.y*ml') if os.path.isdir(path.parent) else ()
     beside_it = {file.stem: file.name for file in files}
@@ -164,4 +169,4 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
         hint = hint.replace(f' {stem}?', f' {name}?')
     hint = hint or did_you_mean(path.stem, names)
     raise error(f'{text}: no such file{hint}; give the path of a {what}, or the name of a shipped '
-                f'one{_ALL.get(kind) or f": {listed(names)}"}')
+                f'one{_LIST_HINTS.get(kind) or f": {listed(names)}"}')

@@ -18,7 +18,7 @@ from hnn_vi_ros.errors import printable
 # Signals that end a process cleanly; SIGHUP arrives when its terminal closes.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Interval of progress lines on a terminal and elsewhere [s], and width of the bar.
-_TERMINAL, _ELSEWHERE, _BAR = 0.2, 10.0, 24
+_TERMINAL_INTERVAL, _LOG_INTERVAL, _BAR_WIDTH = 0.2, 10.0, 24
 
 
 class _Lossy(io.FileIO):
@@ -123,7 +123,7 @@ class ProgressLine:
 
     def __init__(self) -> None:
         self._terminal, self._shown = sys.stderr.isatty(), False
-        self._interval = _TERMINAL if self._terminal else _ELSEWHERE
+        self._interval = _TERMINAL_INTERVAL if self._terminal else _LOG_INTERVAL
         self._next = time.monotonic() + self._interval
 
     def show(self, share: float, what: str) -> None:
@@ -132,8 +132,8 @@ class ProgressLine:
         if now < self._next:
             return
         self._next = now + self._interval
-        done = round(_BAR * share)
-        bar = f'[{"#" * done}{"." * (_BAR - done)}] ' if self._terminal else ''
+        done = round(_BAR_WIDTH * share)
+        bar = f'[{"#" * done}{"." * (_BAR_WIDTH - done)}] ' if self._terminal else ''
         _show_progress(f'{bar}{share:4.0%}  {what}')
         self._shown = self._terminal
 
@@ -149,7 +149,7 @@ def elapsed(what: str) -> Iterator[None]:
     begin, done, terminal = time.monotonic(), threading.Event(), sys.stderr.isatty()
 
     def show() -> None:
-        while not done.wait(1.0 if terminal else _ELSEWHERE):
+        while not done.wait(1.0 if terminal else _LOG_INTERVAL):
             _show_progress(f'{what}, {time.monotonic() - begin:.0f} s so far')
 
     thread = threading.Thread(target=show, daemon=True)

@@ -69,7 +69,7 @@ def parse_xml(text: bytes, where: object, error: type[HnnViRosError]) -> Element
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if len(opened) > MAX_DEPTH:
-            raise _Refused(f'elements nested more than {MAX_DEPTH} deep')
+            raise _Refused(f'elements nested deeper than {MAX_DEPTH}')
         if next(numbers) > MAX_ELEMENTS:
             raise _Refused(f'more than {MAX_ELEMENTS} elements')
         element = Element(tag, attributes, parser.CurrentLineNumber)
@@ -85,7 +85,7 @@ def parse_xml(text: bytes, where: object, error: type[HnnViRosError]) -> Element
     try:
         parser.Parse(text, True)
     except expat.ExpatError as problem:
-        raise error(f'{where}:{problem.lineno}: no XML: {expat.ErrorString(problem.code)}'
+        raise error(f'{where}:{problem.lineno}: not XML: {expat.ErrorString(problem.code)}'
                     ) from problem
     except (_Refused, LookupError, ValueError) as problem:
         # ValueError: an unknown encoding, or one that is not single-byte.

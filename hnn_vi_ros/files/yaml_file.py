@@ -43,7 +43,7 @@ class _Plain(GenerateJsonSchema):
 Model = TypeVar('Model', bound=BaseModel)
 
 # Maximum length of a value in an error.
-_LONGEST_VALUE = 60
+_MAX_SHOWN_VALUE = 60
 # Expected form of a value by pydantic's error type, for messages in terms of Python.
 _FORMS = {
     'too_short': 'have {min_length} or more entries',
@@ -85,7 +85,7 @@ def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
     schema : type of BaseModel
         Schema of the file.
     error : type of HnnViRosError
-        Exception to raise, with one line: file, line, key, expected value.
+        Exception to raise, with one line a problem: file, line, key, expected value.
 
     """
     data, places = parse_mapping(read_text(path, error), path, error)
@@ -114,7 +114,7 @@ def validate(data: Mapping[str, Any], places: KeyPlaces | Callable[[], KeyPlaces
         return schema.model_validate(data, context=trusting(trust_code))
     except ValidationError as problem:
         known = places() if callable(places) else places
-        raise error(_describe(known, schema, problem)) from problem
+        raise error(*_describe(known, schema, problem)) from problem
 
 
 def read_text(path: Path, error: type[HnnViRosError]) -> bytes:
@@ -133,11 +133,36 @@ def in_plain_words(problem: ValidationError) -> str:
     return one_line(': '.join(filter(None, ('.'.join(map(str, first['loc'])), said))))
 
 
-def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationError) -> str:
+def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationError) -> list[str]:
+    """Return a line for each problem, in the order of the schema."""
     problems = problem.errors(include_url=False)
-    # A misspelt key is reported as unknown rather than as missing under its correct name. Among
-    # the alternatives of a union, the one with the deepest match was probably intended.
-    first = max(problems, key=lambda p: (p['type'] == 'extra_forbidden', len(p['loc'])))
+    kept: list[Any] = []
+    # Among the alternatives of a union, the one with the deepest match was probably intended.
+    for own in sorted(problems, key=lambda p: (p['type'] == 'extra_forbidden', len(p['loc'])),
+                      reverse=True):
+        if not any(_excludes(places, other, own) for other in kept):
+            kept.append(own)
+    return [_one_problem(places, schema, own, problems) for own in problems if own in kept]
+
+
+def _excludes(places: KeyPlaces, first: Any, second: Any) -> bool:
+    """Return True if a problem is not one of its own beside another."""
+    loc, other, types = first['loc'], second['loc'], (first['type'], second['type'])
+    if types == ('extra_forbidden', 'missing') and loc[:-1] == other[:-1]:
+        # A misspelt key is reported as unknown rather than as missing under its correct name.
+        return bool(did_you_mean(str(loc[-1]), [str(other[-1])]))
+    at = next((i for i, (a, b) in enumerate(zip(loc, other, strict=False)) if a != b), None)
+    if at is None:
+        return True
+    # They part at different keys, or at the names of alternatives, which are not in the file.
+    return not any(
+        places.follow(part[:at + 1]) != places.follow(part[:at])
+        or (own['type'] == 'missing' and at + 1 == len(part))
+        for own, part in ((first, loc), (second, other)))
+
+
+def _one_problem(places: KeyPlaces, schema: type[BaseModel], first: Any, problems: Sequence[Any]
+                 ) -> str:
     loc, problem_type, key = first['loc'], first['type'], places.follow(first['loc'])
     if problem_type == 'extra_forbidden':
         valid = {name for owner in _schemas_at(schema, loc[:-1]) for name in owner.model_fields}
@@ -175,7 +200,7 @@ def _wrong_value(problems: Sequence[Any], units: Sequence[str]) -> str:
     if {p['type'] for p in problems} <= {'float_type', 'float_parsing'}:
         what = 'number of seconds, e.g. 0.001' if [*units] == ['s'] else \
             f'number{_bracketed(units)}'
-        return f'{shown} is no {what}'
+        return f'{shown} is not a {what}'
     words = re.findall(r"'([^']*)'", problems[0].get('ctx', {}).get('expected', ''))
     if words and len(problems) == 1:
         hint = did_you_mean(str(problems[0]['input']), words)
@@ -191,8 +216,8 @@ def _wrong_value(problems: Sequence[Any], units: Sequence[str]) -> str:
 
 def _shown(value: object) -> str:
     """Return a value as shown in an error."""
-    return repr(value) if len(repr(value)) <= _LONGEST_VALUE else \
-        f'{repr(value)[:_LONGEST_VALUE]} ...'
+    return repr(value) if len(repr(value)) <= _MAX_SHOWN_VALUE else \
+        f'{repr(value)[:_MAX_SHOWN_VALUE]} ...'
 
 
 def _descriptions(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:

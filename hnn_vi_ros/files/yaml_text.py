@@ -28,7 +28,7 @@ MAX_NODES = 50_000
 MAX_NUMBER = 300
 MAX_KEY = 256
 # Maximum length of an error message.
-_LONGEST_LINE = 1000
+_MAX_MESSAGE = 1000
 
 _INT, _FLOAT = 'tag:yaml.org,2002:int', 'tag:yaml.org,2002:float'
 # Regular expressions without backtracking: their time is linear in the scalar's length.
@@ -36,7 +36,7 @@ _INTEGER = re.compile(r'[-+]?(?:0|[1-9][0-9]*)\Z')
 _REAL = re.compile(
     r'(?:[-+]?(?:(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+'
     r'|\.(?:inf|Inf|INF))|\.(?:nan|NaN|NAN))\Z')
-_FIRST = list('-+.0123456789')
+_FIRST_CHARACTERS = list('-+.0123456789')
 # In YAML each of these line breaks starts a line, and a byte order mark may come first.
 _DIRECTIVE = re.compile('(?:\\A|[\n\r\x85\u2028\u2029])\ufeff?%')
 
@@ -101,15 +101,15 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
     """
     raw = text.encode('utf-8', 'surrogatepass') if isinstance(text, str) else text
     if len(raw) > MAX_YAML_BYTES:
-        raise error(f'{where}: larger than {MAX_YAML_BYTES >> 20} MiB, which no such YAML needs')
+        raise error(f'{where}: larger than {MAX_YAML_BYTES >> 20} MiB, the limit of such YAML')
     try:
         decoded = raw.decode('utf-8')
     except UnicodeDecodeError as problem:
         line = raw.count(b'\n', 0, problem.start) + 1
         raise error(f'{where}:{line}: not UTF-8 ({problem.reason}); expected YAML, which is '
                     'text') from problem
-    for pattern, what in ((Reader.NON_PRINTABLE, 'a character that YAML has not'),
-                          (_DIRECTIVE, 'a directive; leave out what begins with %')):
+    for pattern, what in ((Reader.NON_PRINTABLE, 'a character that YAML does not allow'),
+                          (_DIRECTIVE, 'a directive; remove the line that begins with %')):
         if found := pattern.search(decoded):
             raise error(f'{where}:{decoded.count(chr(10), 0, found.end() - 1) + 1}: {what}')
     try:
@@ -125,7 +125,7 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
         if isinstance(problem, ScannerError | ParserError):
             # Message of the library, which describes a tab as a character that starts no token.
             here = decoded[mark.index:mark.index + 1] if mark else ''
-            what = 'a tab; indent by spaces' if here == '\t' else f'no YAML: {what}'
+            what = 'a tab; indent with spaces' if here == '\t' else f'not YAML: {what}'
         raise error(f'{where}:{mark.line + 1 if mark else 1}: {one_line(what)}') from problem
     except yaml.YAMLError as problem:
         raise error(f'{where}:1: {one_line(problem)}') from problem
@@ -154,7 +154,7 @@ def one_line(problem: object) -> str:
     """Return a text as one line of printable characters, truncated if it is too long."""
     line = ' '.join(str(problem).split())
     line = ''.join(letter if letter.isprintable() else '?' for letter in line)
-    return line if len(line) <= _LONGEST_LINE else f'{line[:_LONGEST_LINE]} ...'
+    return line if len(line) <= _MAX_MESSAGE else f'{line[:_MAX_MESSAGE]} ...'
 
 
 class _Dumper(yaml.SafeDumper):
@@ -171,7 +171,7 @@ def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
 
 
 _Dumper.add_representer(str, _represent_text)
-_Dumper.add_implicit_resolver(_FLOAT, _REAL, _FIRST)
+_Dumper.add_implicit_resolver(_FLOAT, _REAL, _FIRST_CHARACTERS)
 
 
 class _Loader(Composer, yaml.CSafeLoader):
@@ -194,7 +194,7 @@ class _Loader(Composer, yaml.CSafeLoader):
         """Compose a node within the limits."""
         event = self.peek_event()
         if isinstance(event, yaml.AliasEvent):
-            raise _refusal('an alias; write out what it stands for', event)
+            raise _refusal('an alias; write out its value', event)
         nested = isinstance(event, yaml.CollectionStartEvent)
         self._depth += nested
         self._nodes += 1
@@ -218,7 +218,7 @@ class _Loader(Composer, yaml.CSafeLoader):
             if not isinstance(key, yaml.ScalarNode):
                 raise _refusal('a key must be a plain name', key)
             if key.value in seen:
-                raise _refusal(f'{key.value[:40]!r}: the second of this key; remove one', key)
+                raise _refusal(f'{key.value[:40]!r}: duplicate key; remove one', key)
             if len(key.value) > MAX_KEY or not key.value.isprintable():
                 raise _refusal(f'a key must have at most {MAX_KEY} characters, all printable', key)
             seen.add(key.value)
@@ -229,8 +229,8 @@ class _Loader(Composer, yaml.CSafeLoader):
         return {key.value: self.construct_object(value, deep=deep) for key, value in node.value}
 
 
-_Loader.add_implicit_resolver(_INT, _INTEGER, _FIRST)
-_Loader.add_implicit_resolver(_FLOAT, _REAL, _FIRST)
+_Loader.add_implicit_resolver(_INT, _INTEGER, _FIRST_CHARACTERS)
+_Loader.add_implicit_resolver(_FLOAT, _REAL, _FIRST_CHARACTERS)
 
 
 def _refusal(what: str, where: yaml.Event | yaml.Node) -> ComposerError:

@@ -12,52 +12,61 @@ Names of numbers:
 
     mass                  of the Hamiltonian, as in its YAML
     damping.rate          of the effect of that kind
-    damping.1.rate        of the second one, where there are several: they count from 0
+    damping.1.rate        of the second of several such effects (zero-based index)
     forearm.mass          of a link of a URDF: mass, centre_x to centre_z, ixx to izz
-    elbow.damping         of a joint of a URDF, where joint_friction takes it from there; friction
-    input_delay           how late measured forces act [s]
-    initial_state         the initial states of the runs, which are always found, are told too"""
+    elbow.damping         of a joint of a URDF, if joint_friction reads it from there; or friction
+    input_delay           delay of measured forces [s]
+    initial_state         report the initial states of the runs too; they are always fitted"""
+
+
+def _course(name: str) -> str:
+    return 'linear' if name == 'interpolated' else name
 
 
 def identify() -> Parser:
     """Return the parser of ``identify``."""
     parser = Parser('identify', (
         'Fit parameters of a scene to measured motions. Each gets a confidence interval.'), [
-            'ros2 run hnn_vi_ros identify exact_pendulum --data swing.npz --free length '
+            'hnn identify exact_pendulum --data swing.npz --free length '
             'initial_state',
-            'ros2 run hnn_vi_ros identify arm.yaml --data bags/run7 --free forearm.mass '
+            'hnn identify arm.yaml --data bags/run7 --free forearm.mass '
             'joint_friction.damping.elbow --bounds forearm.mass 0.5 3 --write fitted.yaml',
-            'ros2 run hnn_vi_ros identify arm.yaml --data arm.npz:run1,run2 --free input_delay '
+            'hnn identify arm.yaml --data arm.npz:run1,run2 --free input_delay '
             '--robust --horizon 0.5 --json numbers.json --out report'], _IDENTIFIED)
     complete_by(parser.add_argument('scene', metavar='SCENE', help=(
-        'the name of a shipped scene, see scene --list, or a YAML file')), 'scene')
+        'a YAML file, or the name of a shipped scene (see hnn list scenes)')), 'scene')
     parser.add_argument('--data', required=True, nargs='+', metavar='FILE', help=(
-        'bags with joint states; or NPZ[:RUN,...], arrays t [s], q, and where there are dq (or v) '
-        'and tau, or RUN/t, ... of several runs; or, with --config, a log'))
+        'read bags with joint states; or NPZ[:RUN,...] with arrays t [s], q and optionally dq (or '
+        'v) and tau, or RUN/t, ... for several runs; or a log with named '
+        'columns'))
     parser.add_argument('--config', type=Path, metavar='FILE', help=(
-        'a training configuration of a machine, whose data section says how --data is read'))
-    parser.add_argument('--inputs', choices=INPUTS, help=(
-        'what measured forces do between samples: each is held until the next, or goes over into '
-        'it; default: as --config says, or held for topics of commands, else interpolated; the '
-        'report says which fits better'))
+        'read --data as the data section of this training configuration of a machine describes'))
+    parser.add_argument('--measured', nargs='+', default=[], metavar='NAME', help=(
+        'read only these coordinates from --data, in this order; the others are not measured '
+        '(default: as in --config, or all)'))
+    parser.add_argument('--inputs', choices=INPUTS, type=_course, help=(
+        'course of measured forces between samples: each held until the next, linear, or a cubic '
+        'spline (default: as in --config, or held for topics of commands, else linear); the '
+        'report compares all three'))
     parser.add_argument('--free', required=True, nargs='+', metavar='NAME', help=(
-        'the numbers to find, see below; the search begins at their values in the scene'))
+        'fit these numbers (see below), starting from their values in the scene'))
     parser.add_argument('--bounds', nargs=3, action='append', default=[],
-                        metavar=('NAME', 'LOW', 'HIGH'), help='of a number; may be repeated')
+                        metavar=('NAME', 'LOW', 'HIGH'),
+                        help='restrict a number to [LOW, HIGH]; repeatable')
     parser.add_argument('--robust', action='store_true', help=(
-        'let outliers count less, by the loss soft_l1 beyond two standard deviations'))
+        'reduce the weight of outliers with the soft_l1 loss beyond two standard deviations'))
     parser.add_argument('--horizon', type=float, metavar='S', help=(
-        'length of the windows, each with an initial state of its own [s]; default: they grow up '
-        'to whole runs, as long as the scene follows'))
+        'fit windows of this length [s], each with its own initial state (default: lengthen the '
+        'windows up to whole runs while the scene follows the data)'))
     parser.add_argument('--profile', nargs='+', default=[], metavar='NAME', help=(
-        'profile intervals of these numbers, which need not be symmetric'))
+        'compute profile-likelihood intervals of these numbers; they need not be symmetric'))
     parser.add_argument('--json', type=Path, metavar='FILE', help=(
-        'write {name: {value, low, high}} here; low and high are null where the data '
-        'do not determine them'))
+        'write {name: {value, low, high}} to this file; low and high are null if the data do not '
+        'determine them'))
     parser.add_argument('--posterior', type=Path, metavar='FILE', help=(
-        'write the numbers with their covariance here, from which sweeps draw'))
+        'write the numbers with their covariance to this file, from which sweeps can sample'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
-        'a new folder for a report with pictures of fit, residuals and correlations'))
+        'write a report with plots of fit, residuals and correlations to this new folder'))
     parser.add_argument('--write', type=Path, metavar='SCENE.yaml', help=(
         'write the scene with the fitted numbers to this new file'))
     return parser

@@ -16,39 +16,15 @@ from xml.etree import ElementTree
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ModelError, ParameterError, SceneError
 from hnn_vi_ros.files import root_node, share_folder, units_in, write_new_scene, write_text
-from hnn_vi_ros.hamiltonians import Hamiltonian, parse_urdf, read_urdf, Units
+from hnn_vi_ros.hamiltonians import (
+    ElasticDrive, Hamiltonian, JointUnits, parse_urdf, read_urdf)
+from hnn_vi_ros.learning import DELAY, ModelParts, Number
 from hnn_vi_ros.scene import load_scene, numbers_of, Parts, Scene, with_numbers
 import numpy as np
 import yaml
 
-# Numbers outside the scene: initial states of the windows, and delay of the input [s].
-STATES, DELAY = 'initial_state', 'input_delay'
-
-
-@dataclass(frozen=True)
-class Number:
-    """
-    A number to be identified.
-
-    Parameters
-    ----------
-    name : str
-        Name as given by the user.
-    place : str
-        Place in the scene, as in ``numbers_of`` or ``robot_numbers``; or DELAY.
-    unit : str
-        Unit, '' if unknown.
-    start, low, high : float
-        Initial guess and bounds.
-
-    """
-
-    name: str
-    place: str
-    unit: str
-    start: float
-    low: float = -math.inf
-    high: float = math.inf
+# Name of the initial states of the windows, which are no numbers of the scene.
+STATES = 'initial_state'
 
 
 @dataclass(frozen=True)
@@ -77,6 +53,18 @@ class FreeScene:
     robot: frozenset[str] = frozenset()
     held: tuple[Number, ...] = ()
 
+    @property
+    def name(self) -> str:
+        """Return the name of the scene."""
+        return self.scene.name
+
+    def parts_at(self, values: Sequence[float] | np.ndarray) -> ModelParts:
+        """Return the parts of the scene at values of the numbers; see ParametricModel."""
+        scene, delay = self.at(values)
+        _, hamiltonian, integrator, effects = scene.parts()
+        return ModelParts(hamiltonian, integrator, effects, scene.known_step_size,
+                          scene.on_failure, delay)
+
     def holding(self, k: int) -> 'FreeScene':
         """Return the scene with one number fixed at its initial guess."""
         return replace(self, numbers=self.numbers[:k] + self.numbers[k + 1:],
@@ -86,6 +74,10 @@ class FreeScene:
         """Return the scene with other initial guesses of its numbers."""
         return replace(self, numbers=tuple(replace(number, start=float(value)) for number, value in
                                            zip(self.numbers, values, strict=True)))
+
+    def at_step(self, step_size: float) -> 'FreeScene':
+        """Return the scene with another step size [s]."""
+        return replace(self, scene=self.scene.with_overrides(step_size))
 
     def at(self, values: Sequence[float] | np.ndarray) -> tuple[Scene, float]:
         """Return the scene with values of the free numbers, and the delay of its input [s]."""
@@ -134,12 +126,12 @@ def free_scene(parts: Parts, names: Sequence[str], bounds: Mapping[str, tuple[fl
     for name in names:
         place = valid.get(name) or (name if name in values and name != DELAY else None)
         if place is None:
-            late = '; the data hold no forces that could come late' * (name == DELAY)
+            late = '; the data contain no forces that could be delayed' * (name == DELAY)
             raise ParameterError(f'--free {name}: {scene.name} has no such number'
                                  f'{did_you_mean(name, valid)}{late}; valid: '
                                  f'{", ".join([*valid, STATES])}')
         if place in [number.place for number in numbers]:
-            raise ParameterError(f'--free {name}: stands twice; name it once')
+            raise ParameterError(f'--free {name}: is named twice; name it once')
         numbers.append(_number(name, place, values[place], units.get(place, ''), bounds))
     free = FreeScene(scene, tuple(numbers), folder, frozenset(robot))
     return replace(free, numbers=tuple(_within(free, k) for k in range(len(numbers))))
@@ -149,12 +141,12 @@ def _number(name: str, place: str, start: float, unit: str,
             bounds: Mapping[str, tuple[float, float]]) -> Number:
     low, high = bounds.get(name, (-math.inf, math.inf))
     if not low < high:
-        raise ParameterError(f'--bounds {name} {low:g} {high:g}: expected two numbers, '
-                             'the lower one first')
+        raise ParameterError(f'--bounds {name} {low:g} {high:g}: expected two numbers, the lower '
+                             'first')
     if not low <= start <= high:
         if name not in bounds or not (math.isfinite(low) and math.isfinite(high)):
-            raise ParameterError(f'--bounds {name} {low:g} {high:g}: its value in the scene, '
-                                 f'{start:g}, is not between them; change one or the other')
+            raise ParameterError(f'--bounds {name} {low:g} {high:g}: they do not enclose its '
+                                 f'value in the scene, {start:g}; change the bounds or the scene')
         start = 0.5 * (low + high)
     return Number(name, place, unit, start, low, high)
 
@@ -197,16 +189,18 @@ def _units(scene: Scene, hamiltonian: Hamiltonian) -> dict[str, str]:
         f'effects.{i}': effect for i, effect in enumerate(scene.effects)}
     own = {coordinate.name: coordinate.q_unit for coordinate in hamiltonian.coordinates}
     if hamiltonian.robot is not None:
-        own |= {joint.name: joint.units.q for link in hamiltonian.robot.links.values()
-                for joint in link.joints if joint.moves}
+        own |= {joint.name: joint.units.q for joint in hamiltonian.robot.joints.values()
+                if joint.moves}
     units = {name: unit for name, (_, unit) in robot_numbers(scene).items()}
     units[DELAY] = 's'
     for place in numbers_of(scene):
         owner = next(key for key in sorted(parts, key=len, reverse=True)
                      if place.startswith(f'{key}.'))
         name, _, item = place.removeprefix(f'{owner}.').partition('.')
-        described = type(parts[owner]).model_fields.get(name)
-        named = _named(parts[owner], item)
+        described, named = type(parts[owner]).model_fields.get(name), _named(parts[owner], item)
+        if name == 'drives':
+            joint, _, key = item.partition('.')
+            described, named = ElasticDrive.model_fields[key], [joint]
         units[place] = _unit(units_in(described.description) if described else (), {
             own[one] for one in (own if named is None else named) if one in own})
     return units
@@ -262,13 +256,15 @@ def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
         tuple(number.place.split('.')): repr(float(value))
         for number, value in zip(free.numbers, values, strict=True)
         if number.place != DELAY and number.place not in free.robot}
+    if load_scene(free.scene.source).step_size not in (None, free.scene.step_size):
+        changes['step_size',] = repr(free.scene.step_size)
     if initial_state is not None:
         changes |= {('initial_state', key): str([float(one) for one in part])
                     for key, part in initial_state.items()}
     if free.robot & {number.place for number in free.numbers}:
         robot = path.with_suffix('.urdf')
         if os.path.lexists(robot):
-            raise SceneError(f'{robot}: exists already; name another scene file')
+            raise SceneError(f'{robot}: exists already; choose another scene file')
         changes['hamiltonian', 'file'] = robot.name
     for name, file in free.scene.model_files().items():
         # A path relative to the old file's folder would be wrong in the new file's folder.
@@ -278,14 +274,14 @@ def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
     schema = f'# yaml-language-server: $schema={share_folder() / "config" / "scene.schema.json"}'
     text = _SCHEMA.sub(lambda line: schema, text)
     if any(number.place == DELAY for number in free.numbers):
-        text += f'# Measured forces acted {delay:.9g} s late.\n'
+        text += f'# Measured forces acted with a delay of {delay:.9g} s.\n'
     write_new_scene(path, text)
     if ('hamiltonian', 'file') in changes:
         shutil.copy(robot_file(scene), path.with_suffix('.urdf'))
     try:
         load_scene(path).create_hamiltonian()
     except HnnViRosError as problem:
-        raise SceneError(f'{path}: was written, but is no scene: {problem}') from problem
+        raise SceneError(f'{path}: was written, but is not a valid scene: {problem}') from problem
 
 
 def edited(text: str, changes: Mapping[tuple[str, ...], str]) -> str:
@@ -338,7 +334,8 @@ def robot_numbers(scene: Scene) -> dict[str, tuple[float, str]]:
     if scene.hamiltonian.kind != 'urdf':
         return {}
     root = _parsed(robot_file(scene))
-    own = {joint.get('name'): Units.of(joint.get('type', '')) for joint in root.findall('joint')}
+    own = {joint.get('name'): JointUnits.of(joint.get('type', ''))
+           for joint in root.findall('joint')}
     return {f'{owner}.{name}': (
         float(element.attrib[attribute].split()[word]),
         _UNITS.get(name) or (own[owner].damping if name == 'damping' else own[owner].force))

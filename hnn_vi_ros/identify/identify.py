@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fit numbers of a scene to measured motions: ``ros2 run hnn_vi_ros identify``."""
+"""Fit numbers of a scene to measured motions: ``hnn identify``."""
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -19,15 +19,16 @@ from hnn_vi_ros.errors import (
 from hnn_vi_ros.files import elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.identify import arguments as command_lines
-from hnn_vi_ros.identify.fit import fit, FitProblem, search, Solution
-from hnn_vi_ros.identify.free_numbers import DELAY, free_scene, FreeScene, STATES, write_fitted
-from hnn_vi_ros.identify.intervals import Estimate, Estimates, estimates_of, profile, quantile
-from hnn_vi_ros.identify.windows import check_times, Windows
+from hnn_vi_ros.identify.free_numbers import free_scene, FreeScene, STATES, write_fitted
+from hnn_vi_ros.identify.intervals import (
+    Estimate, Estimates, estimates_of, profile, quantile, response)
 from hnn_vi_ros.learning import (
-    ArraysData, EvenMotion, guessed, keys_of, MotionSource, read_motions, split_runs,
-    steps_between)
+    ArraysData, check_times, DELAY, EvenMotion, fit_numbers, FitProblem, Fitted, guessed, INPUTS,
+    keys_of, MotionSource, Prediction, read_motions, search, Seen, Solution, split_runs,
+    steps_between, Windows)
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import resolve
+from hnn_vi_ros.simulation import build, DifferentiableRun, resolve
 import numpy as np
 
 REPORT, FIT, CORRELATIONS = 'report.md', 'fit.png', 'correlations.png'
@@ -67,7 +68,7 @@ def draw_fit(path: Path, solution: Solution, channels: Sequence[tuple[str, str]]
         for axes in (left, right):
             axes.grid(alpha=0.3)
     grid[0, 0].legend(loc='upper right', frameon=False)
-    grid[0, 1].set_title('between the dashed lines: 95 % of white noise', fontsize=10)
+    grid[0, 1].set_title('dashed: 95 % band of white noise', fontsize=10)
     for axes in grid[-1]:
         axes.set_xlabel('t [s]')
     figure.suptitle(f'run {windows.motions[run].name}')
@@ -95,10 +96,14 @@ def draw_correlations(path: Path, estimates: Estimates) -> None:
     figure.savefig(path, dpi=130)
 
 
-# Warn if residuals exceed the noise estimated from neighbouring samples by this factor.
+# Warn if residuals exceed the noise in short windows by this factor.
 _POOR = 3.0
-# Difference in the sum of squares that decides between hold and interpolation: three sigma.
+# Difference in the sum of squares that decides between courses of forces: three sigma.
 _EVIDENCE = 9.0
+# Change of a number at half the step that matters, in standard errors, and most halvings.
+_MOVED, _HALVED = 0.5, 6
+# Number of evaluations of another course, which begin at the solution.
+_TRIED = 3
 # Names of velocities in arrays.
 _VELOCITIES = 'dq', 'v'
 
@@ -113,31 +118,27 @@ class Identified(NamedTuple):
     hamiltonian: Hamiltonian
     data: str
     inputs: 'Inputs | None'
-    before: str
+    notes: list[str]
 
 
 class Inputs(NamedTuple):
     """
-    Assumed course of measured forces between samples, and the evidence for the alternative.
+    Assumed course of measured forces between samples, and the evidence for the others.
 
     Parameters
     ----------
-    taken, other : str
-        Assumed course and the alternative, ``held`` and ``interpolated``.
+    taken : str
+        Assumed course, one of INPUTS.
     stated : bool
         True if the user or the kind of data determines the course.
-    evidence : float
-        Reduction of the sum of squared residuals by the alternative, in noise variances.
-    misfit : float
-        Residuals of the alternative, in standard deviations.
+    others : dict of str to float
+        Residuals with each of the others, in standard deviations.
 
     """
 
     taken: str
-    other: str
     stated: bool
-    evidence: float
-    misfit: float
+    others: dict[str, float]
 
 
 def main(argv: Sequence[str]) -> None:
@@ -147,10 +148,10 @@ def main(argv: Sequence[str]) -> None:
     scene, _ = resolve(load_scene(options.scene))
     with tempfile.TemporaryDirectory() as folder:
         with elapsed('fitting'):
-            found = identify(scene, _source(options), options, Path(folder))
+            found = identify(scene, options, Path(folder))
         text = report_of(found)
         print(text)
-        command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'identify', *argv])
+        command = shlex.join(['hnn', 'identify', *argv])
         try:
             _write(options, found, f'{text}\n\n`{command}`')
         except OSError as problem:
@@ -158,8 +159,7 @@ def main(argv: Sequence[str]) -> None:
                                  ) from problem
 
 
-def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, folder: Path
-             ) -> Identified:
+def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
     """
     Fit the numbers of a scene.
 
@@ -167,8 +167,6 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
     ----------
     scene : Scene
         Scene with a method and a step size.
-    data : tuple of (Path, MotionSource)
-        Path of the data and their reader.
     options : Namespace
         Options of the command line.
     folder : Path
@@ -176,17 +174,25 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
 
     """
     parts = scene.parts()
+    build(parts)  # checks that the parts fit each other
     _, hamiltonian, _, effects = parts
     if hamiltonian.rotations or not hamiltonian.canonical:
-        raise UnsupportedSystem(f'{scene.name}: identify takes canonical scalar coordinates alone')
-    names = [coordinate.name for coordinate in hamiltonian.coordinates]
-    motions, description = read_motions(*data, names, options.data)
-    if any(motion.v is None for motion in motions):
-        motions = [replace(motion, v=None) for motion in motions]
-    driven = any(motion.tau.any() for motion in motions)
+        raise UnsupportedSystem(f'{scene.name}: identify supports only canonical scalar '
+                                'coordinates')
+    if hamiltonian.loops is not None:
+        for name in options.free:
+            if name in (STATES, DELAY):
+                raise UnsupportedSystem(f'{scene.name}: --free {name} does not support loops; '
+                                        'remove it')
+        DifferentiableRun(*parts[1:3], scene.known_step_size, effects)  # names unsupported effects
+    log = _log(options, hamiltonian)
+    motions, driven = log.motions, any(motion.tau.any() for motion in log.motions)
+    if not driven:
+        motions = [replace(motion, tau=np.zeros((len(motion.t), hamiltonian.dimension)))
+                   for motion in motions]
     if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
-        raise DataError(f'{options.data[0]}: the motions were driven, but {scene.name} has no '
-                        'effect external_force; add it, with the coordinates that are driven')
+        raise DataError(f'{options.data[0]}: the motions contain forces, but {scene.name} has no '
+                        'effect external_force; add it for the driven coordinates')
     spacing = motions[0].spacing
     check_times(effects, motions, spacing / steps_between(spacing, scene.known_step_size))
     wanted, bounds = [name for name in options.free if name != STATES], _bounds(options.bounds)
@@ -196,32 +202,96 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
             if name not in wanted:
                 raise ParameterError(f'--{option} {name}: not among the free numbers '
                                      f'({", ".join(wanted)})')
-    fitted, before = _fit(free, motions, options)
-    solution, problem, stages = fitted
-    estimates = estimates_of(solution, problem, free, hamiltonian.coordinates,
-                             STATES in options.free)
+    fitted, notes = _fit(free, motions, options, _seen(scene, hamiltonian, log.names, motions))
+    solution, problem, stages = fitted.solution, fitted.problem, fitted.stages
+    states = hamiltonian.coordinates, STATES in options.free
+    estimates = estimates_of(solution, problem, free, *states)
+    finer, note = _finer_steps(solution, problem, estimates, free)
+    if finer is not None:
+        solution, problem, free = finer
+        estimates = estimates_of(solution, problem, free, *states)
+    notes += note
     profiles = {name: profile(solution, problem, free, one) for one in estimates.estimates
                 if (name := one.name) in options.profile}
     estimates = replace(estimates, estimates=[
         profiles.get(one.name, one) for one in estimates.estimates])
     inputs = None
     if driven:
-        held = motions[0].held
-        taken, other = ('held', 'interpolated')[::1 if held else -1]
-        others, _ = read_motions(
-            data[0], data[1].model_copy(update={'inputs': other}), names, options.data)
-        misfit = _misfit_with(solution, problem, [
-            replace(motion, idle=solution.windows.motions[0].idle) for motion in others])
-        inputs = Inputs(taken, other, held or data[1].inputs is not None, solution.freedom * (
-            1.0 - (misfit / solution.misfit)**2), misfit)
-    return Identified(free, solution, estimates, stages, hamiltonian, description, inputs, before)
+        taken, idle, others = motions[0].inputs, solution.windows.motions[0].idle, {}
+        for other in INPUTS:
+            if other != taken:
+                others[other] = _misfit_with(solution, problem, [
+                    replace(motion, idle=idle) for motion in log.with_inputs(other)])
+        inputs = Inputs(taken, taken == 'held' or log.data.inputs is not None, others)
+    return Identified(free, solution, estimates, stages, hamiltonian, log.description, inputs,
+                      notes)
 
 
-Fitted = tuple[Solution, FitProblem, list[tuple[float, float]]]
+class _Log(NamedTuple):
+    """Motions of a log, and how they are read again with forces of another course."""
+
+    source: Path
+    data: MotionSource
+    names: list[str]  # measured coordinates
+    units: list[str]
+    given: Sequence[str]
+    motions: list[EvenMotion]
+    description: str
+
+    def with_inputs(self, inputs: str) -> list[EvenMotion]:
+        """Return the motions with forces of this course between samples."""
+        return read_motions(self.source, self.data.model_copy(update={'inputs': inputs}),
+                            self.names, self.given, self.units)[0]
 
 
-def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace
-         ) -> tuple[Fitted, str]:
+def _log(options: Namespace, hamiltonian: Hamiltonian) -> _Log:
+    """Return the log of the command line, of the measured coordinates."""
+    every = hamiltonian.coordinates
+    source, data = _source(options, [one for one in every if (
+        one.name in options.measured if options.measured else not one.rotor_of)])
+    names = _measured(hamiltonian, options.measured or data.measured)
+    units = [one.q_unit for name in names for one in every if one.name == name]
+    data = data.model_copy(update={'measured': names})
+    motions, description = read_motions(source, data, names, options.data, units)
+    if motions[0].q.shape[1] != len(names):
+        raise DataError(f'{options.data[0]}: {motions[0].q.shape[1]} coordinates, expected '
+                        f'{len(names)}: {", ".join(names)}; name those that the data hold with '
+                        '--measured')
+    if any(motion.v is None for motion in motions):
+        motions = [replace(motion, v=None) for motion in motions]
+    return _Log(source, data, names, units, options.data, motions, description)
+
+
+def _measured(hamiltonian: Hamiltonian, given: Sequence[str]) -> list[str]:
+    """Return the measured coordinates in the order of the data; by default all but rotors."""
+    names = [coordinate.name for coordinate in hamiltonian.coordinates]
+    for name in given:
+        if name not in names or list(given).count(name) > 1:
+            raise ParameterError(f'measured coordinate {name!r}: name each once; valid: '
+                                 f'{", ".join(names)}')
+    return [*given] or [one.name for one in hamiltonian.coordinates if not one.rotor_of]
+
+
+def _seen(scene: Scene, hamiltonian: Hamiltonian, names: Sequence[str],
+          motions: Sequence[EvenMotion]) -> Seen:
+    """
+    Return the measured coordinates, and where the others begin.
+
+    Rotors begin with their joints, the others at the scene's initial state.
+    """
+    coordinates, every = hamiltonian.coordinates, [one.name for one in hamiltonian.coordinates]
+    q, p = map(np.array, (scene.initial_state.q, scene.initial_state.p))
+    columns = np.array([every.index(name) for name in names])
+    moved = float(max(motion.q.std(axis=0).max() for motion in motions))
+    spread = np.array([0.0 if one.rotor_of else 1.0 if one.q_unit == 'rad' else moved
+                       for one in coordinates])
+    rotors = [(i, every.index(one.rotor_of)) for i, one in enumerate(coordinates)
+              if one.rotor_of and one.name not in names]
+    return Seen(columns, np.stack([q, hamiltonian.gradient(q, p)[1]]), spread, rotors)
+
+
+def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace, seen: Seen
+         ) -> tuple[Fitted, list[str]]:
     """
     Return a fit, and a note on the forces before the first samples if it depends on them.
 
@@ -230,24 +300,65 @@ def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace
     """
     late = DELAY in [number.place for number in free.numbers]
     if not late or not any(motion.tau[0].any() for motion in motions):
-        return fit(free, motions, options.horizon, options.robust), ''
-    fits = [fit(free, [replace(motion, idle=idle) for motion in motions], options.horizon,
-                options.robust) for idle in (False, True)]
-    length = max(set(dict(fits[0][2])) & set(dict(fits[1][2])))
-    own, idle = (dict(stages)[length] for _, _, stages in fits)
-    ways = 'its first force had acted', 'none had acted'
-    better = int(idle < own)
-    return fits[better], (
-        f'Before each run {ways[better]}, as fits better than that {ways[1 - better]} (residuals '
-        f'{min(own, idle):.4g} of the noise for {max(own, idle):.4g})')
+        return fit_numbers([free], motions, options.horizon, options.robust, seen), []
+    fits = [fit_numbers([free], [replace(motion, idle=idle) for motion in motions],
+                        options.horizon, options.robust, seen) for idle in (False, True)]
+    # Longer windows first: a fit ends at shorter ones if the scene does not follow.
+    lengths = [one.solution.windows.there.sum(axis=1).max() for one in fits]
+    sizes = [one.size for one in fits]
+    ways = 'the first recorded force', 'no force'
+    better = int((-lengths[1], sizes[1]) < (-lengths[0], sizes[0]))
+    return fits[better], [
+        f'Assumed before each run: {ways[better]}, which fits better than {ways[1 - better]} '
+        f'(residuals {sizes[1 - better] / sizes[better]:.4g} times as large, in windows of '
+        f'{lengths[1 - better]} samples instead of {lengths[better]})']
+
+
+def _finer_steps(solution: Solution, problem: FitProblem, estimates: Estimates, free: FreeScene
+                 ) -> tuple[tuple[Solution, FitProblem, FreeScene] | None, list[str]]:
+    """
+    Repeat a fit with smaller steps if the error of the method moves a number, and return a note.
+
+    The step is halved until that moves the numbers, to first order, by less than half a standard
+    error.
+    """
+    windows, scene, usual = solution.windows, free.scene, free
+    step_size = windows.spacing / steps_between(windows.spacing, scene.known_step_size)
+    errors = np.array([one.standard_error or math.inf
+                       for one in estimates.estimates[:len(solution.values)]])
+    named, moved = '', 0.0
+    now = Prediction(free, solution.values, windows).alone(solution.starts)
+    for halved in range(1, _HALVED + 1):
+        fine = usual.at_step(step_size / 2**halved)
+        after = Prediction(fine, solution.values, windows).alone(solution.starts)
+        change = np.where(windows.there[..., None], (after - now) / solution.noise, 0.0)
+        if not np.isfinite(change).all():
+            raise DataError(f'{scene.name} cannot be simulated at the solution with a step size '
+                            f'of {fine.scene.known_step_size:.3g} s; give a smaller step_size')
+        shifts, gain = response(solution, problem, change)
+        sizes = abs(shifts) / errors
+        # A log of the scene's own simulation fits worse at another step size than its own.
+        if sizes.max(initial=0.0) <= _MOVED or (halved == 1 and gain > _EVIDENCE):
+            break
+        named = named or estimates.estimates[int(sizes.argmax())].name
+        moved, free, now = moved or float(sizes.max()), fine, after
+    if free is usual:
+        return None, []
+    other = FitProblem(free, windows, problem.noise, solution.starts, problem.robust)
+    note = (f'Fitted with a step size of {free.scene.known_step_size:.3g} s: half of the '
+            f"scene's, {step_size:.3g} s, moves {named} by {moved:.2g} standard errors")
+    if sizes.max() > _MOVED:
+        note += (f'; a smaller one still by {sizes.max():.2g}: use an integrator of a higher '
+                 'order')
+    return (search(other, solution.values), other, free), [note]
 
 
 def _misfit_with(solution: Solution, problem: FitProblem, motions: Sequence[EvenMotion]) -> float:
     """Return the misfit of the same windows with other forces; inf if that fit fails."""
     windows = replace(solution.windows, motions=motions)
-    other = FitProblem(problem.free, windows, problem.noise, solution.starts, problem.robust)
+    other = FitProblem(problem.model, windows, problem.noise, solution.starts, problem.robust)
     try:
-        return search(other, solution.values).misfit
+        return search(other, solution.values, evaluations=_TRIED).misfit
     except HnnViRosError:
         return math.inf
 
@@ -259,16 +370,17 @@ def _check(options: Namespace) -> None:
         raise ParameterError(f'--horizon {options.horizon}: expected a positive number of seconds')
     if options.free == [STATES]:
         raise ParameterError(f'--free {STATES}: name a number of the scene too; initial states '
-                             'are always found')
+                             'are always fitted')
     given = [(name, getattr(options, name)) for name in ('json', 'posterior', 'out', 'write')
              if getattr(options, name) is not None]
     for name, path in given:
         if os.path.lexists(path):
-            raise ParameterError(f'--{name} {path}: exists already; name another')
+            raise ParameterError(f'--{name} {path}: exists already; choose another file')
         if [other for _, other in given].count(path) > 1:
-            raise ParameterError(f'--{name} {path}: is named twice')
+            raise ParameterError(f'--{name} {path}: is given twice')
         if name != 'out' and not path.parent.is_dir():
-            raise ParameterError(f'--{name} {path}: no folder {str(path.parent)!r}; make it first')
+            raise ParameterError(f'--{name} {path}: folder {str(path.parent)!r} does not exist; '
+                                 'create it first')
 
 
 def _bounds(given: Sequence[Sequence[str]]) -> dict[str, tuple[float, float]]:
@@ -283,18 +395,18 @@ def _bounds(given: Sequence[Sequence[str]]) -> dict[str, tuple[float, float]]:
     return bounds
 
 
-def _source(options: Namespace) -> tuple[Path, MotionSource]:
+def _source(options: Namespace, coordinates: Sequence[Coordinate]) -> tuple[Path, MotionSource]:
     """Return the reader of the data, by configuration or by format."""
     if options.config is not None:
         # Imported lazily: it brings the libraries of training.
         from hnn_vi_ros.learning import ExcitationData, load_machine
         path, found = options.config, load_machine(options.config).data
         if isinstance(found, ExcitationData):
-            raise DataError(f'{path}: its data are computed, and do not say how --data is read; '
-                            'leave out --config, or take one whose data are measured')
+            raise DataError(f'{path}: its data are computed, so it does not describe how to read '
+                            '--data; remove --config, or name one with measured data')
         data: MotionSource = found
     else:
-        path, data = split_runs(options.data[0])[0], guessed(options.data[0])
+        path, data = split_runs(options.data[0])[0], guessed(options.data[0], coordinates)
         data = _arrays(path, data) if isinstance(data, ArraysData) else data
     return path, data if options.inputs is None else data.model_copy(
         update={'inputs': options.inputs})
@@ -316,45 +428,45 @@ def report_of(found: Identified) -> str:
     windows = solution.windows
     length = (windows.there.sum(axis=1).max() - 1) * windows.spacing
     lines = [
-        f'{found.free.scene.name} fitted to {found.data}: {int(windows.there.sum())} samples, '
-        f'one every {windows.spacing:.4g} s, in {_counted(windows, length)}', '',
+        f'{found.free.scene.name} fitted to {found.data}: {int(windows.there.sum())} samples with '
+        f'an interval of {windows.spacing:.4g} s, in {_counted(windows, length)}', '',
         '| number | value | unit | standard error | 95 % interval |',
         '|---|---:|---|---:|---|', *map(_row, estimates.estimates), '']
     for direction in estimates.unknown:
         named = ', '.join(f'{name} {part:+.3g}' for name, part in direction.items())
-        lines.append(f'Not identifiable: nothing measured shows it if these change together, '
+        lines.append('Not identifiable: the data do not change if these change together, '
                      f'relatively: {named}' if len(direction) > 1 else
-                     f'Not identifiable: nothing measured depends on {next(iter(direction))}')
+                     f'Not identifiable: the data do not depend on {next(iter(direction))}')
     lines += [*_held_back(found), *_wrong_units(found)]
-    lines += [f'Correlation of {one} and {other}: {r:.3f}; what one gains in error the other '
-              'makes up for' for one, other, r in estimates.correlated]
-    lines += [*_inputs(found), *_noise(found)]
+    lines += [f'Correlation of {one} and {other}: {r:.3f}; an error of one compensates an error '
+              'of the other' for one, other, r in estimates.correlated]
+    lines += [*_inputs(found), *found.notes, *_noise(found)]
     low, high = (part(windows.measured[windows.there], axis=0) for part in (np.min, np.max))
     ranges = ', '.join(f'{name} {a:.4g} to {b:.4g} {unit}' for (name, unit), a, b in zip(
         channels(found), low, high, strict=True))
     lines.append(f'Valid range: the data cover {ranges}')
-    lines += [f'Windows of {seconds:.4g} s: residuals {misfit:.3g} of the noise'
+    lines += [f'Windows of {seconds:.4g} s: residuals {misfit:.3g} times the noise'
               for seconds, misfit in found.stages]
     if found.stages[-1][1] > _POOR:
-        lines.append('Residuals are much more than noise: the scene lacks something, bounds hold '
-                     'it back, or the data are of something else; intervals do not tell that')
+        lines.append('The residuals are much larger than the noise: the model is incomplete, a '
+                     'bound is active, or the data belong to another system; the intervals do not '
+                     'account for this')
     if len(found.stages) > 1 and found.stages[-1][0] > 1.5 * length:
-        lines.append(f'Through longer windows than {length:.4g} s the scene does not follow the '
-                     'data as well: it lacks something, or the motion is chaotic')
+        lines.append(f'Over windows longer than {length:.4g} s the scene follows the data less '
+                     'well: the model is incomplete, or the motion is chaotic')
     return '\n'.join(lines)
 
 
 def _counted(windows: Windows, length: float) -> str:
     if len(windows.run) == 1:
-        return f'one window of {length:.4g} s, with an initial state of its own'
-    return (f'{len(windows.run)} windows of up to {length:.4g} s, each with an initial state of '
-            'its own')
+        return f'one window of {length:.4g} s with its own initial state'
+    return f'{len(windows.run)} windows of up to {length:.4g} s, each with its own initial state'
 
 
 def _held_back(found: Identified) -> list[str]:
     """Describe numbers that ended at their bounds."""
-    return [f'{one.name} ended at the end of its range, {end:g} {one.unit}: data may fit better '
-            'beyond it, and its interval does not know of it'
+    return [f'{one.name} is at its bound, {end:g} {one.unit}: the data may fit better beyond it, '
+            'and its interval ignores the bound'
             for number, one in zip(found.free.numbers, found.estimates.estimates, strict=False)
             for end in (number.low, number.high) if one.known and abs(one.value - end) <= max(
                 1e-6 * abs(one.value), 1e-2 * (one.standard_error or 0.0))]
@@ -367,8 +479,8 @@ def _wrong_units(found: Identified) -> list[str]:
     pairs = zip(found.free.numbers, found.estimates.estimates, strict=False)
     ratios = {one.name: one.value / number.start for number, one in pairs
               if one.known and number.start}
-    return [f'{name} is {ratio:.3g} times that of the scene: efforts in N mm or lengths in mm '
-            'have that effect; if so, convert the data to N m and m'
+    return [f'{name} is {ratio:.3g} times its value in the scene, as if efforts were in N mm or '
+            'lengths in mm; if so, convert the data to N m and m'
             for name, ratio in ratios.items()
             if ratio and abs(abs(math.log10(abs(ratio))) - 3.0) < _MILLI]
 
@@ -385,14 +497,17 @@ def _inputs(found: Identified) -> list[str]:
     """Describe the course of forces between samples, and which one fits better."""
     if found.inputs is None:
         return []
-    before = [found.before] if found.before else []
-    taken, other, stated, evidence, misfit = found.inputs
-    known = '' if stated else ', which the data do not say'
-    own = f'{misfit:.3g} of the noise for {found.solution.misfit:.3g}'
-    verdict = f'{other}, they fit better (residuals {own}): check, and take --inputs {other}' \
-        if evidence > _EVIDENCE else f'{other}, they fit worse (residuals {own})' \
-        if evidence < -_EVIDENCE else f'{other}, they fit as well'
-    return [f'Forces between samples are taken as {taken}{known}; {verdict}', *before]
+    (taken, stated, others), own, said = found.inputs, found.solution.misfit, []
+    for other in sorted(others, key=others.__getitem__):
+        # Reduction of the sum of squared residuals, in variances of the noise.
+        evidence = found.solution.freedom * (1.0 - (others[other] / own)**2)
+        said.append(f'as {other} they fit equally well' if abs(evidence) <= _EVIDENCE else
+                    f'as {other} they fit {"better" if evidence > 0.0 else "worse"} (residuals '
+                    f'{others[other]:.3g} times the noise, instead of {own:.3g})')
+        if evidence > _EVIDENCE and len(said) == 1:
+            said[0] += f': check, and use --inputs {other}'
+    known = '' if stated else ', which the data do not specify'
+    return [f'Forces between samples are taken as {taken}{known}; {"; ".join(said)}']
 
 
 def _noise(found: Identified) -> list[str]:
@@ -401,15 +516,14 @@ def _noise(found: Identified) -> list[str]:
     for (name, unit), noise, factor in zip(
             channels(found), found.solution.noise, found.estimates.coloured, strict=True):
         coloured = '' if factor <= 1.0 else (
-            f', correlated in time: {factor:.3g} samples count as one, which the errors take '
-            'into account')
+            f', correlated in time: {factor:.3g} samples count as one in the standard errors')
         lines.append(f'Noise of {name}: {noise:.3g} {unit}{coloured}')
     return lines
 
 
 def channels(found: Identified) -> list[tuple[str, str]]:
     """Return name and unit of each measured quantity."""
-    coordinates = found.hamiltonian.coordinates
+    coordinates = [found.hamiltonian.coordinates[k] for k in found.solution.windows.columns]
     names = [(one.name, one.q_unit) for one in coordinates]
     names += [(f'd{one.name}/dt', f'{one.q_unit}/s') for one in coordinates]
     return names[:found.solution.residuals.shape[2]]
