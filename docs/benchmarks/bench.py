@@ -13,11 +13,11 @@ import time
 from benchmarks.measurement import Row, Settings
 from benchmarks.report import (
     as_markdown, as_table, draw, Group, measured_here, read_groups, write_groups)
-from studies.results import commit
 
 # A group of rows: its module, and its approximate duration [s].
 GROUPS = {
     'gradient': ('benchmarks.gradient', 15.0),
+    'modules': ('benchmarks.modules', 150.0),
     'adjoint': ('benchmarks.adjoint', 120.0),
     'euler_step': ('benchmarks.euler_step', 20.0),
     'path_error': ('benchmarks.path_error', 105.0),
@@ -28,7 +28,6 @@ GROUPS = {
     'auto': ('benchmarks.auto', 60.0),
     'guards': ('benchmarks.guards', 60.0),
     'node': ('benchmarks.node_load', 200.0),
-    'memory': ('benchmarks.memory', 800.0),
     'robots': ('benchmarks.robots', 120.0),
     'cold_start': ('benchmarks.cold_start', 150.0),
 }
@@ -39,7 +38,7 @@ Measure = Callable[[Settings], Iterator[Row]]
 
 
 def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bool,
-        keep: Path | None = None) -> dict[str, list[Row]]:
+        done: Callable[[str, list[Row]], None] = lambda name, rows: None) -> dict[str, list[Row]]:
     """
     Measure groups of rows one after another, and print each row and the time that is left.
 
@@ -49,8 +48,8 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
         From a name to a function that yields rows, and about how long it takes [s].
     repetitions, quick
         See Settings.
-    keep : Path, optional
-        File in which the rows of finished groups are kept, and found again.
+    done : callable, optional
+        Takes the rows of each group once they are measured.
 
     Raises
     ------
@@ -58,15 +57,10 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
         Two rows have the same name.
 
     """
-    kept = {} if keep is None else read_groups(keep)
-    rows = {name: kept[name].rows for name in groups if name in kept}
-    known = {row.name for found in rows.values() for row in found}
-    start, left = time.monotonic(), {name: groups[name][1] for name in groups if name not in rows}
+    rows, known = dict[str, list[Row]](), set[str]()
+    start, left = time.monotonic(), {name: seconds for name, (_, seconds) in groups.items()}
     settings = Settings(repetitions, quick, lambda text: print(f'  {text} ...', flush=True))
     for name, (measure, _) in groups.items():
-        if name not in left:
-            print(f'{name}: measured before, in {keep}', flush=True)
-            continue
         print(f'{name}: {time.monotonic() - start:.0f} s gone'
               + ('' if quick else f', about {sum(left.values()) / 60.0:.0f} min left'), flush=True)
         rows[name] = []
@@ -77,10 +71,8 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
             rows[name].append(row)
             print(f'  = {row.name}: {row.ratio:.2f} {row.unit}'.rstrip(), flush=True)
         del left[name]
-        if keep is not None:
-            kept[name] = measured_here(rows[name])
-            write_groups(keep, kept)
-    return {name: rows[name] for name in groups}
+        done(name, rows[name])
+    return rows
 
 
 def write(groups: Mapping[str, Group], folder: Path) -> None:
@@ -98,27 +90,25 @@ def main(argv: list[str]) -> int:
     parser.add_argument('--rows', nargs='+', choices=GROUPS, default=list(GROUPS),
                         metavar='GROUP', help=f'groups to measure: {", ".join(GROUPS)}')
     parser.add_argument('--quick', action='store_true', help='few and short repetitions')
-    parser.add_argument('--out', type=Path, default=Path('docs'),
+    parser.add_argument('--out', type=Path, default=Path('docs/evidence'),
                         help='folder for benchmarks.md and benchmarks.json')
-    parser.add_argument('--keep', type=Path, default=Path('bench'),
-                        help='folder that keeps groups of rows by commit after an '
-                        'interruption')
     arguments = parser.parse_args(argv)
     if missing := [name for name in _SINGLE_THREAD if name not in os.environ]:
         parser.error(f'{", ".join(missing)} must be set to keep the peers to one thread; '
                      'use: make bench')
-    # Spaces: changed files or no checkout, so the measured state cannot be named.
-    state = commit()
     modules = {name: import_module(GROUPS[name][0]) for name in arguments.rows}
+
+    def done(name: str, rows: list[Row]) -> None:
+        """Write a group at once, so that an interruption loses no other."""
+        if not arguments.quick:
+            write({name: measured_here(rows, getattr(modules[name], 'SEED', None))},
+                  arguments.out)
     rows = run({name: (module.rows, GROUPS[name][1]) for name, module in modules.items()},
-               3 if arguments.quick else 21, arguments.quick,
-               None if arguments.quick or ' ' in state else arguments.keep / f'{state}.json')
+               3 if arguments.quick else 21, arguments.quick, done)
     print(as_table([row for group in rows.values() for row in group]))
     if arguments.quick:
         print('Not written: only what is measured without --quick is.')
         return 0
-    write({name: measured_here(group, getattr(modules[name], 'SEED', None))
-           for name, group in rows.items()}, arguments.out)
     print(f'Written: {arguments.out}/benchmarks.md and benchmarks.json')
     return 0
 

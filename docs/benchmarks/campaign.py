@@ -38,27 +38,31 @@ _METHODS = [*(Method('time_transformed', {'base': base, 'force': force})
 # Steps of the sweep: the horizon over round(ratio^k), down to these; each by at most this many
 # gradients, or a multiple of the gradients of the best so far.
 _RATIO, _MOST, _GRADIENTS, _DEARER = 1.19, 4_000_000, 20_000_000, 1.1
-_SAMPLES = 20_000
+_SAMPLES, _RUNS = 20_000, 5
 _PAGE = """\
 # The automatic choice on systems that are not shipped
 
 `integrator: auto` met its tolerance at no more than 1.5 times the best cost in {good} of
-{measured} rows ({planned} planned). No system on this page was used to develop its rules.
+{measured} rows. No system on this page was used to develop its rules.
 
 The best row is the cheapest row of a sweep over {methods} methods, with steps up to half a period
 and a factor of {ratio} between steps. The error of each choice is measured again at every step,
-against an exact orbit or DOP853 of scipy at 3e-14. Energies are relative to the mean of abs(p .
-H_p). Each cell contains the method that auto chose, and its work per simulated second over that of
-the best row, in gradients. Energies are held for 30 periods and paths for 6. The ratios of times,
-the median of five runs each, are {least:.2g} to {most:.2g}, with the median {median:.2g}. The file
-[automatic-choice.json](automatic-choice.json) contains steps, errors, times and the best row of
-each sweep.
+against an exact orbit or DOP853 of scipy at 3e-14. Energies are relative to the energy scale. Each
+cell contains the method that auto chose, and its {counted} per simulated second relative to the
+best row; today auto counts gradients and the fixed cost of steps. Energies are held for 30 periods
+and paths for 6. The ratios of times (runs of each: {runs}) are {least:.2g} to {most:.2g}, with the
+median {median:.2g}. [automatic-choice.json](automatic-choice.json) contains steps, errors, times
+and the best rows.
 
 {table}
 
 Machine: {machine}; commits {commits}.
 To measure missing rows, run in `docs/`:
-`python -m benchmarks.campaign --out automatic-choice.json --table automatic-choice.md`
+
+```bash
+python -m benchmarks.campaign --out evidence/automatic-choice.json \\
+    --table evidence/automatic-choice.md
+```
 """
 
 
@@ -79,8 +83,12 @@ class Row:
         Wall time of one [s/s].
     took : float
         Wall time of the choice [s].
-    commit : str
-        Commit of the measurement.
+    counted : str
+        What auto and the sweep counted as the cost.
+    runs : int
+        Number of runs whose median the times are.
+    commit, machine : str
+        Commit and machine of the measurement.
 
     """
 
@@ -95,7 +103,10 @@ class Row:
     best_gradients: float
     best_seconds: float
     took: float
+    counted: str
+    runs: int
     commit: str
+    machine: str
 
     @property
     def good(self) -> bool:
@@ -198,10 +209,10 @@ def sweep(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, leas
 
 
 def seconds(problem: InitialValueProblem, method: Method, h: float, horizon: float) -> float:
-    """Return the wall time per simulated second [s/s], the median of five runs."""
+    """Return the wall time per simulated second [s/s], the median of all runs."""
     steps = max(1, round(min(horizon, 0.2 * horizon + 20.0 * h) / h))
     simulation = problem.simulation(method, h)
-    times = interleave([path_run(problem, simulation, 1, steps)], 5, one_thread=False)
+    times = interleave([path_run(problem, simulation, 1, steps)], _RUNS, one_thread=False)
     return float(np.median(times)) / (steps * h)
 
 
@@ -225,7 +236,7 @@ def row(name: str, system: System, kind: str, error: float, periods: float) -> R
                   *measure(problem, truth, wide, method, steps, math.inf),
                   seconds(problem, method, choice.step_size, tolerance.horizon))
     return Row(name, text, error, *chosen, *sweep(problem, truth, tolerance, 2.0 * periods),
-               taken, commit())
+               taken, 'gradients and the fixed cost of steps', _RUNS, commit(), machine())
 
 
 def run(out: Path, names: list[str], say: Callable[[str], None]) -> list[Row]:
@@ -248,11 +259,12 @@ def page(rows: list[Row]) -> str:
     """Return the page."""
     times = sorted(entry.seconds / entry.best_seconds for entry in rows)
     return _PAGE.format(
-        good=sum(entry.good for entry in rows), measured=len(rows),
-        planned=len(systems()) * len(TOLERANCES), methods=len(_METHODS), ratio=_RATIO,
-        least=times[0], most=times[-1], median=times[len(times) // 2],
-        table='\n'.join(table(rows)), machine=machine(),
-        commits=', '.join(sorted({row.commit for row in rows})))
+        good=sum(entry.good for entry in rows), measured=len(rows), methods=len(_METHODS),
+        ratio=_RATIO, least=times[0], most=times[-1], median=times[len(times) // 2],
+        table='\n'.join(table(rows)), **{name: ', '.join(dict.fromkeys(
+            str(getattr(row, field)) for row in rows)) for name, field in (
+                ('counted', 'counted'), ('runs', 'runs'), ('machine', 'machine'),
+                ('commits', 'commit'))})
 
 
 def table(rows: list[Row]) -> Iterator[str]:

@@ -6,6 +6,8 @@ A control task from random starts: separate processes of simulator and controlle
 Each start has a bag, which is simulated again without the controller and compared bit by bit. A
 start is a success where both angles stay upright through the last two seconds. The latency is
 simulated time, at the pace of the clock, from the state that a command answers to when it acts.
+With --lockstep, simulated time waits for commands, and a digest of all messages of a start but
+diagnostics, which hold wall times, tells whether two machines had the same run.
 
     PYTHONPATH=docs .venv/bin/python -m benchmarks.controller_starts acrobot --starts 20
 """
@@ -13,16 +15,22 @@ simulated time, at the pace of the clock, from the state that a command answers 
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
+from hashlib import sha256
 import json
+import os
 from pathlib import Path
+import subprocess
 import sys
 import tempfile
 import time
 
 from benchmarks.processes import given, own_node, running
+from hnn_vi_ros.control import momentum
 from hnn_vi_ros.control.task import load_task
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.scene import load_scene
 import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import JointState
@@ -81,6 +89,33 @@ def starts(task: str, count: int, duration: float, seed: int, folder: Path
             [line for line in log.read_text().splitlines() if 'WARN' in line or 'ERROR' in line])
 
 
+def in_lockstep(task: str, count: int, duration: float, seed: int, folder: Path
+                ) -> tuple[list[dict[str, object]], list[str]]:
+    """Return the result of each start in lockstep, as fast as both processes can."""
+    read, _, _ = load_task(task)
+    scene = load_scene(read.scene)
+    names = [one.name for one in scene.create_hamiltonian().coordinates]
+    rng, found = np.random.default_rng(seed), []
+    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    for k in range(count):
+        q, v = rng.uniform(-np.pi, np.pi, len(names)), rng.uniform(-1.0, 1.0, len(names))
+        (folder / 'start.yaml').write_text(scene.with_overrides(initial_state={
+            'q': q.tolist(), 'p': momentum(scene, q, v).tolist()}).to_yaml())
+        with logged('controller', folder, task=task, lockstep='true'):
+            code = 'from hnn_vi_ros.cli import simulator; simulator()'
+            subprocess.run([sys.executable, '-c', code, *given(
+                scene='start.yaml', record_path=f'bag-{k}', rerun_sink='none', lockstep='true',
+                real_time_factor=0.0, duration=duration)],
+                cwd=folder, check=True, capture_output=True)
+        reader, content = BagReader(folder / f'bag-{k}'), sha256()
+        for message in reader.messages():
+            topic = reader.channels[message.channel].topic
+            if topic != '/diagnostics':
+                content.update(f'{topic} {message.time} '.encode() + message.data)
+        found.append(evaluate(folder / f'bag-{k}', names) | {'digest': content.hexdigest()[:12]})
+    return found, []
+
+
 def main(argv: list[str] | None = None) -> None:
     """Print a line of JSON for each start, and one for all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
@@ -88,10 +123,11 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument('--starts', type=int, default=20)
     parser.add_argument('--duration', type=float, default=10.0)
     parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--lockstep', action='store_true')
     chosen = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
-        found, late = starts(chosen.task, chosen.starts, chosen.duration, chosen.seed,
-                             Path(folder))
+        way = in_lockstep if chosen.lockstep else starts
+        found, late = way(chosen.task, chosen.starts, chosen.duration, chosen.seed, Path(folder))
     latencies = [one.pop('latencies') for one in found]
     for one, its in zip(found, latencies, strict=True):
         print(json.dumps(one | _percentiles(its)))

@@ -11,7 +11,7 @@ from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, Point
+from hnn_vi_ros.integrators.base import Integrator, PhasePoint
 from hnn_vi_ros.kernels.addresses import by_address, provide_for
 from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, entry_point
 from hnn_vi_ros.scene import load_scene
@@ -37,6 +37,7 @@ _EFFECTS = {
     'soft_wall': ('pendulum', {'coordinate': 'angle', 'position': -1.0}),
     'damping': ('pendulum', {'rate': 0.1}),
     'dry_friction': ('pendulum', {'coordinate': 'angle', 'force': 0.1}),
+    'lugre_friction': ('pendulum', {'coordinate': 'angle', 'stiffness': 10.0, 'friction': 0.1}),
     'quadratic_drag': ('pendulum', {'coordinates': ['angle'], 'coefficient': 0.1}),
     'periodic_drive': ('pendulum', {'coordinate': 'angle', 'amplitude': 0.5, 'frequency': 0.5}),
     'external_force': ('pendulum', {'coordinates': ['angle']}),
@@ -78,10 +79,10 @@ def _conservative(name: str, steps: int, settings: Settings) -> Row:
 
 
 def bare(hamiltonian: Hamiltonian, method: Integrator, h: float, q: np.ndarray, p: np.ndarray,
-         steps: int) -> tuple[Callable[[], None], Point]:
+         steps: int) -> tuple[Callable[[], None], PhasePoint]:
     """Return a function that takes steps of a method on H without effects, and its state."""
     kernel, n = by_address(hamiltonian.kernel), q.size
-    z, z1, memory = Point.empty(n), Point.empty(n), method.memory(n)
+    z, z1, memory = PhasePoint.empty(n), PhasePoint.empty(n), method.memory(n)
     z.q[:], z.p[:] = q, p
     kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
     provide_for(kernel, method.step, method.options(0, kernel.dimension))

@@ -61,7 +61,8 @@ class Case:
         """Return a run of heyoka, of one or several copies; of the path (instants, 2 d)."""
         start = np.concatenate([self.problem.q, self.problem.p])
         if self.system is None:
-            series = TaylorWork(tolerance).series(self.problem.hamiltonian.kernel, lanes)
+            series = TaylorWork(tolerance).series(
+                self.problem.hamiltonian.kernel, lanes, np.ones(start.size))
         else:
             kind = heyoka.taylor_adaptive_batch if lanes > 1 else heyoka.taylor_adaptive
             shape = (start.size, lanes) if lanes > 1 else start.size
@@ -134,7 +135,7 @@ def rows(settings: Settings) -> Iterator[Row]:
         alone, batch, to_the_end = (
             case.theirs(tolerance, *how) for how in ((), (_BATCH,), (1, 1)))
         name = f'{case.name}, T = {case.duration:g} s, path error {case.wanted:g}'
-        how = {'target': None, 'scale': 1e6 / case.duration, 'unit': 'us/s',
+        how = {'target': None, 'scale': 1e6 / case.duration, 'unit': 'us per simulated second',
                'note': f'tolerance {tolerance:.2g}'}
         if ways:
             yield race(f'{name}: heyoka', ways, {'heyoka': lambda run=alone: run}, settings, **how)

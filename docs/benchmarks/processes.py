@@ -8,7 +8,6 @@ import os
 from pathlib import Path
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from typing import Any
@@ -133,16 +132,3 @@ def heard(command: list[str], kind: type, topic: str, *, depth: int = 1000, raw:
                 os.sched_setaffinity(process.pid, processor)
             hearing.begin(process, start)
             yield hearing
-
-
-def resident(pid: int | str) -> float:
-    """Return the memory that a process holds [MB]."""
-    pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
-    return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
-
-
-def run_apart(module: str, *arguments: object) -> str:
-    """Return the last line of a module's output, run in a Python of its own."""
-    told = subprocess.run([sys.executable, '-m', f'benchmarks.{module}', *map(str, arguments)],
-                          check=True, capture_output=True, text=True)
-    return told.stdout.splitlines()[-1]

@@ -18,18 +18,20 @@ _PACKAGES = ('numpy', 'numba', 'llvmlite', 'scipy', 'jax', 'jaxlib', 'diffrax', 
 _HEADING = """\
 # Benchmarks
 
-These benchmarks compare our speed with other tools, or with the same task without a feature. The
-ratio is our figure divided by the figure of the peer: below 1 we are faster. Ratios in **bold**
-exceed their target, and the [reasons](#rows-that-miss-their-target) follow the table.
+The ratio is our figure divided by the figure of the peer, which is another tool, or the same task
+without a feature: below 1 we are faster. Ratios in **bold** exceed their
+[target](#rows-that-miss-their-target).
 
-We and the peer alternate in one run, with one thread each unless the row says otherwise. The
-ratio is the median over all repetitions. The file [benchmarks.json](benchmarks.json) also contains
-quartiles, settings, versions and rows without a target, such as the cost of each effect. To repeat
-the measurement and write this page, run `make bench`. To measure one group of rows, run
-`make bench ARGS='--rows robots'`.
+We and the peer alternate in one run, with one thread each unless the row says otherwise; the ratio
+is the median. [benchmarks.json](benchmarks.json) also contains targets, quartiles, seeds, dates,
+versions and further rows. `make bench` repeats the measurement and writes this page;
+`make bench ARGS='--rows robots'` measures one group of rows.
 
-![Ratio of each row with a target, for each group](benchmarks.png)
+![Ratios of each group](benchmarks.png)
 """
+
+# Comparisons with ourselves: the page shows their rows that miss the target.
+_OWN = ('effects', 'auto')
 
 
 @dataclass(frozen=True)
@@ -77,29 +79,29 @@ def read_groups(path: Path) -> dict[str, Group]:
 
 def as_table(rows: Sequence[Row]) -> str:
     """Return the rows that have a target as a Markdown table."""
-    lines = ['| row | ours | peer | ratio | target |', '|---|---|---|---|---|']
+    lines = ['| row | ours | peer | ratio |', '|---|---|---|---|']
     for row in (row for row in rows if row.target is not None):
         ratio = f'{_number(row.ratio)} {row.unit}'.rstrip()
         shown = f'**{ratio}**' if row.met is False else ratio
-        lines.append(f'| {row.name} | {row.ours} | {row.peer} | {shown} | {row.target:g} |')
+        lines.append(f'| {row.name} | {row.ours} | {row.peer} | {shown} |')
     return '\n'.join(lines) + '\n'
 
 
 def as_markdown(groups: Mapping[str, Group]) -> str:
     """Return the whole document."""
-    rows = [row for group in groups.values() for row in group.rows]
-    missed = [row for row in rows if row.met is False]
+    missed = [row for group in groups.values() for row in group.rows if row.met is False]
+    rows = [row for name, group in groups.items() for row in group.rows
+            if name not in _OWN or row in missed]
     # Rows that miss for the same reason share an entry.
     reasons: dict[str, list[str]] = {}
     for row in missed:
         reasons.setdefault(row.miss or 'not explained yet.', []).append(
             f'**{row.name}**, {_number(row.ratio)} (target {row.target:g})')
     misses = [f'- {"; ".join(names)}: {reason}' for reason, names in reasons.items()]
-    # Groups that were measured on the same machine share a line, without Python and packages.
+    # Groups that were measured with the same commit and machine share a line.
     wheres: dict[str, list[str]] = {}
     for name, group in groups.items():
-        parts = group.where.split('; ')
-        wheres.setdefault('; '.join(parts[:2] + parts[4:]), []).append(name)
+        wheres.setdefault('; '.join(group.where.split('; ')[:2]), []).append(name)
     lines = [_HEADING, as_table(rows), '## Rows that miss their target\n',
              '\n'.join(misses or ['None.']) + '\n', '## Machines and commits\n',
              *(f'- {", ".join(names)}: {where}' for where, names in wheres.items())]

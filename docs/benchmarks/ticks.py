@@ -4,7 +4,7 @@
 
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.ros import settings as parameters
-from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.recording import RunRecording
 from hnn_vi_ros.ros.topics.outputs import Material
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.monitor import Monitor
@@ -50,7 +50,7 @@ class Ticks:
                                lambda text, first: None, guards if watched else (), scale)
         self.topics.open(Material(simulation, self.monitor, box, scene.mechanism), lambda: 0,
                          lambda topic, stamp, payload: None)
-        self.recording = Recording(
+        self.recording = RunRecording(
             node.get_logger(), scene, simulation, parameters.Settings(**recording),
             self.topics.descriptions, box, scene_report(scene, simulation), sampler)
 

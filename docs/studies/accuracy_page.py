@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page docs/accuracy-and-cost.md, computed from the rows."""
+"""The page docs/evidence/accuracy-and-cost.md, computed from the rows."""
 
 from collections.abc import Callable, Iterator, Mapping
 import math
@@ -14,17 +14,17 @@ from studies.pages import render
 from studies.results import Results, write_rows
 from studies.work_precision_figure import draw, draw_fronts
 from studies.work_precision_report import (
-    cheapest, conditions, drift, ERRORS, has_paths, microseconds, none_of, ours, peers,
-    picture_name, ratio)
+    cheapest, conditions, ERRORS, has_paths, microseconds, none_of, ours, peers, picture_name,
+    ratio)
 
 PAGE, FOLDER, PICTURE = 'accuracy-and-cost.md', 'accuracy', 'fronts.png'
 _PAPER, _CLASSIC = 'variational_euler', 'rk4'
 _ANSWERS = (1e-2, 1e-4, 1e-6, 1e-9)
 _CHOICES = (1e-2, 1e-6, 1e-9)
+# Longest horizon in the table of all scenes [s].
+_LONGEST = 1000.0
 # The page opens with it.
 _EXAMPLE = 'pendulum'
-# Step sizes of each variant that are shown.
-_DRIFT_STEPS = 1
 _Results = Mapping[str, Results]
 
 
@@ -78,9 +78,10 @@ def write_pages(docs: Path) -> list[Path]:
                if 'number of --runs' in entry.identity}
     try:
         (docs / PAGE).write_text(as_page(results), encoding='utf-8')
-        name = _example(results)
-        written = [docs / PAGE, draw_fronts(
-            folder / PICTURE, results[name].of(results[name].shown[0]), _answers(results))]
+        entry = results[_example(results)]
+        first = entry.shown[0]
+        written = [docs / PAGE, draw_fronts(folder / PICTURE, entry.of(first), _answers(results),
+                                            _own_error(entry, first))]
         for scene, entry in results.items():
             page = folder / f'{scene}.md'
             page.write_text(scene_page(scene, entry), encoding='utf-8')
@@ -114,24 +115,17 @@ def scene_page(name: str, results: Results) -> str:
 def as_page(results: _Results) -> str:
     """Return the page, from the results of each scene."""
     parts: dict[str, Callable[[_Results], Any]] = {
-        'measured': _measured, 'answers': _answers, 'choices': _choices, 'slower': _slower,
+        'answers': _answers, 'own_errors': _own_errors, 'choices': _choices, 'slower': _slower,
         'left_out': _left_out, 'first_order': _first_order, 'drifting': _drifting,
         'scenes': _scenes}
     name = _example(results)
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
     made = {name: part(results) for name, part in parts.items()}
+    first = results[name].shown[0]
     return render(PAGE, us=microseconds, machine=' and '.join(machines), example=name,
-                  picture=PICTURE, horizon=results[name].shown[0], choice_errors=_CHOICES,
-                  drift=drift(results[name], _DRIFT_STEPS), **{
+                  picture=PICTURE, horizon=first, own_error=_own_error(results[name], first),
+                  choice_errors=_CHOICES, **{
         name: list(part) if isinstance(part, Iterator) else part for name, part in made.items()})
-
-
-def _measured(results: _Results) -> dict[str, list[str]]:
-    """Return the commits that were measured, with the scenes of each."""
-    found: dict[str, list[str]] = {}
-    for name, entry in results.items():
-        found.setdefault(' and '.join(entry.commits), []).append(name)
-    return found
 
 
 def _left_out(results: _Results) -> dict[float, list[str]]:
@@ -164,6 +158,26 @@ def _answers(results: _Results) -> list[tuple[float, StudyRow, StudyRow | None]]
     return [(error, best, other) for error, best, other in found if best is not None]
 
 
+def _own_error(entry: Results, horizon: float, column: str = 'path_error') -> float:
+    """Return the error that the learned H causes by itself; NaN for an exact H."""
+    model = entry.floors[horizon].model
+    if model is None:
+        return math.nan
+    return model.path if column == 'path_error' else model.energy
+
+
+def _own_errors(results: _Results) -> Iterator[list[str]]:
+    """Yield a row for each learned scene and horizon: the cheapest method for its own error."""
+    for name, horizon, rows in _cases(results):
+        column = 'path_error' if has_paths(rows) else 'energy_band'
+        error = _own_error(results[name], horizon, column)
+        best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
+        if best is not None and other is not None:
+            yield [name, f'{horizon:g}', f'{error:.2g}{"" if has_paths(rows) else " J"}',
+                   f'`{best.method}`, {best.step_size:g} s', microseconds(best),
+                   f'{ratio(best, other):.2f} ({other.method.partition(" tolerance=")[0]})']
+
+
 def _cheapest_text(rows: list[StudyRow], error: float) -> str:
     """Return our cheapest method, its step, its microseconds, and its share of a peer's time."""
     column = 'path_error' if has_paths(rows) else 'energy_band'
@@ -175,17 +189,17 @@ def _cheapest_text(rows: list[StudyRow], error: float) -> str:
 
 
 def _choices(results: _Results) -> list[list[str]]:
-    return [[name, f'{horizon:g}', 'path' if has_paths(rows) else 'energy [J]',
+    return [[name, f'{horizon:g}{"" if has_paths(rows) else ", chaotic"}',
              *(_cheapest_text(rows, error) for error in _CHOICES)]
-            for name, horizon, rows in _cases(results)]
+            for name, horizon, rows in _cases(results) if horizon <= _LONGEST]
 
 
 def _slower(results: _Results) -> dict[str, float]:
     """Return the scenes in which a peer is faster, and by how much at most."""
     found: dict[str, float] = {}
-    for name, _, rows in _cases(results):
+    for name, horizon, rows in _cases(results):
         column = 'path_error' if has_paths(rows) else 'energy_band'
-        for error in ERRORS:
+        for error in (*ERRORS, _own_error(results[name], horizon, column)):
             best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
             if best is not None and other is not None and ratio(best, other) > 1.0:
                 found[name] = max(found.get(name, 0.0), ratio(best, other))

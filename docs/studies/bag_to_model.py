@@ -168,7 +168,7 @@ def _draw(path: Path, scene: Scene, exact: Trajectory, learned: Trajectory) -> N
 def parser() -> Parser:
     """Return the parser of the command line."""
     found = Parser('bag_to_model', __doc__, [
-        'make study NAME=bag_to_model ARGS="--docs docs"'])
+        'make study NAME=bag_to_model ARGS="--docs docs/evidence"'])
     found.add_argument('--out', type=Path, default=Path('bag_to_model'), metavar='DIR',
                        help='folder of the bag and the model (default: bag_to_model)')
     found.add_argument('--docs', type=Path, metavar='DIR',

@@ -213,14 +213,16 @@ def counts(hamiltonian: Hamiltonian, events: Sequence[str], z: np.ndarray) -> li
 
 
 def table(runs: Sequence[Run]) -> str:
-    """Return a line for each system: wrong and right runs, alarmed and silent."""
-    lines = ['| system | wrong, alarmed | wrong, silent | right, alarmed | right, silent | '
-             'not judged |', '|---|---|---|---|---|---|']
+    """Return a line for each system: alarmed of the wrong runs, silent of the right ones."""
+    lines = ['| system | wrong, with an alarm | right, without one | not judged |',
+             '|---|---|---|---|']
     found = Counter((run.system, run.judgement, bool(run.alarms)) for run in runs)
     for name in dict.fromkeys(run.system for run in runs):
-        cells = [*(found[name, word, alarmed] for word in ('wrong', 'right')
-                   for alarmed in (True, False)), found[name, '', True] + found[name, '', False]]
-        lines.append(f'| {name} | {" | ".join(map(str, cells))} |')
+        alarmed, silent = ({word: found[name, word, kind] for word in ('wrong', 'right', '')}
+                           for kind in (True, False))
+        lines.append(f'| {name} | {alarmed["wrong"]}/{alarmed["wrong"] + silent["wrong"]} | '
+                     f'{silent["right"]}/{alarmed["right"] + silent["right"]} | '
+                     f'{alarmed[""] + silent[""]} |')
     return '\n'.join(lines)
 
 

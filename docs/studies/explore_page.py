@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page docs/accuracy/explore.html: an offline explorer of the rows of every scene."""
+"""The page docs/evidence/accuracy/explore.html: an offline explorer of the rows of every scene."""
 
 from collections.abc import Mapping
 from importlib.util import find_spec
@@ -22,7 +22,7 @@ _SYMBOLS = {'o': 'circle', '<': 'triangle-left', '>': 'triangle-right', 'x': 'x-
             's': 'square', 'D': 'diamond', '^': 'triangle-up', 'p': 'pentagon',
             'v': 'triangle-down', 'd': 'diamond-tall', 'X': 'x', 'P': 'cross', '*': 'star',
             'h': 'hexagon', 'H': 'hexagon2', '8': 'octagon'}
-_COLUMNS = ('step_size', 'horizon', 'path_error', 'energy_band', 'seconds_per_simulated_second',
+_COLUMNS = ('step_size', 'horizon', 'path_error', 'energy_band', 'us_per_simulated_second',
             'gradients_per_simulated_second')
 
 

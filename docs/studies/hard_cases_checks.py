@@ -3,11 +3,13 @@
 """Hard cases with effects, checks of repeatability, and counts of events."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 import io
 import math
 
 from hnn_vi_ros.effects.damping import Damping
+from hnn_vi_ros.effects.loops import LoopManifold
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
@@ -24,6 +26,8 @@ from studies.hard_cases_run import (
 RISE, LENGTH, RATE = 1e-9, 1e-10, 1e-9
 # Its energy is the exact one to round-off at the steps of case 12: halving them changes nothing.
 _EXACT = 'gauss16'
+# Steps of the reference of a driven run, for one of its own.
+_FINER = 16
 # Times of a picture, each as many times the one before.
 _TIMES = 100
 _EPS = float(np.finfo(np.float64).eps)
@@ -109,20 +113,13 @@ def _is_identical_without(job: Job, steps: int = 2000) -> bool:
 
 
 def run_constraint(job: Job) -> Measured:
-    """Run a rod: its length and the rate of its length are looked at in every step."""
+    """Run a rod or loops: their lengths and the rates of these are looked at in every step."""
     simulation, measured = _start(job)
-    rod = next(effect for effect in job.set_up.effects
-               if effect['kind'] == 'holonomic_constraint')
-    anchor, length = np.array(rod['anchor']), rod['length']
     start, errors, broken = simulation.energy, [], []
     scale = scale_of(simulation)
     try:
         for q, p in blocks(job, simulation):
-            _, velocity = simulation.hamiltonian.gradient(q, p)
-            rods = q - anchor
-            r = np.linalg.norm(rods, axis=1)
-            rates = np.sum(rods * velocity, axis=1) / r
-            broken.append(np.abs([r - length, rates]))
+            broken.append(_broken(job, simulation, q, p))
             errors.append(simulation.hamiltonian.energy(q, p) - start)
             _note(measured, simulation, q, p)
     except StepFailure as failure:
@@ -138,6 +135,20 @@ def run_constraint(job: Job) -> Measured:
     measured.t, measured.error = _thinned(job, np.maximum.accumulate(lengths))
     measured.other = _thinned(job, np.maximum.accumulate(rates))[1]
     return measured
+
+
+def _broken(job: Job, simulation: Simulation, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return the errors of the length of a rod or of loops and of their rates, shape (2, n)."""
+    _, velocity = simulation.hamiltonian.gradient(q, p)
+    loops = simulation.system.constraints
+    if isinstance(loops, LoopManifold):
+        return np.array([[np.abs(loops.errors(one)).max() for one in q], np.abs(np.einsum(
+            'nki,ni->nk', loops.gradients(q), velocity)).max(axis=1)])
+    rod = next(effect for effect in job.set_up.effects
+               if effect['kind'] == 'holonomic_constraint')
+    rods = q - np.array(rod['anchor'])
+    r = np.linalg.norm(rods, axis=1)
+    return np.abs([r - rod['length'], np.sum(rods * velocity, axis=1) / r])
 
 
 def run_repeatability(job: Job) -> Measured:
@@ -188,6 +199,8 @@ def _resumed(job: Job, half: int) -> tuple[np.ndarray, np.ndarray]:
 def run_counts(job: Job) -> Measured:
     """Run a set-up with guards at every step; compare the counts of events with DOP853."""
     simulation, measured = _start(job)
+    if not simulation.conservative:
+        return _run_driven(job, simulation, measured)
     watch, start = watch_of(job, simulation), simulation.energy
     z = np.concatenate([simulation.q, simulation.p])
     watch.update(look(simulation))
@@ -207,14 +220,44 @@ def run_counts(job: Job) -> Measured:
     _note(measured, simulation, q, p)
     summarise(energies[0] - start, measured)
     measured.alarms = watch.alarms
-    hamiltonian, events = simulation.hamiltonian, job.set_up.events
-    path, _ = reference(hamiltonian, z, simulation.time)
-    found, expected = (counts(hamiltonian, events, np.vstack([z, states]))
-                       for states in (np.hstack([q, p]), path))
-    measured.broken += [f'{text} {own} times, not {times}' for text, own, times in zip(
-        events, found, expected, strict=True) if own != times]
+    _compare(job, simulation, np.vstack([z, np.hstack([q, p])]),
+             reference(simulation.hamiltonian, z, simulation.time)[0], measured)
     _draw_energies(job, energies[0] - start, measured)
     return measured
+
+
+def _run_driven(job: Job, simulation: Simulation, measured: Measured) -> Measured:
+    """Run a set-up with work, with guards at every step; compare with much smaller steps."""
+    watch, looks = watch_of(job, simulation), [look(simulation)]
+    watch.update(looks[0])
+    try:
+        for _ in range(job.steps):
+            simulation.advance(1)
+            looks.append(look(simulation))
+            watch.update(looks[-1])
+    except StepFailure as failure:
+        measured.failure = failure
+    measured.alarms = watch.alarms
+    q, p = np.array([one.q for one in looks]), np.array([one.p for one in looks])
+    errors = np.array([one.energy - one.work for one in looks[1:]]) - looks[0].energy
+    _note(measured, simulation, q, p)
+    summarise(errors, measured)
+    _draw_energies(job, errors, measured)
+    if measured.failure is None:
+        finer = replace(job, method='implicit_midpoint', set_up=job.set_up.model_copy(
+            update={'step_size': job.set_up.step_size / _FINER})).simulation()
+        path = np.hstack(finer.record(job.steps * _FINER, 1))
+        _compare(job, simulation, np.hstack([q, p]), path, measured)
+    return measured
+
+
+def _compare(job: Job, simulation: Simulation, found: np.ndarray, path: np.ndarray,
+             measured: Measured) -> None:
+    """Compare the counts of events on a path from the start, (n, 2 d), with those on another."""
+    own, expected = (counts(simulation.hamiltonian, job.set_up.events, np.vstack(
+        [found[:1], states])) for states in (found, path))
+    measured.broken += [f'{text} {times} times, not {right}' for text, times, right in zip(
+        job.set_up.events, own, expected, strict=True) if times != right]
 
 
 def _draw_energies(job: Job, errors: np.ndarray, measured: Measured) -> None:

@@ -1,13 +1,15 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Picture of a hard case: the error over the run, one panel per set-up."""
+"""Pictures of hard cases: the error over a run, one panel per set-up, and all energy bands."""
 
 from collections.abc import Sequence
 import math
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 from hnn_vi_ros.commands.cost_figure import FAINT, INK, STYLES
+from hnn_vi_ros.integrators import INTEGRATORS
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -18,7 +20,16 @@ from studies.hard_cases_plan import Case
 from studies.hard_cases_results import CaseRow
 
 _OTHER = ('#555555', '*')
-_MARKS, _DPI, _COLUMNS = 6, 110, 2
+_MARKS, _DPI, _COLUMNS, _PANELS = 6, 110, 2, 6
+_ROUNDING = 1e-17
+# Marks of the runs of each verdict, and their names.
+_VERDICTS: dict[str, dict[str, Any]] = {
+    'stable': {'marker': 'o', 'color': '#1b7f4d', 'markersize': 3.6},
+    'alarm': {'marker': '^', 'color': '#c77700', 'markersize': 4.6},
+    'stopped': {'marker': 's', 'color': '#5a5a8c', 'markersize': 4.0},
+    'unstable': {'marker': 'X', 'color': '#c0143c', 'markersize': 6.0}}
+_NAMES = {'stable': 'stable', 'alarm': 'an alarm was raised', 'stopped': 'stopped with an error',
+          'unstable': 'failed without an alarm'}
 # Errors beyond this are drawn at it.
 _CEILING = 1e6
 _LABELS = {
@@ -41,6 +52,55 @@ _SMALLEST = 1e-16
 # The end of a run that stopped: no method's own marker.
 _STOPPED = 'stopped'
 _END: dict[str, Any] = {'marker': 'P', 'color': INK, 'markersize': 11.0, 'linestyle': ''}
+
+
+def draw_bands(path: Path, cases: Sequence[Case], rows: Sequence[CaseRow]) -> Path:
+    """
+    Draw the energy band of every run into a PNG file, one small panel per case, on equal axes.
+
+    Parameters
+    ----------
+    path : Path
+        Output file.
+    cases : sequence of Case
+        The panels.
+    rows : sequence of CaseRow
+        Their runs; those without a band are omitted.
+
+    """
+    rows = [row for row in rows if '@' not in row.method and row.band == row.band]
+    met = {row.method for row in rows}
+    methods = [name for name in INTEGRATORS if name in met]
+    lines = math.ceil(len(cases) / _PANELS)
+    height = 2.6 * lines + 0.9
+    figure = Figure(figsize=(9.6, height), dpi=_DPI, facecolor='white')
+    FigureCanvasAgg(figure)
+    figure.subplots_adjust(left=0.17, right=0.985, bottom=0.7 / height, top=1.0 - 0.95 / height,
+                           wspace=0.16, hspace=0.42)
+    grid = figure.subplots(lines, _PANELS, sharex=True, sharey=True, squeeze=False).ravel()
+    for ax in grid[len(cases):]:
+        ax.set_visible(False)
+    for ax, case in zip(grid, cases, strict=False):
+        ax.set_title(fill(f'{case.number}. {case.title}', 22), fontsize=7.5, color=INK)
+        ax.grid(color='#ececec', linewidth=0.6)
+        ax.set_axisbelow(True)
+        for verdict, style in _VERDICTS.items():
+            ends = [(min(max(row.band, _ROUNDING), _CEILING), methods.index(row.method))
+                    for row in rows if row.case == case.number and row.verdict == verdict]
+            ax.plot(*np.reshape(ends, (-1, 2)).T, linestyle='', clip_on=False, **style)
+        ax.set(xscale='log', xlim=(_ROUNDING, _CEILING), ylim=(len(methods) - 0.5, -0.5))
+        ax.set_xticks([1e-16, 1e-8, 1.0])
+        ax.set_yticks(range(len(methods)), methods)
+        ax.tick_params(labelsize=7.0, length=2.0, labelbottom=True)
+        ax.minorticks_off()
+        ax.spines[['top', 'right']].set_visible(False)
+    figure.supxlabel(f'energy band of the run, largest abs(H - H0) [J]; above {_CEILING:g} J '
+                     'drawn there', fontsize=8.5, color=INK)
+    figure.legend(handles=[Line2D([], [], label=_NAMES[verdict], linestyle='', **style)
+                           for verdict, style in _VERDICTS.items()],
+                  loc='upper center', ncols=4, fontsize=8.5, frameon=False)
+    figure.savefig(path)
+    return path
 
 
 def draw_case(path: Path, case: Case, rows: Sequence[CaseRow]) -> Path:

@@ -21,6 +21,7 @@ from pydantic import Field
 from studies.variants import create, parse_method
 
 EXACT, LEARNED = 'exact', 'learned'
+_ROBOTS = Path(__file__).resolve().parents[2] / 'config' / 'robots'
 # The paper's plain iteration, without the chain of solvers behind it.
 _FIXED_POINT = '@fixed_point'
 
@@ -143,8 +144,11 @@ class Job:
 
     def scene(self) -> Scene:
         """Return the set-up as a scene; its integrator is not the method."""
+        hamiltonian = dict(self.set_up.hamiltonian)
+        if 'file' in hamiltonian:
+            hamiltonian['file'] = str(_ROBOTS / hamiltonian['file'])
         return Scene.model_validate({
-            'hamiltonian': self.set_up.hamiltonian, 'effects': self.set_up.effects,
+            'hamiltonian': hamiltonian, 'effects': self.set_up.effects,
             'integrator': {'kind': 'variational_euler'}, 'step_size': self.set_up.step_size,
             'initial_state': {'q': self.set_up.q, 'p': self.set_up.p}})
 

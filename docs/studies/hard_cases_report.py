@@ -3,7 +3,7 @@
 """Report on the hard cases: Markdown, CSV and pictures, and the pages of the docs."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 import json
 import math
 from pathlib import Path
@@ -12,8 +12,9 @@ from types import MappingProxyType
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.integrators import INTEGRATORS
 from studies.coarse_steps import committed, read_runs, table
-from studies.hard_cases_figure import draw_case
+from studies.hard_cases_figure import draw_bands, draw_case
 from studies.hard_cases_plan import Case, load_plan
 from studies.hard_cases_results import (
     CaseRow, CSV, differences, Expectation, expectations_file, Folder, FULL, Key,
@@ -22,9 +23,9 @@ from studies.pages import render
 
 MARKDOWN = 'hard_cases.md'
 PAGE, PICTURES, CARD = 'hard-cases.md', 'hard_cases', 'hard_cases.json'
-# From the worst to the best.
-SIGNS = {'unstable': '❌', 'stopped': '⏹️', 'alarm': '⚠️', 'stable': '✅'}
-_VERDICTS = list(SIGNS)
+GRID, BANDS = 'grid.html', 'bands.png'
+# Methods for comparison, in the last columns.
+BASELINES = ('explicit_euler', 'rk4')
 
 
 def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
@@ -51,7 +52,7 @@ def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
 
 def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
     """
-    Write the page of the docs, a picture for each case, and the table.
+    Write the page of the docs, its table of all runs, and the pictures.
 
     Parameters
     ----------
@@ -75,38 +76,54 @@ def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
                   for name in (CSV, *map(_picture, cases))]
         card = folder / CARD
         card.write_text(json.dumps(source.identity, indent=1) + '\n', encoding='utf-8')
-        page = docs / PAGE
+        page, grid = docs / PAGE, folder / GRID
         page.write_text(page_of(docs), encoding='utf-8')
+        grid.write_text(grid_of(docs), encoding='utf-8')
+        bands = draw_bands(folder / BANDS, *_read(docs))
     except OSError as problem:
         raise ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); give a '
                              'folder that can be written') from problem
-    return [page, *copies, card]
+    return [page, grid, bands, *copies, card]
 
 
 def page_of(docs: Path) -> str:
     """Return the page, from the table that the docs hold."""
-    folder = docs / PICTURES
-    card = json.loads((folder / CARD).read_text(encoding='utf-8'))
-    rows = read_csv(folder / CSV)
+    card = json.loads((docs / PICTURES / CARD).read_text(encoding='utf-8'))
+    cases, rows = _read(docs)
     expected = load_expectations(expectations_file(), card.get('run', FULL))
-    cases = [case for case in load_plan().cases if _of(case, rows)]
-    parts = _parts(cases, rows, expected, card.get('notes', {}))
     silent = sorted({row.method for row in rows if row.verdict == 'unstable'})
     coarse = read_runs(committed())
     ends = Counter(f'{run.judgement} {"told" if run.alarms else "silent"}' for run in coarse)
-    return render(PAGE, cases=parts, machine=card['machine'], runs=len(rows), silent=silent,
-                  signs=SIGNS, grid=list(_grid(cases, rows)), coarse=len(coarse), ends=ends,
-                  table=table(coarse))
+    return render(PAGE, cases=_parts(cases, rows, expected, card.get('notes', {})),
+                  machine=card['machine'], runs=len(rows), silent=silent, baselines=BASELINES,
+                  coarse=len(coarse), ends=ends, table=table(coarse))
 
 
-def _grid(cases: Sequence[Case], rows: Sequence[CaseRow]) -> Iterator[tuple[str, list[Counter]]]:
-    """Yield for each method but variants its verdicts in each case, the worst first."""
-    for method in dict.fromkeys(row.method for row in rows):
-        if '@' in method:
-            continue
-        yield method, [Counter(sorted(
-            (row.verdict for row in _of(case, rows) if row.method == method),
-            key=_VERDICTS.index)) for case in cases]
+def grid_of(docs: Path) -> str:
+    """Return the table of all runs as HTML, from the table that the docs hold."""
+    cases, rows = _read(docs)
+    methods = _columns(rows)
+    parts = []
+    for case in cases:
+        lines: dict[tuple[str, str, str], dict[str, CaseRow]] = {}
+        for row in _of(case, rows):
+            method, _, variant = row.method.partition('@')
+            lines.setdefault((row.hamiltonian, row.set_up, variant), {})[method] = row
+        parts.append((case, [(', '.join(filter(None, name)), [
+            line.get(method) for method in methods]) for name, line in lines.items()]))
+    return render(GRID, cases=parts, methods=methods)
+
+
+def _read(docs: Path) -> tuple[list[Case], list[CaseRow]]:
+    """Return the rows that the docs hold, and their cases."""
+    rows = read_csv(docs / PICTURES / CSV)
+    return [case for case in load_plan().cases if _of(case, rows)], rows
+
+
+def _columns(rows: Sequence[CaseRow]) -> list[str]:
+    """Return the methods in the order of the registry, the baselines last."""
+    met = {row.method.partition('@')[0] for row in rows}
+    return sorted(met, key=lambda name: (name in BASELINES, list(INTEGRATORS).index(name)))
 
 
 def _picture(case: Case) -> str:
@@ -126,38 +143,12 @@ def _parts(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key
         own = _of(case, rows)
         counts = Counter(row.verdict for row in own)
         parts.append({
-            'case': case, 'picture': _picture(case), **_short(own),
+            'case': case, 'picture': _picture(case),
             'counts': [len(own), *(counts[word] for word in (
                 'stable', 'alarm', 'stopped', 'unstable'))],
             'note': notes.get(str(case.number)), 'wrong': len(differences(own, dict(expected))),
             'rows': [_cells(row, expected.get(row.key)) for row in own]})
     return parts
-
-
-def _short(rows: Sequence[CaseRow]) -> dict[str, Any]:
-    """Return for each set-up the ends of runs that were not stable, and Lyapunov times."""
-    found: dict[str, dict[str, list[str]]] = {}
-    times: dict[str, list[float]] = {}
-    for row in sorted(rows, key=lambda row: -_VERDICTS.index(row.verdict)):
-        set_up = f'{row.set_up}, {row.hamiltonian}' if row.set_up else row.hamiltonian
-        ends = found.setdefault(set_up, {})
-        if row.verdict != 'stable':
-            end, step = _end(row)
-            ends.setdefault(end, []).append(f'{row.method} {step}'.rstrip())
-        elif 'Lyapunov time' in row.measures:
-            times.setdefault(set_up, []).append(row.measures['Lyapunov time'])
-    return {'ends': found, 'lyapunov_times': {
-        set_up: f'{min(own):.3g} to {max(own):.3g} s' for set_up, own in times.items()}}
-
-
-def _end(row: CaseRow) -> tuple[str, str]:
-    """Return the end of a run that was not stable, and the step of its alarm."""
-    sign = SIGNS[row.verdict]
-    if row.verdict == 'unstable':
-        return f'{sign} {row.failed}', ''
-    words, _, step = row.alarm.split('; ')[0 if row.verdict == 'alarm' else -1].rpartition(
-        ' at step ')
-    return f'{sign} {words.split(" here that")[0].split(", given up")[0]}', step
 
 
 def _cells(row: CaseRow, expectation: Expectation | None) -> list[str]:

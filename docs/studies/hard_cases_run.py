@@ -12,7 +12,7 @@ from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, Resolu
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
-from hnn_vi_ros.simulation.guards.steps import RescueGuard
+from hnn_vi_ros.simulation.guards.steps import RescueGuard, StiffnessGuard
 from hnn_vi_ros.simulation.guards.watch import energies_of, look, Watch
 import numpy as np
 from studies.hard_cases_gates import Measured
@@ -27,7 +27,7 @@ _STATES, _WATCHED = 1_000_000, 50
 # States at which single steps are judged; each costs a hundred uncompiled steps.
 _JUDGED = 2
 # Guards of the motion; a slow step says nothing about it.
-_GUARDS = (BarrierGuard, BoxGuard, EnergyGuard, RescueGuard, ResolutionGuard)
+_GUARDS = (BarrierGuard, BoxGuard, EnergyGuard, RescueGuard, ResolutionGuard, StiffnessGuard)
 # Guards of the path count only if events are counted: accuracy is not judged otherwise.
 _OF_PATHS = (PathGuard, PoleGuard)
 _EPS = float(np.finfo(np.float64).eps)

@@ -10,18 +10,21 @@ these are linear, and take a tenth of the time.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 import tempfile
 import time
+from typing import Any
 
 from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.identify.fit import fit
 from hnn_vi_ros.identify.free_numbers import free_scene
-from hnn_vi_ros.identify.intervals import covariances, errors_of, estimates_of, processes, quantile
+from hnn_vi_ros.identify.intervals import errors_of, estimates_of, quantile
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
-from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.learning.fit.noise import covariances, processes
+from hnn_vi_ros.learning.fit.shooting import fit_numbers
+from hnn_vi_ros.learning.fit.windows import Seen
+from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.trajectory.simulate import simulate
 import numpy as np
 from scipy.signal import butter, lfilter
@@ -66,18 +69,61 @@ QUANTISED = 'quantised'
 
 @dataclass(frozen=True)
 class Case:
-    """A scene, which of its numbers are free, the length of a log [s] and steps per sample."""
+    """
+    A scene, which of its numbers are free, the length of a log [s] and steps per sample.
+
+    A case with effects of its own, instead of those of the scene, is named after the first one.
+    One with gears, from a start q, is named drives; its rotors are not measured.
+    """
 
     scene: str
     free: tuple[str, ...]
     duration: float
     every: int
+    effects: tuple[dict[str, Any], ...] = ()
+    hamiltonian: dict[str, Any] = field(default_factory=dict)
+    q: tuple[float, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Return the name of the case."""
+        own = self.effects[0]['kind'] if self.effects else self.scene
+        return 'drives' if self.hamiltonian else own
+
+    def load(self) -> Scene:
+        """Return the scene."""
+        scene = load_scene(self.scene)
+        if self.hamiltonian:
+            own = scene.model_dump(include={'hamiltonian'})['hamiltonian']
+            return scene.changed({
+                'hamiltonian': own | self.hamiltonian, 'step_size': 0.0025,
+                'initial_state': {'q': [*self.q], 'p': [0.0] * len(self.q)}})
+        return scene.with_overrides(0.005, 'implicit_midpoint', effects=[*self.effects]) \
+            if self.effects else scene
+
+    def seen(self) -> Seen | None:
+        """Return the measured coordinates; None for all."""
+        coordinates = self.load().create_hamiltonian().coordinates
+        names, d = [one.name for one in coordinates], len(coordinates)
+        rotors = [(i, names.index(one.rotor_of)) for i, one in enumerate(coordinates)
+                  if one.rotor_of]
+        return Seen(np.delete(np.arange(d), [i for i, _ in rotors]), np.zeros((2, d)),
+                    np.zeros(d), rotors) if rotors else None
 
 
 CASES = (
     Case('exact_damped_driven_pendulum', ('mass', 'length', 'damping.rate'), 1.6, 2),
     Case('exact_double_pendulum', ('mass2', 'length1', 'length2'), 1.2, 4),
     Case('two_joint_arm', ('forearm.mass', 'forearm.centre_z', 'upper_arm.centre_z'), 1.0, 4),
+    Case('exact_pendulum', ('lugre_friction.stiffness', 'lugre_friction.friction',
+                            'lugre_friction.stribeck', 'lugre_friction.damping'), 3.0, 2, (
+        {'kind': 'lugre_friction', 'coordinate': 'angle', 'stiffness': 60.0, 'friction': 0.6,
+         'stribeck': 0.3, 'speed': 0.5, 'damping': 0.15},)),
+    Case('two_joint_arm', tuple(f'drives.elbow.{name}' for name in (
+        'stiffness', 'damping', 'rotor_inertia', 'backlash')), 1.5, 2, (), {
+            'locked': {'shoulder': 0.0}, 'drives': {'elbow': {
+                'stiffness': 60.0, 'damping': 0.1, 'rotor_inertia': 1e-5, 'gear': 50.0,
+                'backlash': 0.04, 'smoothing': 0.002}}}, (1.2, 1.0)),
 )
 
 
@@ -94,12 +140,14 @@ def measured(kind: str, values: np.ndarray, noise: float, random: np.random.Gene
 def synthetic_log(case: Case, kind: str, random: np.random.Generator
                   ) -> tuple[EvenMotion, np.ndarray]:
     """Return a log of a scene from an initial state that chance chooses, and that state."""
-    scene = load_scene(case.scene)
+    scene = case.load()
     q, p = np.array(scene.initial_state.q), scene.initial_state.p
     motion = simulate(scene, case.duration, every=case.every, initial_state=(
         (q + _SPREAD * random.normal(size=q.size)).tolist(), p))
     velocity = scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
-    q, v = (measured(kind, part, noise, random)
+    seen = case.seen()
+    columns = slice(None) if seen is None else seen.columns
+    q, v = (measured(kind, part[:, columns], noise, random)
             for part, noise in zip((motion.q, velocity), NOISE, strict=True))
     return (smoothed('log', motion.t, q, v, np.zeros_like(q), 40.0),
             np.concatenate([motion.q[0], motion.p[0]]))
@@ -107,7 +155,7 @@ def synthetic_log(case: Case, kind: str, random: np.random.Generator
 
 def held(case: Case, kind: str, logs: int, seed: int) -> Iterator[tuple[bool, ...]]:
     """Yield for each log which intervals, of its numbers and its start, hold the truth."""
-    scene = load_scene(case.scene)
+    scene = case.load()
     coordinates = scene.create_hamiltonian().coordinates
     for log in range(logs):
         random = np.random.default_rng([seed, log])
@@ -117,7 +165,8 @@ def held(case: Case, kind: str, logs: int, seed: int) -> Iterator[tuple[bool, ..
             truth = np.array([number.start for number in true.numbers])
             off = truth * (1.0 + _OFF * random.uniform(-1.0, 1.0, truth.size))
             free = true.starting_at(off)
-            solution, problem, _ = fit(free, [motion], case.duration, False)
+            fitted = fit_numbers([free], [motion], case.duration, False, seen=case.seen())
+            solution, problem = fitted.solution, fitted.problem
             found = estimates_of(solution, problem, free, coordinates, True).estimates
         yield tuple(one.low is not None and one.high is not None and one.low <= value <= one.high
                     for one, value in zip(found, [*truth, *start], strict=True))
@@ -148,7 +197,7 @@ def main(argv: Sequence[str]) -> None:
     options = parser().parse_args(argv)
     print('| log | noise | logs | coverage | each | time of one |\n|---|---|---:|---:|---|---:|')
     ways = {str(samples): partial(held_by_regression, samples) for samples in options.samples} or {
-        case.scene: partial(held, case) for case in CASES if options.scene in (None, case.scene)}
+        case.name: partial(held, case) for case in CASES if options.scene in (None, case.name)}
     for name, way in ways.items():
         for kind in options.noise:
             start = time.process_time()
@@ -166,7 +215,7 @@ def parser() -> Parser:
         'make study NAME=identify_coverage ARGS="--samples 100 1000 --noise white ar_0.8"'])
     found.add_argument('--logs', type=int, default=200, help='logs of each kind (default: 200)')
     found.add_argument('--seed', type=int, default=1, help='seed of the noise (default: 1)')
-    found.add_argument('--scene', choices=[case.scene for case in CASES], help='only this scene')
+    found.add_argument('--scene', choices=[case.name for case in CASES], help='only this scene')
     found.add_argument('--noise', nargs='+', default=['white'], choices=[*NOISES, QUANTISED],
                        help='kinds of noise (default: white)')
     found.add_argument('--samples', type=int, nargs='+', default=[],

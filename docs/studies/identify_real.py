@@ -3,7 +3,7 @@
 """
 Fit the parameters of real pendulums with ``identify`` and evaluate them.
 
-The data are published, and not shipped; see docs/identify.md.
+The data are published, and not shipped; see docs/how-to/identify.md.
 """
 
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ import tempfile
 import time
 
 from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.identify.fit import fit
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.intervals import estimates_of
 from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
 from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.fit.shooting import fit_numbers
 from hnn_vi_ros.learning.judging.evaluation import Predict, simulated, simulation_of, variance_of
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
@@ -189,8 +189,8 @@ def main(argv: Sequence[str]) -> None:
         train, test = motions_of(case, options.data, folder)
         free = free_scene(scene.parts(), case.free, {}, folder, bool(case.data['tau']))
         start = time.process_time()
-        solution, problem, stages = fit(free, train, options.horizon or case.horizon,
-                                        options.robust)
+        found = fit_numbers([free], train, options.horizon or case.horizon, options.robust)
+        solution, problem, stages = found.solution, found.problem, found.stages
         seconds = time.process_time() - start
         estimates = estimates_of(solution, problem, free, (), False)
         print('| number | value | 95 % interval |\n|---|---:|---|')

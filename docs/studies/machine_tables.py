@@ -185,7 +185,7 @@ CASES = {
 
 def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -> Path:
     """
-    Train and measure every case whose data are there, and write docs/learning/machines.json.
+    Train and measure every case whose data are there, and write machines.json.
 
     Data that are simulated are made here. Those that are not there are named.
 

@@ -71,6 +71,11 @@ class StudyRow:
                 self.horizon)
 
     @property
+    def us_per_simulated_second(self) -> float:
+        """Return the median of the wall time [us per simulated second]."""
+        return 1e6 * self.seconds_per_simulated_second
+
+    @property
     def is_peer(self) -> bool:
         """Return whether it is a peer's, not one of ours, whose names have no spaces."""
         return ' ' in self.method

@@ -112,6 +112,6 @@ def parser() -> Parser:
     """Return the parser of the command line."""
     found = Parser('paper_figures', __doc__, [
         'make study NAME=paper_figures ARGS="--out figures"'])
-    found.add_argument('--out', type=Path, default=Path('docs'), metavar='DIR',
-                       help='folder to write to (default: docs)')
+    found.add_argument('--out', type=Path, default=Path('docs/evidence'), metavar='DIR',
+                       help='folder to write to (default: docs/evidence)')
     return found

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page docs/learning.md, with all numbers of its tables from the results."""
+"""The page docs/evidence/learning.md, with all numbers of its tables from the results."""
 
 from collections.abc import Iterable, Iterator, Sequence
 import csv
@@ -16,6 +16,7 @@ from studies.pages import render
 PAGE, FOLDER, CSV = 'learning.md', 'learning', 'published_tables.csv'
 PICTURE = 'published.png'
 MACHINES = 'machines.json'
+MACHINE_MODELS = ('default', 'networks', 'rigid body and networks', 'rigid body', 'plain network')
 ROBOTS = 'robots.json'
 REAL = 'real_pendulum'
 SYSTEMS = {'mass_spring': 'mass-spring', 'pendulum': 'pendulum', 'two_body': 'two-body',
@@ -157,11 +158,11 @@ def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str
                  for k, row in enumerate(_physics_rows(table, name))],
         dissipative_published=_published_rows(table, 'dissipative_hnn'),
         real_physics=list(_real_rows(table)),
-        machines=_once(machine_rows(folder / FOLDER / MACHINES), shared=(3, 6)),
+        machines=_once(machine_rows(folder / FOLDER / MACHINES)),
         robots=_once(robot_rows(folder / FOLDER / ROBOTS), shared=(3,)))
 
 
-def _once(rows: Iterable[list[str]], shared: Sequence[int]) -> list[list[str]]:
+def _once(rows: Iterable[list[str]], shared: Sequence[int] = ()) -> list[list[str]]:
     """
     Return rows by subject and measure, without repeated cells.
 
@@ -191,14 +192,18 @@ def _summary(results: ResultTable) -> dict[str, int]:
 
 
 def _published_rows(results: ResultTable, table: str) -> list[list[str]]:
-    """Return the published measures with ours."""
+    """Return the published measures with ours, in bold where ours are larger."""
     rows = []
     for (name, system, measure), published in PUBLISHED.items():
         values = results.values(name, system, measure)
         if name == table:
-            rows.append([SYSTEMS[system], measure, f'{published:.2e}', *(
-                [f'{values[0]:.2e}', spread(values), str(len(values)), verdict(values, published)]
-                if len(values) else ['not measured', '', '', ''])])
+            cells = ['not measured', '', '']
+            if len(values):
+                reached = is_reached(values, published)
+                cells = [text if met else f'**{text}**' for text, met in zip(
+                    (f'{values[0]:.2e}', spread(values)), reached, strict=True)]
+                cells.append(str(len(values)))
+            rows.append([SYSTEMS[system], measure, f'{published:.2e}', *cells])
     return rows
 
 
@@ -206,7 +211,7 @@ def _noise_rows(results: ResultTable) -> Iterator[list[str]]:
     """Yield the smallest possible test losses on noisy states."""
     for system in results.systems('hnn'):
         rows = [results.values('hnn', system, measure) for measure in (
-            'test loss', 'test loss of the true H', 'least test loss')]
+            'test loss of the true H', 'least test loss')]
         if all(len(values) for values in rows):
             yield [SYSTEMS[system], *map(spread, rows)]
 
@@ -224,23 +229,23 @@ def _physics_rows(results: ResultTable, table: str) -> Iterator[list[str]]:
 def _real_rows(results: ResultTable) -> Iterator[list[str]]:
     """Yield the errors of the real pendulum and the noise of their measure."""
     for table in ('dgnet', 'dissipative_hnn'):
-        rows = [results.values(table, REAL, measure) for measure in (
-            'published energy MSE', 'least energy MSE', 'path error')]
-        if len(rows[0]):
-            yield [table, spread(rows[0]), f'{rows[1][0]:.2e}', spread(rows[2])]
+        least, path = (results.values(table, REAL, measure)
+                       for measure in ('least energy MSE', 'path error'))
+        if len(least):
+            yield [table, f'{least[0]:.2e}', spread(path)]
 
 
 def machine_rows(path: Path) -> Iterator[list[str]]:
-    """Yield the rows of machines; none if they were not measured."""
+    """Yield a row for each measure of a machine, with targets that are missed in bold."""
+    measures: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for row in _read(path):
-        baselines = '; '.join(
-            f'{name} {_numbers(values)}{_seeds(row["baseline_seeds"].get(name))}'
-            for name, values in row['baselines'].items())
-        count = len(row['seeds'])
-        worst = f' ({_numbers(row["worst"])} of {count})' if count > 1 else _seeds(1)
-        yield [row['case'], row['measure'], row['model'], _numbers(row['reference']),
-               _numbers(row['goal']), _numbers(row['ours']) + worst, baselines,
-               'yes' if row['met'] else '**no**']
+        measures.setdefault((row['case'], row['measure']), []).append(row)
+    for (case, measure), rows in measures.items():
+        cells = {name: _numbers(values) for name, values in rows[0]['baselines'].items()} | {
+            row['model']: _numbers(row['ours']) if row['met'] else f'**{_numbers(row["ours"])}**'
+            for row in rows}
+        yield [case, measure, _numbers(rows[0]['reference']),
+               *(cells.get(name, '') for name in MACHINE_MODELS)]
 
 
 def robot_rows(path: Path) -> Iterator[list[str]]:
@@ -254,11 +259,6 @@ def robot_rows(path: Path) -> Iterator[list[str]]:
 def _read(path: Path) -> list[dict[str, Any]]:
     """Return the rows of a file, or none if it does not exist."""
     return json.loads(path.read_text(encoding='utf-8')) if path.is_file() else []
-
-
-def _seeds(count: int | None) -> str:
-    """Return the number of seeds of a mean as text; empty without seeds."""
-    return '' if count is None else ' (one seed)' if count == 1 else f' ({count} seeds)'
 
 
 def _numbers(values: list[float]) -> str:
@@ -275,10 +275,3 @@ def spread(values: np.ndarray) -> str:
 def is_reached(values: np.ndarray, published: float) -> tuple[bool, bool]:
     """Return whether the value of seed 0 and the mean are at or below a number, to its digits."""
     return tuple(float(f'{value:.2e}') <= published for value in (values[0], np.mean(values)))
-
-
-def verdict(values: np.ndarray, published: float) -> str:
-    """Say whether the value on the published data and the mean are at or below a number."""
-    return {(True, True): 'yes', (True, False): 'on the published data only',
-            (False, True): 'in the mean only', (False, False): '**no**',
-            }[is_reached(values, published)]

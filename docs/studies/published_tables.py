@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure our models as published ones were measured, and write docs/learning.md."""
+"""Measure our models as published ones were measured, and write docs/evidence/learning.md."""
 
 import argparse
 from collections.abc import Iterator
@@ -83,8 +83,8 @@ def parser() -> Parser:
     """Return the parser of the command line."""
     found = Parser('published_tables', __doc__, [
         'make study NAME=published_tables ARGS="--quick --out tables"'])
-    found.add_argument('--out', type=Path, default=Path('docs'), metavar='DIR',
-                       help='folder to write to (default: docs)')
+    found.add_argument('--out', type=Path, default=Path('docs/evidence'), metavar='DIR',
+                       help='folder to write to (default: docs/evidence)')
     found.add_argument('--data', type=Path, default=Path(), metavar='DIR',
                        help='folder of real_pend_h_1.txt, the log of the real pendulum from the '
                             'supplement of Schmidt and Lipson, Science 324 (2009) (default: '

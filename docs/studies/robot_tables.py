@@ -245,7 +245,7 @@ def parser() -> Parser:
     found.add_argument('--data', type=Path, required=True, help='folder of the data sets')
     found.add_argument('--ur10', type=Path, help=(
         'URDF of the UR10: robots/ur_description/urdf/ur10_robot.urdf of example-robot-data'))
-    found.add_argument('--out', type=Path, default=Path('docs/learning'),
-                       help='folder of the tables (default: docs/learning)')
+    found.add_argument('--out', type=Path, default=Path('docs/evidence/learning'),
+                       help='folder of the tables (default: docs/evidence/learning)')
     found.add_argument('--robot', choices=list(ROBOTS_MEASURED), help='measure only this robot')
     return found

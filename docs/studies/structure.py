@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import (
-    Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, step_failure)
+    Integrator, NO_SOLUTION, NOT_FINITE, OK, PhasePoint, step_failure)
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.simulation.accuracy.diagnostics import state_scales
@@ -62,7 +62,7 @@ def take_step(kernel: Kernel, integrator: Integrator, h: float, q: np.ndarray, p
         The step does not converge, or is not finite.
 
     """
-    z, z1 = Point.empty(q.size), Point.empty(q.size)
+    z, z1 = PhasePoint.empty(q.size), PhasePoint.empty(q.size)
     z.q[:], z.p[:] = q, p
     kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
     for attempt in integrator.attempts(q.size):

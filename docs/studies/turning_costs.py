@@ -42,7 +42,7 @@ _OWN = {'kahan_li8': (0.25, 0.2, 0.16, 0.125, 0.1, 0.0625),
 _TOLERANCES = (1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 _STEPS = (0.01, 0.005, 0.0025, 0.00125)
 # File of the rows of long runs, in the folder of the scenes' rows.
-PAGE, FOLDER, DRIFTS = 'turning-bodies.md', 'accuracy', 'heavy_top_drifts.csv'
+PAGE, FOLDER, DRIFTS = 'how-to/turning-bodies.md', 'evidence/accuracy', 'heavy_top_drifts.csv'
 _DRIFT_COLUMNS = ('method', 'setting', 'energy_error_first_tenth', 'energy_error',
                   'vertical_momentum', 'norm', 'milliseconds', 'duration')
 # A long run, how often its invariants are looked at, and methods with step size or tolerance.
@@ -236,7 +236,7 @@ def write(docs: Path, found: Mapping[str, Results], long: Sequence[Sequence[str]
     if not begin or not end:
         raise ParameterError(f'{page}: has no lines {BEGIN} and {END}, between which the table '
                              'goes; put them back')
-    keep_results(docs, found)
+    keep_results(folder.parent, found)
     with (folder / DRIFTS).open('w', newline='', encoding='utf-8') as file:
         csv.writer(file, lineterminator='\n').writerows([_DRIFT_COLUMNS, *long])
     page.write_text(f'{before}{BEGIN}\n\n{page_part(folder)}\n{END}{after}', encoding='utf-8')
@@ -258,6 +258,6 @@ def parser() -> Parser:
     found = Parser('turning_costs', __doc__, [
         'make study NAME=turning_costs ARGS="--quick"'])
     found.add_argument('--docs', type=Path, default=Path('docs'), help=(
-        'folder of turning-bodies.md and of accuracy/ (default: docs)'))
+        f'folder of {PAGE} and of {FOLDER}/ (default: docs)'))
     found.add_argument('--quick', action='store_true', help='test run: few rows of one second')
     return found

@@ -27,7 +27,7 @@ _GRADIENT, _GRADIENTS_PER_STAGE = 1e-6, 6
 def main(argv: list[str]) -> int:
     """Measure missing rows, then write tables and pictures."""
     arguments = parser().parse_args(argv)
-    # Imported late: matplotlib and rerun take a second, and errors should appear at once.
+    # Imported late: matplotlib takes a second, and errors should appear at once.
     if not arguments.draw:
         base = arguments.out or Path('work_precision')
         named = {arguments.scene: arguments.out} if arguments.scene is not None else {
@@ -182,8 +182,8 @@ def parser() -> Parser:
     found.add_argument('--out', type=Path, metavar='DIR', help=(
         'folder of the results (default: work_precision/SCENE; with --all work_precision, with '
         'one folder for each scene)'))
-    found.add_argument('--docs', type=Path, metavar='DIR', default=Path('docs'),
-                       help='folder of the page that --all writes (default: docs)')
+    found.add_argument('--docs', type=Path, metavar='DIR', default=Path('docs/evidence'),
+                       help='folder of the page that --all writes (default: docs/evidence)')
     found.add_argument('--peers', action='store_true',
                        help='also measure scipy, torchdiffeq and diffrax')
     found.add_argument('--runs', type=int, help='timed runs at the shortest horizon')

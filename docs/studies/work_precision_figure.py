@@ -69,8 +69,8 @@ class Panel(NamedTuple):
 
 
 PANELS = (
-    Panel('seconds_per_simulated_second', 'path_error', 'Global (path) error',
-          'wall time per simulated second [s/s]',
+    Panel('us_per_simulated_second', 'path_error', 'Global (path) error',
+          'wall time [us per simulated second]',
           'path error, largest component\n'
           r'$\|(q, p) - \mathrm{reference}\|_\infty$ [SI units]'),
     Panel('gradients_per_simulated_second', 'energy_band', 'Energy error',
@@ -116,11 +116,6 @@ def line_style(name: str) -> dict[str, Any]:
             'linestyle': {'ours': '-', 'peers': (0, (5, 2)), 'variants': ':'}[group],
             'linewidth': 1.6 if group == 'ours' else 1.2, 'markeredgecolor': color,
             'markerfacecolor': color if group == 'ours' else 'white', 'markeredgewidth': 1.0}
-
-
-def color_of(name: str, other: str) -> str:
-    """Return the colour of a method or a peer, or another one for unknown names."""
-    return {**STYLES, **_PEERS}.get(name.partition('@')[0], (other, ''))[0]
 
 
 def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path:
@@ -170,7 +165,7 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
 
 
 def draw_fronts(path: Path, rows: Sequence[StudyRow],
-                answers: Iterable[tuple[float, StudyRow, StudyRow | None]]) -> Path:
+                answers: Iterable[tuple[float, StudyRow, StudyRow | None]], floor: float) -> Path:
     """
     Draw the least path error that each group of rows reaches in a time, into a PNG file.
 
@@ -182,6 +177,8 @@ def draw_fronts(path: Path, rows: Sequence[StudyRow],
         All of one horizon.
     answers : iterable
         Requested errors, with our row that is named in the picture.
+    floor : float
+        Path error that the learned H causes by itself; NaN for an exact H.
 
     """
     figure = Figure(figsize=(_WIDTH, 4.6), dpi=_DPI, facecolor='white', layout='constrained')
@@ -193,15 +190,21 @@ def draw_fronts(path: Path, rows: Sequence[StudyRow],
         ax.plot(*np.array(front).reshape(-1, 2).T, label=label, markersize=5.0, **style)
     for _, best, _ in answers:
         ax.annotate(f'{best.method}, {best.step_size:.3g} s',
-                    (best.seconds_per_simulated_second, best.path_error), xytext=(-6, -4),
+                    (best.us_per_simulated_second, best.path_error), xytext=(-6, -4),
                     textcoords='offset points', ha='right', va='top', fontsize=9.0, color=INK)
     ax.set(xscale='log', yscale='log', xlabel=panel.x_label,
            ylabel='path error, largest component [SI units]')
-    # Room for the names, to the left of the first line.
-    ax.set_xlim(left=ax.get_xlim()[0] / 4.0)
+    # Room for the names, to the left of the first line, and for the legend.
+    ax.set(xlim=(ax.get_xlim()[0] / 4.0, None), ylim=(ax.get_ylim()[0] / 30.0, ax.get_ylim()[1]))
+    if not math.isnan(floor):
+        _draw_floor(ax, floor)
+        ax.annotate(f'error of the learned H itself, {floor:.1g}: no use below', (0.99, floor),
+                    xycoords=('axes fraction', 'data'), xytext=(0, 3), ha='right',
+                    textcoords='offset points', fontsize=9.0, color=INK,
+                    bbox={'facecolor': 'white', 'alpha': 0.8, 'edgecolor': 'none', 'pad': 1.0})
     ax.grid(which='major', color='#e3e3e3', linewidth=0.7)
     ax.spines[['top', 'right']].set_visible(False)
-    ax.legend(frameon=False, fontsize=9.0)
+    ax.legend(frameon=False, fontsize=9.0, loc='lower right')
     figure.savefig(path)
     return path
 
@@ -212,7 +215,7 @@ def _front(rows: Iterable[StudyRow]) -> list[tuple[float, float]]:
     for row in sorted((row for row in rows if row.finished and row.path_error > 0.0),
                       key=lambda row: row.seconds_per_simulated_second):
         if not points or row.path_error < points[-1][1]:
-            points.append((row.seconds_per_simulated_second, row.path_error))
+            points.append((row.us_per_simulated_second, row.path_error))
     return points
 
 
@@ -314,7 +317,7 @@ def _common_handles(known: Floor) -> list[Any]:
                label='upper edge: failed or lost')]
     if known.model is not None:
         handles.append(Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (8, 3, 1, 3)),
-                              label='error of the learned H itself'))
+                              label='error of the learned H itself: no use below'))
         if known.model.box is not None:
             handles.append(Line2D([], [], color='#8a5a00', linewidth=1.6,
                                   label='RMS and largest error of H in its box'))

@@ -1,21 +1,19 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Report on a work-precision study, as Markdown, pictures and a rerun recording."""
+"""Report on a work-precision study, as Markdown and pictures."""
 
 from collections.abc import Iterable, Iterator, Sequence
 import math
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.commands.cost_figure import INK
 from hnn_vi_ros.errors import ParameterError
 from studies.measuring import StudyRow
 from studies.pages import render
 from studies.results import CSV, Results, ResultsFolder
-from studies.work_precision_diagram import Curve, Diagram, record_diagrams
-from studies.work_precision_figure import color_of, draw, PANELS, series_of
+from studies.work_precision_figure import draw
 
-MARKDOWN, RECORDING = 'work_precision.md', 'work_precision.rrd'
+MARKDOWN = 'work_precision.md'
 # For which the cheapest method is named.
 ERRORS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 
@@ -43,17 +41,15 @@ def write_report(results: ResultsFolder, name: str) -> list[Path]:
             MARKDOWN, name=name, identity=results.identity, commits=results.commits,
             horizons=[conditions(results, horizon, picture_name('work_precision', horizon))
                       | {'every': list(_every(results.of(horizon)))}
-                      for horizon in found], drift=drift(results)), encoding='utf-8')
+                      for horizon in found], drift=_drift(results)), encoding='utf-8')
         pictures = [
             draw(folder / picture_name('work_precision', horizon),
-                 f'{name}: what accuracy costs over {horizon:g} s', results.of(horizon),
+                 f'{name}: cost of accuracy over {horizon:g} s', results.of(horizon),
                  results.floors[horizon]) for horizon in found]
-        (folder / RECORDING).unlink(missing_ok=True)
-        record_diagrams(folder / RECORDING, f'work_precision_{name}', _diagrams(results))
     except OSError as problem:
         raise ParameterError(f'--out {folder}: cannot be written ({problem.strerror}); '
                              'give a folder that can be written') from problem
-    return [folder / CSV, folder / MARKDOWN, *pictures, folder / RECORDING]
+    return [folder / CSV, folder / MARKDOWN, *pictures]
 
 
 def picture_name(begin: str, horizon: float) -> str:
@@ -73,18 +69,8 @@ def conditions(results: Results, horizon: float, picture: str = '') -> dict[str,
             'peers': bool(peers(rows)), 'best': list(_best(rows))}
 
 
-def drift(results: Results, most: int | None = None) -> dict[str, Any]:
-    """
-    Return the energy bands of variants over the horizons, each with the method itself.
-
-    Parameters
-    ----------
-    results : Results
-        Results of a scene.
-    most : int, optional
-        Step sizes of each variant, evenly among those that are there; all by default.
-
-    """
+def _drift(results: Results) -> dict[str, Any]:
+    """Return the energy bands of variants over the horizons, each with the method itself."""
     bands = {row.key: row.energy_band for row in results.rows if row.finished}
     horizons = results.horizons
     rows: list[list[str]] = []
@@ -93,8 +79,8 @@ def drift(results: Results, most: int | None = None) -> dict[str, Any]:
         steps = settings.setdefault(row.method, []) if '@' in row.method else [row.step_size]
         if row.step_size not in steps:
             steps.append(row.step_size)
-    for method, step in [(method, step) for method, steps in settings.items()
-                         for step in _spread(steps, most or len(steps))]:
+    for method, step in [
+            (method, step) for method, steps in settings.items() for step in steps]:
         for name in (method, method.partition('@')[0]):
             cells = [_number(bands.get((name, step, horizon), math.nan)) for horizon in horizons]
             entry = [name, f'{step:g}', *cells]
@@ -102,14 +88,6 @@ def drift(results: Results, most: int | None = None) -> dict[str, Any]:
             if any(cells) and entry not in rows:
                 rows.append(entry)
     return {'horizons': horizons, 'rows': rows}
-
-
-def _spread(items: Sequence, most: int) -> list:
-    """Return some of the items, evenly, the first and the last among them; or the middle one."""
-    if most == 1:
-        return [items[len(items) // 2]]
-    n = min(most, len(items))
-    return [items[round(k * (len(items) - 1) / max(n - 1, 1))] for k in range(n)]
 
 
 def _longest_steps(rows: Iterable[StudyRow], error: float) -> dict[str, float]:
@@ -172,7 +150,7 @@ def microseconds(row: StudyRow | None) -> str:
     """Return the time of a simulated second [us]; nothing without a row."""
     if row is None:
         return ''
-    value = 1e6 * row.seconds_per_simulated_second
+    value = row.us_per_simulated_second
     return f'{value:.0f}' if value >= 100.0 else f'{value:.3g}'
 
 
@@ -180,30 +158,10 @@ def _every(rows: Iterable[StudyRow]) -> Iterator[list[str]]:
     """Yield every row, with those that failed and those that were not run."""
     for row in rows:
         yield [row.method, _number(row.step_size), _number(row.path_error),
-               _number(row.energy_band), _number(1e6 * row.seconds_per_simulated_second),
+               _number(row.energy_band), _number(row.us_per_simulated_second),
                _number(1e6 * row.p95_seconds), _number(row.gradients_per_simulated_second),
                row.status]
 
 
 def _number(value: float) -> str:
     return '' if math.isnan(value) else f'{value:.3g}'
-
-
-def _diagrams(results: Results) -> Iterable[Diagram]:
-    for horizon in results.horizons:
-        rows, model = results.of(horizon), results.floors[horizon].model
-        floors = {'path_error': model.path, 'energy_band': model.energy} if model else {}
-        text = render('best_table.md', at=conditions(results, horizon))
-        for panel in PANELS:
-            curves = [_curve(name, line, panel.x, panel.y)
-                      for name, line in series_of(rows).items()]
-            yield Diagram(panel.y, panel.title, panel.x_label, panel.y_label, horizon,
-                          [curve for curve in curves if curve.points],
-                          floors.get(panel.y, math.nan), text)
-
-
-def _curve(name: str, rows: Sequence[StudyRow], x: str, y: str) -> Curve:
-    color = color_of(name, INK)
-    return Curve(name, tuple(int(color[i:i + 2], 16) for i in (1, 3, 5)), [
-        (getattr(row, x), getattr(row, y)) for row in rows
-        if row.finished and getattr(row, x) > 0.0 and getattr(row, y) > 0.0])

@@ -1,0 +1,161 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The gallery: every shipped scene with its picture, its YAML and the command that runs it.
+
+`HNN_DOCS_GALLERY` is a comma-separated list of the scenes to draw (default: all; `none` for none).
+A picture is made once for each version of its scene and its model.
+"""
+
+import hashlib
+import io
+import json
+import math
+import os
+from pathlib import Path
+import sys
+import warnings
+
+from hnn_vi_ros import load_scene, simulate, Trajectory
+from hnn_vi_ros.errors import AlarmWarning, ModelError
+from PIL import Image
+from sketch import sketch
+import yaml
+
+_ROBOTS = 'Robots and bodies that turn'
+# Keys: whether the model is learned, and whether effects act.
+_TOPICS = {(True, False): 'Learned models', (True, True): 'Learned models with effects',
+           (False, False): 'Formulas', (False, True): 'Formulas with effects'}
+# Thrust [N] and torques [N m] over time [s]: it hovers, and rises and sinks by about its size.
+_COMMANDS = {'quadrotor': lambda t: [0.8 * 9.81 * (1.0 + 0.05 * math.cos(t)), 0.0, 0.0, 0.0]}
+# Version of the pictures: another number makes all of them again.
+_VERSION = '7'
+
+
+def write_gallery(docs: Path) -> None:
+    """
+    Write a page for each scene, one for all, and the pictures.
+
+    Parameters
+    ----------
+    docs : Path
+        The folder of the site's sources.
+
+    """
+    folder, sources = docs / 'gallery', docs.parent / 'config' / 'scenes'
+    folder.mkdir(exist_ok=True)
+    scenes = {path.stem: path for path in sorted(sources.glob('*.yaml'))}
+    asked = os.environ.get('HNN_DOCS_GALLERY', 'all')
+    wanted = set(scenes) if asked == 'all' else set(asked.split(',')) - {'none'}
+    if wanted - set(scenes):
+        raise ValueError(f'HNN_DOCS_GALLERY: no scenes {", ".join(sorted(wanted - set(scenes)))}')
+    topics: dict[str, list[str]] = {
+        topic: [] for topic in (*_TOPICS.values(), _ROBOTS)}
+    bare = []
+    for name, path in scenes.items():
+        why = draw(name, path, folder) if name in wanted else 'left out of this build'
+        write(folder / f'{name}.md', scene_page(name, path, folder, why))
+        if (folder / f'{name}.png').is_file():
+            topics[topic_of(path)].append(card(name, path))
+        else:
+            bare.append(f'[{name}]({name}.md)')
+    text = ['# Gallery', '', (
+        f'The {len(scenes)} shipped scenes. Each page has the pictures of a short run, the YAML '
+        'and the command.'), '']
+    for topic, cards in topics.items():
+        if cards:
+            text += [f'## {topic}', '', '::::{container} gallery', *cards, '::::', '']
+    if bare:
+        text += ['## Without a picture', '', f'{", ".join(bare)}.', '']
+    text += ['```{toctree}', ':hidden:', '', *scenes, '```', '']
+    write(folder / 'index.md', '\n'.join(text))
+
+
+def draw(name: str, path: Path, folder: Path) -> str:
+    """Draw a scene, if that is not done already; return why it cannot be, or nothing."""
+    key = hashlib.sha256(path.read_bytes() + _VERSION.encode())
+    model = path.parents[2] / 'resource' / 'models' / f'{_model(path)}.safetensors'
+    if model.is_file():
+        key.update(model.read_bytes())
+    stamps_path = folder / 'pictures.json'
+    stamps = json.loads(stamps_path.read_text('utf-8')) if stamps_path.is_file() else {}
+    if stamps.get(name) == key.hexdigest() and (folder / f'{name}.png').is_file():
+        return ''
+    try:
+        scene = load_scene(name)
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', AlarmWarning)
+            run = simulate(scene, commands=_COMMANDS.get(name))
+    except ModelError:
+        return 'its model is not shipped because of the licence of its data; train it first'
+    print(f'gallery: {run}', file=sys.stderr)
+    mechanism_picture(run).save(folder / f'{name}.png')
+    run.plot().savefig(folder / f'{name}-series.png', dpi=90)
+    stamps[name] = key.hexdigest()
+    stamps_path.write_text(json.dumps(stamps, indent=1), encoding='utf-8')
+    return ''
+
+
+def picture_of(name: str) -> Image.Image:
+    """Return the picture of a shipped scene."""
+    return mechanism_picture(simulate(load_scene(name)))
+
+
+def mechanism_picture(run: Trajectory) -> Image.Image:
+    """Draw the mechanism at the end of a run, with the path behind it, or a phase portrait."""
+    if run.mechanism() is not None:
+        return sketch(run)
+    try:
+        figure = run.phase_portrait()
+    except ValueError:
+        # Rotations have no phase plane.
+        figure = run.plot()
+    film = io.BytesIO()
+    figure.savefig(film, dpi=80)
+    return Image.open(film).convert('RGB')
+
+
+def scene_page(name: str, path: Path, folder: Path, why: str) -> str:
+    """Return the page of one scene."""
+    text = [f'# {name}', '', f'{description(path)}.', '']
+    if (folder / f'{name}.png').is_file() and not why:
+        text += [f'![The mechanism or the phase portrait of {name}]({name}.png)', '']
+    else:
+        text += [f'No picture: {why}.', '']
+    command = f'hnn run {name} --plot {name}.png'
+    text += ['```bash', f'{command}    # without ROS', (
+        f'hnn simulator --ros-args -p scene:={name}'), '```', '',
+        f'`config/scenes/{name}.yaml`:', '', '```yaml', path.read_text('utf-8').rstrip(), '```',
+        '']
+    if (folder / f'{name}-series.png').is_file() and not why:
+        text += ['## Series', '', f'![Coordinates, momenta and energy]({name}-series.png)', '']
+    return '\n'.join(text)
+
+
+def card(name: str, path: Path) -> str:
+    """Return the part of the page of all scenes that shows one."""
+    return (f':::{{container}} card\n[![{name}]({name}.png)]({name}.md)\n\n[{name}]({name}.md)\n\n'
+            f'{description(path)}\n:::')
+
+
+def topic_of(path: Path) -> str:
+    """Return the heading under which the gallery shows a scene."""
+    scene = yaml.safe_load(path.read_text('utf-8'))
+    if scene['hamiltonian']['kind'] == 'urdf' or scene.get('mechanism') == 'turning_body':
+        return _ROBOTS
+    return _TOPICS['model' in scene['hamiltonian'], bool(scene.get('effects'))]
+
+
+def description(path: Path) -> str:
+    """Return the description of a scene."""
+    return str(yaml.safe_load(path.read_text('utf-8')).get('description', '')).rstrip('.')
+
+
+def write(path: Path, text: str) -> None:
+    """Write a file if that changes it."""
+    if not path.is_file() or path.read_text('utf-8') != text:
+        path.write_text(text, encoding='utf-8')
+
+
+def _model(path: Path) -> str:
+    return str(yaml.safe_load(path.read_text('utf-8'))['hamiltonian'].get('model', ''))
