@@ -24,20 +24,18 @@ settings.register_profile('any machine', deadline=None,
                           suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile('any machine')
 
-# The studies of the pages are in docs, outside any installed package.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'docs'))
-
 # Files started first if several processes share them, so that no long one remains for a single
 # process at the end: those that take more than 20 s of CPU time without compiled kernels, and
 # those of nodes that take as long in wall time.
 LONGEST = (
-    'studies/test_work_precision.py', 'studies/test_hard_cases.py', 'test_planted_faults.py',
-    'commands/test_scene_tool.py', 'simulation/accuracy/test_calibration.py',
-    'simulation/test_assembly.py', 'test_linters.py', 'test_cli.py',
+    'studies/test_work_precision.py', 'studies/test_hard_cases.py',
+    'project/test_planted_faults.py', 'commands/test_scene_tool.py',
+    'simulation/accuracy/test_calibration.py',
+    'simulation/test_assembly.py', 'project/test_linters.py', 'commands/test_cli.py',
     'learning/test_rigid_body.py', 'learning/test_machine_training.py',
     'learning/test_input_map.py', 'learning/test_family_training.py',
     'models/test_mechanical_mean.py', 'models/test_confined.py', 'learning/test_train.py',
-    'learning/test_identify.py', 'test_benchmarks.py', 'ros/test_simulator.py',
+    'learning/test_identify.py', 'project/test_benchmarks.py', 'ros/test_simulator.py',
     'ros/test_health.py', 'ros/test_services.py', 'ros/test_memory.py', 'ros/test_soak.py',
     'ros/test_lifecycle.py', 'ros/test_time_control.py', 'ros/test_topics.py',
     'ros/test_given_parameters.py', 'ros/test_recording.py', 'ros/test_rerun_bridge.py',
@@ -84,7 +82,7 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ['ROS_DOMAIN_ID'] = str(_claim_domain())
     config.add_cleanup(lambda: [lock.close() for lock in _claimed])
     # Systems as plain Python are slow, which is acceptable in tests of a few steps.
-    config.addinivalue_line('filterwarnings', 'ignore:.* is not a tanh network of ours')
+    config.addinivalue_line('filterwarnings', 'ignore:.* is not compiled')
     os.environ.setdefault('MPLBACKEND', 'Agg')
     # Small matrices gain nothing from threads, and threads of several workers block each other.
     for library in ('OMP', 'OPENBLAS', 'MKL'):

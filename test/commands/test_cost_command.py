@@ -44,7 +44,7 @@ def study(few, tmp_path_factory) -> tuple[str, Path, Path]:
     with (redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err,
           pytest.MonkeyPatch.context() as patch):
         # A busy machine takes longer than nothing is said for.
-        patch.setattr(standard_streams, '_ELSEWHERE', np.inf)
+        patch.setattr(standard_streams, '_LOG_INTERVAL', np.inf)
         assert cost.main(['exact_pendulum', '--error', '1e-6', '--duration', '5', '--plot',
                           str(picture), '--csv', str(rows)]) == 0
     assert err.getvalue() == ''
@@ -54,8 +54,8 @@ def study(few, tmp_path_factory) -> tuple[str, Path, Path]:
 def test_table_picture_and_rows_are_of_one_study(study):
     out, picture, rows = study
     assert 'exact_pendulum: path errors up to 5 s' in out
-    assert 'reference: exact: Jacobi elliptic functions, known to ' in out
-    assert re.search(r'left out, since each is made for rotations .*: lie_leapfrog\n', out)
+    assert 'reference: exact: Jacobi elliptic functions, accurate to ' in out
+    assert re.search(r'omitted, because each needs rotations .*: lie_leapfrog\n', out)
     with rows.open() as file:
         lines = list(csv.DictReader(file))
     assert {line['method'] for line in lines} == {*KINDS} - {'lie_leapfrog'}
@@ -85,7 +85,7 @@ def test_table_picture_and_rows_are_of_one_study(study):
 
 
 def test_what_is_recommended_can_be_pasted_and_holds(study):
-    text = study[0].partition('take this, ')[2].partition('\n\n')[2]
+    text = study[0].partition('Recommended for ')[2].partition('\n\n')[2]
     chosen = parse_yaml(text, 'what was printed', HnnViRosError)[0]
     scene = load_scene('exact_pendulum').changed(chosen)
     hamiltonian = scene.create_hamiltonian()
@@ -104,14 +104,14 @@ def test_error_that_nothing_holds_is_one_line_with_the_nearest(capsys):
     assert cost.main(['exact_pendulum', '--error', '1e-15', '--duration', '1']) == 1
     out, err = capsys.readouterr()
     assert 'gauss8' in out and err.count('\n') == 1
-    assert '--error 1e-15: nothing that was measured holds it; the nearest is ' in err
+    assert '--error 1e-15: no measured method reaches it; the nearest is ' in err
 
 
 def test_first_method_has_results_however_little_time_there_is(capsys):
     assert cost.main(['exact_pendulum', '--seconds', '1e-6']) == 0
     out = capsys.readouterr().out
     assert re.search(r'^gauss8 +[0-9.]+  [0-9.]+\*', out, re.M), out
-    assert 'no time for: stormer_verlet, rk4; repeat it' in out
+    assert 'no time for: stormer_verlet, rk4; run it again' in out
 
 
 @pytest.mark.long
@@ -123,7 +123,7 @@ def test_scene_with_auto_effects_and_events_is_measured(tmp_path, capsys):
         'events: [{when: angle = 0, then: log}]\ninitial_state: {q: [1.0], p: [0.0]}\n')
     assert cost.main([str(path), '--duration', '2']) == 0
     out = capsys.readouterr().out
-    assert 'events of the scene are not looked for' in out
+    assert 'events of the scene are not detected' in out
     assert re.search(r'^gauss8 ', out, re.M)
 
 

@@ -38,7 +38,8 @@ def ask(executable: str, *words: str) -> subprocess.CompletedProcess:
 
 def test_every_executable_is_a_command():
     assert set(EXECUTABLES) == set(re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", SETUP))
-    assert {*COMMANDS, *ALIASES} - {*EXECUTABLES} == {'run', 'cost', 'doctor', 'completion'}
+    assert {*COMMANDS, *ALIASES} - {*EXECUTABLES} == {
+        'run', 'list', 'cost', 'doctor', 'completion'}
 
 
 def test_help_tells_all_commands_in_groups_without_what_they_take():
@@ -76,7 +77,7 @@ def test_older_name_is_a_new_scene(tmp_path):
     assert ask('main', 'help', 'run').stdout == ask('main', 'run', '--help').stdout
 
 
-@pytest.mark.parametrize('name', ['import-checkpoint', 'run', 'train'])
+@pytest.mark.parametrize('name', ['recover-bag', 'run', 'train'])
 def test_help_of_a_command_names_it_as_it_was_called(name):
     *text, _ = ask('main', name, '--help').stdout.splitlines()
     shown = name.replace('-', '_')
@@ -86,7 +87,7 @@ def test_help_of_a_command_names_it_as_it_was_called(name):
 
 
 @pytest.mark.parametrize('words, status', [
-    (['trian'], 2), (['run', 'pendulumm'], 1), (['recover_bag', '/nowhere'], 2)])
+    (['trian'], 2), (['run', 'pendulumm'], 1), (['recover_bag', '/nowhere'], 1)])
 def test_mistake_is_one_line_with_the_command(words, status):
     result = ask('main', *words)
     assert result.returncode == status
@@ -133,6 +134,30 @@ def test_run_writes_what_was_asked_for(tmp_path, capsys):
                   ['--csv', str(tmp_path / 'nowhere' / 'a.csv')], ['--csv', str(link)]):
         with refused(ParameterError):
             run.main(['exact_harmonic_oscillator', *wrong])
+
+
+def test_run_without_files_ends_with_places_and_next_commands(capsys):
+    assert run.main(['exact_harmonic_oscillator', '--duration', '0.5']) == 0
+    *_, place, _, last = capsys.readouterr().out.splitlines()
+    assert place.startswith(f'scene: {shipped_file("scene", "exact_harmonic_oscillator")}')
+    assert last.split() == ['hnn', 'scene', '--explain', 'exact_harmonic_oscillator']
+
+
+def test_csv_on_standard_output_is_alone_there(tmp_path, capsys):
+    assert run.main(['exact_harmonic_oscillator', '--duration', '0.5', '--csv', '-']) == 0
+    printed = capsys.readouterr()
+    assert np.loadtxt(printed.out.splitlines(), delimiter=',', skiprows=1).shape == (51, 4)
+    assert printed.out.startswith('t,x,p_x,H\n') and 'Trajectory(' in printed.err
+
+
+@pytest.mark.parametrize('words', [['run', 'pendulumm'], ['sweep', 'nothing'],
+                                   ['train', '--config', 'nothing'], ['run', 'bad.yaml']])
+def test_file_is_looked_at_before_libraries_are_imported(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'bad.yaml').write_text('hamiltonian: pendulum\nstep_sise: 1\nintegrator: rk4\n')
+    result = ask('main', *words)
+    assert result.returncode == 1 and len(result.stderr.splitlines()) == 1 + ('bad' in words[1])
+    assert not {'numba', 'torch', 'scipy'} & set(result.stdout.split())
 
 
 def test_new_scene_is_one_that_runs_and_is_checked_by_editors(tmp_path, capsys):
@@ -197,7 +222,8 @@ def test_shells_complete_commands_options_names_and_files(tmp_path, capsys):
     assert set(shipped_names('training')) <= offered('hnn train --config ')
     assert set(INTEGRATORS) <= offered('hnn run kepler --integrator ')
     # Dashes may stand in names of commands; an option without names has files.
-    assert '--layout' in offered('hnn import-checkpoint --')
+    assert '--layout' in offered('hnn import --')
+    assert '--replace' in offered('hnn recover-bag --')
     assert 'pens/' in offered('hnn run kepler --plot ')
     for shell in SHELLS:
         assert completion.main([shell]) == 0
@@ -205,7 +231,7 @@ def test_shells_complete_commands_options_names_and_files(tmp_path, capsys):
 
 
 def test_long_work_without_a_terminal_says_how_long_it_takes(monkeypatch, capsys):
-    monkeypatch.setattr(standard_streams, '_ELSEWHERE', 0.02)
+    monkeypatch.setattr(standard_streams, '_LOG_INTERVAL', 0.02)
     with standard_streams.elapsed('simulating'):
         while 'so far' not in (said := capsys.readouterr().err):
             time.sleep(0.01)
@@ -221,4 +247,4 @@ def test_interrupt_says_how_to_go_on(monkeypatch, capsys):
         assert cli.run_module('hnn_vi_ros.commands.doctor', [], 'hnn doctor') == 130
     finally:
         signal.signal(signal.SIGINT, handler)
-    assert 'the same command begins anew' in capsys.readouterr().err
+    assert 'the same command starts from the beginning' in capsys.readouterr().err

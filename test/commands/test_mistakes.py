@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mistakes of users: each is answered by one line with what, where, and a remedy."""
 
-from contextvars import copy_context
 from pathlib import Path
 
 from hnn_vi_ros.cli import run_module
 from hnn_vi_ros.commands.table import module_of
 from hnn_vi_ros.errors import offered
-from hnn_vi_ros.files.command_line import call_by_hnn
 from hnn_vi_ros.files.resources import shipped_names
 from messages import assert_message
 import numpy as np
@@ -52,7 +50,7 @@ TRAIN = 'train --config train.yaml --out x.safetensors'
 CHANGES = {
     ('run mine.yaml', 'mine.yaml'): [
         ('mass', 'mas'), ('integrator: {kind: gauss4}\n', ''), ('gauss4', 'gauss5'),
-        (SCENE[13:53], 'pendulum'), ('[1.0]', '1.0'), ('[1.0]', '[]'), ('[1.0]', '[1.0, 2.0]'),
+        (SCENE[13:53], 'Pendulum'), ('[1.0]', '1.0'), ('[1.0]', '[]'), ('[1.0]', '[1.0, 2.0]'),
         ('[1.0]', '[.nan]'), ('0.01', '10 ms'), ('mass: 1.0', 'mass: 1 kg'),
         ('mass: 1.0', 'mass: -1.0'), (SCENE, ''), (SCENE, 'hello'),
         ('step_size', '\tstep_size'), ('}\nstep', '\nstep'), ('step_size', (
@@ -127,10 +125,8 @@ def folder(tmp_path_factory) -> Path:
 def answer(words: list[str], capsys: pytest.CaptureFixture) -> str:
     """Return the line with which a command ends that `hnn` runs."""
     name, *argv = words
-    context = copy_context()
-    context.run(call_by_hnn)
     try:
-        said = context.run(run_module, module_of(name, argv), argv, f'hnn {name}')
+        said = run_module(module_of(name, argv), argv, f'hnn {name}')
     except SystemExit as end:
         said = end.code
     printed = capsys.readouterr().err

@@ -5,7 +5,7 @@
 from pathlib import Path
 import shutil
 
-from hnn_vi_ros.commands.new_scene import held, resting_state, write_scene
+from hnn_vi_ros.commands.new_scene import fixed_joints, resting_state, write_scene
 from hnn_vi_ros.commands.scene_tool import main
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
@@ -72,19 +72,20 @@ def test_joint_that_moves_next_to_nothing_gets_a_rotor(tmp_path):
     assert scene.step_size == 0.01
 
 
-def test_new_scene_names_joints_limits_and_what_is_held_and_tells_what_follows_another(
-        tmp_path, capsys):
+def test_new_scene_names_joints_limits_and_tells_what_follows_another(tmp_path, capsys):
     path = new_scene(tmp_path, TREE)
-    assert 'follower at 0: it follows finger' in capsys.readouterr().err
+    assert capsys.readouterr().err == (
+        'moves: hip, rail, wrist, finger, tail\nfollows: follower = 1 * finger + 0 m\n')
     scene, text = load_scene(path), path.read_text()
     assert ('- rail     # prismatic, -0.5 to 0.5 m, damping 2.5 N s/m, friction 0.5 N\n'
             '    - wrist    # revolute, -2 to 1.5 rad\n') in text
-    assert 'follower: 0.0   # [m]\n' in text and 'ratio squared [kg m2], [kg].\n' in text
-    assert 'each of these joints [N m], [N], [N m], [N], [N m]:\n' in text
+    assert '  # Follows another: follower = 1 * finger + 0 m\n' in text
+    assert 'ratio squared [kg m2], [kg].\n' in text
+    assert 'one number per joint [N m], [N], [N m], [N], [N m]:\n' in text
     assert 'speed: 0.01}   # [rad/s], [m/s]\n' in text
     assert scene.hamiltonian.file == 'robot.urdf'
     assert scene.hamiltonian.joints == ['hip', 'rail', 'wrist', 'finger', 'tail']
-    assert scene.hamiltonian.locked == {'follower': 0.0}
+    assert scene.hamiltonian.locked is None
     assert [effect.kind for effect in scene.effects] == ['joint_friction', 'joint_limits']
 
 
@@ -102,9 +103,25 @@ def test_joints_that_cannot_move_or_are_too_many_are_held():
     text = chain([1.0] * 14, [1.0] * 14).replace(
         'name="j2" type="continuous"', 'name="j2" type="revolute"').replace(
         '<parent link="l1"/>', '<parent link="l1"/><limit lower="0.5" upper="0.5"/>')
-    assert held(parse_urdf(text.encode(), 'robot')) == {
-        'j2': (0.5, 'limits 0.5 and 0.5 leave no room'),
+    assert fixed_joints(parse_urdf(text.encode(), 'robot')) == {
+        'j2': (0.5, 'its limits 0.5 and 0.5 are equal'),
         'j14': (0.0, 'at most 12 joints move')}
+
+
+@pytest.mark.parametrize('mimic, told', [
+    ('joint="hip" multiplier="-0.1" offset="0.05"',
+     'follows: follower = -0.1 m/rad * hip + 0.05 m'),
+    ('joint="rail"', 'fixed (see locked in the scene): rail at 0.5: its limits 0.5 and 0.5 are '
+     'equal\nfixed with its leader: follower at 0.5'),
+    ('joint="thumb"', 'fixed (see locked in the scene): follower at 0: it mimics thumb, which is '
+     'not a joint that can lead it')])
+@pytest.mark.filterwarnings('ignore:.*limits of joints that mimic others')
+def test_new_scene_tells_what_a_joint_follows(tmp_path, capsys, mimic, told):
+    text = TREE.replace('joint="finger"', mimic)
+    if 'rail' in mimic:
+        text = text.replace('lower="-0.5" upper="0.5"', 'lower="0.5" upper="0.5"')
+    load_scene(new_scene(tmp_path, text))
+    assert capsys.readouterr().err.split('\n', 1)[1] == f'{told}\n'
 
 
 # As exports of CAD have limits where none were set.
@@ -121,7 +138,7 @@ def test_joint_with_limits_of_zero_is_named_with_what_was_done(joints, tmp_path,
     else:
         new_scene(tmp_path, text)
         assert capsys.readouterr().err == (
-            'held, as locked in the scene says: j2 at 0: limits 0 and 0 leave no room\n')
+            'moves: j1\nfixed (see locked in the scene): j2 at 0: its limits 0 and 0 are equal\n')
 
 
 def test_units_of_slides_are_those_of_lengths(tmp_path):
@@ -130,7 +147,7 @@ def test_units_of_slides_are_those_of_lengths(tmp_path):
     text = new_scene(tmp_path, text).read_text()
     assert 'rad' not in text and 'N m' not in text and 'kg m2' not in text
     assert '# [m/s]\n' in text and 'squared [kg].' in text
-    assert 'joints [N], [N], [N], [N], [N]:' in text
+    assert 'joint [N], [N], [N], [N], [N]:' in text
 
 
 def test_new_scene_takes_the_place_of_no_file(tmp_path):
@@ -158,6 +175,6 @@ def test_scene_of_a_robot_of_any_sizes_is_valid_or_refused_in_a_line(masses, len
     try:
         scene = new_scene(tmp_path, chain(masses, lengths))
     except ModelError as refused:
-        assert 'robot.urdf: where it rests' in str(refused) and '\n' not in str(refused)
+        assert 'robot.urdf: at equilibrium' in str(refused) and '\n' not in str(refused)
     else:
         build(load_scene(scene))

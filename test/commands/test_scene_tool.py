@@ -8,9 +8,12 @@ import os
 from pathlib import Path
 import re
 
+from hnn_vi_ros.commands import names
 from hnn_vi_ros.commands.scene_tool import explain, lyapunov_line, main
+from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_file import json_schema
+from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.run.report import measure_effects
 from hnn_vi_ros.scene import load_scene, Scene
 from messages import assert_message
@@ -54,7 +57,7 @@ def test_check_answers_each_scene_and_fails_if_one_is_wrong(tmp_path, capsys):
         'harmonic_oscillator', 'kepler']
     first, second = captured.err.splitlines()
     assert 'wrong.yaml' in first and 'effects.0' in first and 'valid coordinates: z' in first
-    assert second.startswith("scene: no scene 'nothing'; shipped: ")
+    assert second.startswith("hnn scene: no scene 'nothing'; shipped: ")
 
 
 def test_check_places_an_effect_that_the_method_cannot_take(tmp_path, capsys):
@@ -66,9 +69,9 @@ def test_check_places_an_effect_that_the_method_cannot_take(tmp_path, capsys):
 
 
 @pytest.mark.parametrize('arguments', [
-    [], ['--check'], ['--list', '--schema'], ['--new'], ['--list', '--out', 'a.yaml'],
-    ['--explain'], ['--explain', 'a', 'b'], ['kepler'], ['--list', '--robot', 'a.urdf'],
-    ['--list', '--no-rescue']])
+    [], ['--check'], ['--new', '--schema'], ['--new'], ['--schema', '--out', 'a.yaml'],
+    ['--explain'], ['--explain', 'a', 'b'], ['kepler'], ['--schema', '--robot', 'a.urdf'],
+    ['--schema', '--no-rescue']])
 def test_wrong_usage_exits_2_and_says_which_tasks_there_are(arguments: list[str], capsys):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
@@ -79,11 +82,26 @@ def test_wrong_usage_exits_2_and_says_which_tasks_there_are(arguments: list[str]
 def test_list_names_every_scene_and_marks_those_without_their_model(
         tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)  # no models/ of the user's
-    assert main(['--list']) == 0
+    assert names.main(['scenes']) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == shipped_names('scene')
     assert len({line.index(load_scene(line.split()[0]).description) for line in lines}) == 1
     assert [line.split()[0] for line in lines if 'model absent' in line] == ['air_track']
+
+
+@pytest.mark.parametrize('what, known', [
+    ('integrators', INTEGRATORS), ('effects', EFFECTS), ('models', shipped_names('model')),
+    ('tasks', shipped_names('task'))])
+def test_list_has_a_line_with_a_description_for_every_name(what, known, capsys):
+    assert names.main([what]) == 0
+    rows = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
+    assert [name for name, _ in rows] == [*known]
+
+
+def test_list_of_something_else_is_one_line(capsys):
+    with pytest.raises(SystemExit):
+        names.main(['scene'])
+    assert_message(capsys.readouterr().err.removesuffix('\n'))
 
 
 def test_schema_that_is_shipped_is_that_of_the_code(capsys):
@@ -241,7 +259,7 @@ def test_scenes_that_were_compiled_compile_nothing_when_they_start(tmp_path):
             f"sys.exit(main(['--compile', {str(path)!r}]))"))
     assert start(scene) == start(damped) == '\n'
     cold = start(other)
-    assert re.search(r'compiling the loop over steps, once: about \d+ s\n', cold)
+    assert re.search(r'compiling the loop over steps once: about \d+ s\n', cold)
     assert 'advance' in cold.splitlines()[-1]
 
 
@@ -249,4 +267,4 @@ def test_compile_says_what_is_wrong_with_a_scene_and_compiles_the_others(capsys)
     assert main(['--compile', 'nothing', 'exact_pendulum']) == 1
     captured = capsys.readouterr()
     assert captured.out.startswith('exact_pendulum: compiled in ')
-    assert captured.err.startswith("scene: no scene 'nothing'")
+    assert captured.err.startswith("hnn scene: no scene 'nothing'")

@@ -43,10 +43,6 @@ from hnn_vi_ros.learning.data.text import MeasuredData, read_text
 data = MeasuredData(kind='measured', columns=['t', 'q', 'p', 'v', 'f'], time='t', q=['q'],
                     p=['p'], dq_dt=['v'], dp_dt=['f'])
 """
-MOTIONS = """\
-from hnn_vi_ros.learning.data.text import LogMotions, read_text
-data = LogMotions(columns=['t', 'q'], time='t', q=['q'])
-"""
 AXIS = """\
 from hnn_vi_ros.sweeps.axes import file_axis
 """
@@ -59,7 +55,6 @@ simulation = build(load_scene('exact_pendulum'))
 READERS = {
     'arrays': ('from hnn_vi_ros.learning.data.arrays import Archive', 'Archive(path)'),
     'log': (LOG, 'read_text(path, data)'),
-    'motions': (MOTIONS, 'read_text(path, data)'),
     'axis': (AXIS, "file_axis(path, 'axis')"),
     'posterior': ('from hnn_vi_ros.sweeps.axes import read_posterior',
                   "read_posterior(path, 'posterior')"),
@@ -67,10 +62,9 @@ READERS = {
                'SweepFolder(path.parent).record()'),
     'model': ('from hnn_vi_ros.models.checkpoint import load_checkpoint', 'load_checkpoint(path)'),
     'state': (STATE, "restore_state(simulation, path.read_bytes()[:2**26], 'bag')"),
-    'family': ('from hnn_vi_ros.learning.fit.config import load_config', 'load_config(path)'),
     'scene': ('from hnn_vi_ros.scene import load_scene', 'load_scene(path)'),
-    'network': ('from hnn_vi_ros.learning.import_checkpoint import read_networks',
-                'read_networks(path)'),
+    'network': ('from hnn_vi_ros.learning.import_model import read_state',
+                'read_state(path)'),
 }
 
 
@@ -79,8 +73,8 @@ def header(shape: str, kind: str = '<f8') -> bytes:
     return b'\x93NUMPY\x01\x00' + struct.pack('<H', len(text)) + text
 
 
-def archive(path: Path, *members: tuple[str, bytes], how: int = zipfile.ZIP_DEFLATED) -> None:
-    with zipfile.ZipFile(path, 'w', how, compresslevel=1) as made:
+def archive(path: Path, *members: tuple[str, bytes]) -> None:
+    with zipfile.ZipFile(path, 'w') as made:
         for name, content in members:
             made.writestr(name, content)
 
@@ -91,26 +85,6 @@ def bomb(path: Path) -> None:
         member.write(header('(150994944,)'))
         for _ in range(36):
             member.write(bytes(1 << 25))
-
-
-def long_header(path: Path) -> None:
-    archive(path, ('q.npy', b'\x93NUMPY\x02\x00' + struct.pack('<I', 1 << 28) + bytes(1 << 28)))
-
-
-def unpacks_at_once(path: Path) -> None:
-    archive(path, ('q.npy', header('(30000000,)') + bytes(240_000_000)), how=zipfile.ZIP_BZIP2)
-    # It claims to hold no more than 8 bytes.
-    raw = bytearray(path.read_bytes())
-    for signature, offset in ((b'PK\x03\x04', 22), (b'PK\x01\x02', 24)):
-        at = raw.find(signature)
-        raw[at + offset:at + offset + 4] = struct.pack('<I', len(header('(1,)')) + 8)
-    path.write_bytes(raw)
-
-
-def many_members(path: Path) -> None:
-    with zipfile.ZipFile(path, 'w') as made:
-        for k in range(60_000):
-            made.writestr(f'{k:0100d}.npy', b'')
 
 
 def sparse(size: int) -> Callable[[Path], None]:
@@ -158,46 +132,23 @@ def foreign_pickle(path: Path) -> None:
 ATTACKS: dict[str, tuple[str, str, Callable[[Path], None], str]] = {
     'claims 10^13 numbers': ('arrays', 'a.npz', lambda path: archive(path, (
         'q.npy', header('(10000000000000,)') + bytes(8))), 'not an .npz file of plain'),
-    'claims a negative number': ('arrays', 'a.npz', lambda path: archive(path, (
-        'q.npy', header('(-8, -1)') + bytes(8))), 'not an .npz file of plain'),
     'unpacks to 1.1 GiB': ('arrays', 'a.npz', bomb, 'unpacks to more than 1 GiB; give'),
-    'unpacks in one block': ('arrays', 'a.npz', unpacks_at_once, 'not an .npz file of plain'),
-    'a header of 256 MB': ('arrays', 'a.npz', long_header, 'not an .npz file of plain arrays'),
-    'a directory of 9 MB': ('arrays', 'a.npz', many_members, 'not an .npz file of plain arrays'),
-    'a file of 5 GB': ('arrays', 'a.npz', sparse(5 * 10**9), 'larger than 1 GiB'),
-    'a file of zeros': ('arrays', 'a.npz', sparse(10**9), 'not an .npz file of plain arrays'),
     'a log of 5 GB': ('log', 'a.txt', sparse(5 * 10**9), 'larger than 256 MiB'),
-    'a line of 250 MB': ('log', 'a.txt', text('', '1.5 ', 250 << 20), 'a.txt:1: longer than'),
-    'zeros for a log': ('motions', 'a.txt', sparse(250 << 20), 'a.txt:1: longer than'),
-    'motions whose last row is short': (
-        'motions', 'a.txt', text('t q\n', '#' * 1023 + '\n', 100 << 20, '1.0\n'),
-        r'a.txt:\d+: 1 columns, expected 2'),
+    'zeros for a log': ('log', 'a.txt', sparse(250 << 20), 'a.txt:1: longer than'),
     'a table in one line': ('axis', 'a.csv', text('step_size\n', '1,', 250 << 20),
                             'a.csv:2: longer than'),
-    'a table of 5 GB': ('axis', 'a.csv', sparse(5 * 10**9), 'larger than 256 MiB'),
-    'a table whose last row is no number': (
-        'axis', 'a.csv', text('a,' * 50 + 'b\n', f'{"1.2345678901234," * 50}2\n', 60 << 20, 'x\n'),
-        r'a.csv:\d+: 1 values, expected 51'),
     'empty lists': ('posterior', 'a.json', text('[', '[],', 60 << 20, '[]]'), 'a.json: '),
     'empty objects in a record': ('record', 'sweep.json', text('[', '{},', 60 << 20, '{}]'),
                                   'sweep.json: '),
-    'lists in lists': ('posterior', 'a.json', text('', '[', 1 << 20), 'a.json: '),
-    'a number of 10 MB': ('posterior', 'a.json', text('[', '1', 10 << 20, ']'), 'a.json: '),
-    'a posterior of 5 GB': ('posterior', 'a.json', sparse(5 * 10**9), 'larger than 32 MiB'),
     'a header of a million tensors': ('model', 'a.safetensors', tensors(0, 10**6),
                                       'not a safetensors file'),
-    'a model of others of 250 MB': (
-        'model', 'a.safetensors', tensors(250 << 20, shape=f'[{250 << 17}]', data=250 << 20),
-        'has no model_card'),
-    'zeros for a model': ('model', 'a.safetensors', sparse(250 << 20), 'not a safetensors file'),
     'a tensor of 10^13 numbers': (
         'model', 'a.safetensors', tensors(8, shape='[10000000000000]', data=8 * 10**13),
-        'has no model_card|not a safetensors file'),
+        'have no model_card|not a safetensors file'),
     'a state of a million arrays': ('state', 'a.bin', tensors(0, 10**6),
                                     'state.safetensors is damaged'),
-    'a configuration of 1 GB': ('family', 'a.yaml', sparse(10**9), 'larger than 1 MiB'),
     'a scene of 1 GB': ('scene', 'a.yaml', sparse(10**9), 'larger than 1 MiB'),
-    'a network that makes 3 GB': ('network', 'a.pt', foreign_pickle, 'not a file of tensors'),
+    'a network that makes 3 GB': ('network', 'a.pt', foreign_pickle, 'not a file of torch.save'),
 }
 
 
@@ -276,14 +227,14 @@ def test_lines_are_numbered_without_their_breaks(tmp_path):
     assert [number for number, _ in text_lines(path, 1 << 21)] == [1, 2]
     for content, message in (
             (b'a\n' + b'x' * (LONGEST_LINE + 1), '^2: longer than 1048576'),
-            (b'a\nb\xff\n', ': not a text file in UTF-8, here or below: invalid start')):
+            (b'a\nb\xff\n', ': not UTF-8 text, in this line or below: invalid start')):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=message):
             list(text_lines(path, 1 << 21))
 
 
 @pytest.mark.parametrize(('text_of_json', 'message'), [
-    (b'[' * 100_000, 'nested too deep'), (b'[' + b'1,' * MOST_VALUES + b'1]', 'more than'),
+    (b'[' * 100_000, 'nested too deeply'), (b'[' + b'1,' * MOST_VALUES + b'1]', 'more than'),
     (b'{"a": ' + b'9' * 5000 + b'}', 'digits'), (b'', 'Expecting value'),
     (b'\xff', "can't decode")])
 def test_json_that_is_none_is_one_line(text_of_json, message):

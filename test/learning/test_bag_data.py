@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data from bags: the states of recorded motions, and one line for what cannot be used."""
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +14,8 @@ from hnn_vi_ros.learning.data.sources import make_dataset, read_motions
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.scene import load_scene
-from hypothesis import given, settings, strategies as st
 from messages import misfit, refused
 import numpy as np
 import pytest
@@ -150,6 +151,14 @@ def test_bag_of_the_simulator_holds_exact_states_even_when_unfinished(tmp_path, 
     assert len(data.q) == 280
 
 
+@pytest.mark.parametrize('begin', [None, 150])
+def test_times_of_a_simulators_bag_are_its_own_on_which_drives_depend(tmp_path, begin):
+    path = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 200, begin=begin)
+    (motion,), _ = read_motions(Path(), BagMotions(), ['angle'], [path])
+    first, *_ = next(RecordedRun(path).samples())
+    assert motion.t[0] == 1e-9 * first >= 0.01
+
+
 @pytest.mark.parametrize('begin', [None, 0])
 def test_force_of_a_command_that_is_not_in_the_bag_is_not_taken_for_none(tmp_path, begin):
     scene = load_scene('exact_pendulum').with_overrides(0.01, 'implicit_midpoint', effects=[
@@ -223,22 +232,6 @@ def test_unusable_bag_gives_one_line_that_says_what_is_in_it(tmp_path, messages,
         dataset([path], bag(**changes))
 
 
-@given(share=st.floats(0.0, 1.0))
-@settings(max_examples=25)
-def test_bag_cut_off_at_any_byte_gives_a_beginning_or_one_line(tmp_path_factory, share):
-    folder = tmp_path_factory.getbasetemp()
-    whole = write(folder / 'whole.mcap', joints(T)).read_bytes()
-    cut = folder / 'cut.mcap'
-    cut.write_bytes(whole[:round(share * len(whole))])
-    try:
-        data = dataset([cut], bag())
-    except DataError as problem:
-        assert '\n' not in str(problem)
-    else:
-        expected = dataset([folder / 'whole.mcap'], bag())
-        assert np.array_equal(data.q, expected.q[:len(data.q)])
-
-
 def test_what_is_no_bag_is_refused(tmp_path):
     (tmp_path / 'notes.mcap').write_text('notes')
     for path in (tmp_path / 'none', tmp_path / 'notes.mcap', tmp_path / 'empty'):
@@ -296,18 +289,6 @@ def positions(t: np.ndarray, q: np.ndarray) -> list[Message]:
     return [state(time, ['swing'], [position]) for time, position in zip(t, q, strict=True)]
 
 
-def test_angles_of_a_bag_that_are_kept_within_a_turn_go_on(tmp_path):
-    """A wheel at 7 rad/s, that swings by 0.5 rad."""
-    q = 7.0 * T + 0.5 * np.sin(OMEGA * T)
-    wrapped = (q + np.pi) % (2.0 * np.pi) - np.pi
-    whole = dataset([write(tmp_path / 'a.mcap', positions(T, q))], bag())
-    data = dataset([write(tmp_path / 'b.mcap', positions(T, wrapped))], bag())
-    # 35 rad, counted from another turn, to their rounding, which the rates take 1e2 times.
-    assert np.ptp(data.q - whole.q) < 1e-12 and np.abs(data.dp_dt - whole.dp_dt).max() < 1e-8
-    for one in (whole, data):
-        assert ('turns of coordinate 1 counted' in one.description) == (one is data)
-
-
 @pytest.mark.parametrize('other', [2, 10])
 def test_second_publisher_of_positions_in_a_bag_is_told(tmp_path, caplog, other):
     """It sends zeros, each second or tenth message; noise and one outlier are no publisher."""
@@ -317,5 +298,6 @@ def test_second_publisher_of_positions_in_a_bag_is_told(tmp_path, caplog, other)
     dataset([write(tmp_path / 'one.mcap', positions(T, q))], bag())
     assert 'jump away' not in caplog.text
     q[::other] = 0.0
-    dataset([write(tmp_path / 'two.mcap', positions(T, q))], bag())
-    assert caplog.text.count('positions jump away and back; if those are two sources') == 1
+    with suppress(DataError):  # those of a tenth of the messages are faults of a sensor as well
+        dataset([write(tmp_path / 'two.mcap', positions(T, q))], bag())
+    assert caplog.text.count('positions jump away and back in ') == 1

@@ -46,7 +46,7 @@ def drive(seed: int = 0, offset: float = OFFSET, fade: float = FADE, load: float
         states.append(z)
     q, v = np.array(states).T[..., None]
     run = smoothed('drive', t, q, v, tau[:, None], 40.0)
-    return EvenMotion(**(vars(run) | {'held': True}))
+    return EvenMotion(**(vars(run) | {'inputs': 'held'}))
 
 
 def config(friction: object, data: object = None, **loss: object) -> MachineConfig:
@@ -131,6 +131,7 @@ def test_friction_dissipates_at_every_velocity_and_load(kind, request):
                 friction.columns(v, tau) @ friction.values(), friction(v, v, tau))
 
 
+@pytest.mark.long
 def test_delay_is_estimated_in_samples_and_parts():
     motion = delayed(drive(offset=0.0, fade=0.0), -2.3)
     setting = config({'coulomb': 1, 'directed': True}, windows=WINDOWS[:1])
@@ -152,7 +153,7 @@ def test_delay_is_told_by_the_model(tmp_path: Path):
     problem = task.problem(setting, 'cpu')
     card = task.describe(problem, setting, 'x', 'train').card
     assert card.mechanical.delay == pytest.approx(0.02)
-    assert 'forces act 2 samples later' in card.dataset
+    assert 'forces delayed by 2 samples' in card.dataset
 
 
 def test_friction_that_a_robot_has_itself_is_refused():

@@ -156,7 +156,7 @@ def test_ensemble_of_a_machine_is_trained_calibrated_and_runs(
     assert len(card.ensemble.factors) == 4 and card.prediction_error.failed == 0
     # 25 to 50 starts that overlap, of some three blocks: the share varies by tenths.
     assert 0.5 < card.ensemble.coverage <= 1.0
-    assert '3 members, whose mean is judged; bands of 90 %' in said
+    assert 'Mean of 3 members; bands of 90 %' in said
     # Degrees or milliseconds would be seen here.
     assert re.search(r'^data: m.npz.*; every 0.01 s, \w+ -?[0-9.]+ to [0-9.]+ rad, ', said)
     assert 'bands of 90 %' in out.with_suffix('.report.md').read_text()

@@ -74,7 +74,7 @@ def test_arrays_become_a_model_and_a_report_in_one_command(made):
     assert '| model |' in page and '(m.predictions.png)' in page
     error = card.energy_error
     assert error.against == 'work of forces and friction' and error.states == 400
-    assert f'H is off by {error.rms:.3g} J RMS' in page
+    assert f'the RMS error of H is {error.rms:.3g} J' in page
     # So does how far it can be trusted: the numbers of the table.
     cells = [f'{rms:.4g}' for horizon in ('0.1', '0.5')
              for rms in card.prediction_error.horizons[horizon]]
@@ -93,7 +93,7 @@ def test_model_is_judged_in_a_second_command(made, tmp_path, capsys):
     written = json.loads((tmp_path / 'machine.json').read_text())
     outside = written.pop('outside')
     assert 0.0 < outside['share'] < 1.0 and outside['errors'].keys() == {'inside', 'outside'}
-    assert f'outside of what the model has seen: {outside["beyond"][0]}' in said
+    assert f'outside the training domain of the model: {outside["beyond"][0]}' in said
     assert written | {'baselines': None} == found.model_dump() | {'baselines': None}
     (motion,), _ = from_file(f'{Path(data)}:c', ArraysData(), 1)
     still = score(constant_velocity, [motion], [0.1, 0.5], 0.05, 2.0)

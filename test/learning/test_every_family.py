@@ -199,7 +199,7 @@ def test_model_is_evaluated_by_motions_that_a_configuration_computes(files: Path
         evaluate.main(['harmonic_oscillator', '--config', str(files / 'exact.yaml')])
     with refused(ParameterError):
         evaluate.main(['harmonic_oscillator'])
-    with pytest.raises(DataError, match='are motions of a body that turns'):
+    with pytest.raises(DataError, match='are motions of a rotating body'):
         evaluate.main(['harmonic_oscillator', '--config', 'turning_pendulum'])
 
 

@@ -15,7 +15,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.dataset import Dataset, sample_exact
 from hnn_vi_ros.learning.families.base import Scales, Trainable
-from hnn_vi_ros.learning.families.choices import DiscreteGradient, DiscreteLagrangian, Steps
+from hnn_vi_ros.learning.families.choices import DiscreteGradientLoss, DiscreteLagrangian, Steps
 from hnn_vi_ros.learning.families.hnn import DGNet, DGNetChoice, HNN, HNNChoice
 from hnn_vi_ros.learning.families.lagrangian import VIN, VINChoice
 from hnn_vi_ros.learning.fit.config import load_config
@@ -275,7 +275,7 @@ def residuals(choice, family: Trainable, data: Dataset) -> np.ndarray:
 
 def test_loss_of_the_discrete_gradient_vanishes_on_the_simulators_steps():
     (family, hamiltonian), h = random_dgnet(friction=False), 0.1
-    choice = DiscreteGradient(kind='discrete_gradient', step_size=h)
+    choice = DiscreteGradientLoss(kind='discrete_gradient', step_size=h)
     data = steps(hamiltonian, choice.scheme.integrator, h)
     change = [np.linalg.norm(np.diff(np.hstack([data.q, data.p])[data.block == k], axis=0), axis=1)
               for k in range(STARTS)]
@@ -302,7 +302,7 @@ def test_loss_of_the_discrete_gradient_takes_friction_in_the_middle_of_a_step():
     damping = EFFECTS['damping'](family.constants()['friction'])
     sizes = []
     for h in (0.1, 0.05, 0.025):
-        choice = DiscreteGradient(kind='discrete_gradient', step_size=h)
+        choice = DiscreteGradientLoss(kind='discrete_gradient', step_size=h)
         data = steps(hamiltonian, 'discrete_gradient', h, (damping,))
         # Of the first step of each path: all begin in the same states.
         first = residuals(choice, family, data).reshape(STARTS, COUNT, 2 * D)[:, 0]

@@ -219,9 +219,10 @@ def test_networks_add_to_the_body_what_was_chosen(residual):
     'family: {kind: rigid_body, file: none.urdf}',
     f'coordinates: [{{name: knee}}]\nfamily: {{kind: rigid_body, file: {ARM}}}',
     f'family: {{kind: rigid_body, file: {ARM}, residual: energy}}',
+    f'family: {{kind: rigid_body, file: {ARM.with_name("gripper.urdf")}}}',
     f'family: {{kind: rigid_body, file: {ARM}}}\nloss: {{kind: forward}}',
     f'family: {{kind: rigid_body, file: {ARM}, friction: {{network: true}}}}',
-    'family: {kind: mechanical}\ncoordinates: [{name: a}]'], ids=range(6))
+    'family: {kind: mechanical}\ncoordinates: [{name: a}]'], ids=range(7))
 def test_configurations_of_no_robot_are_refused_by_name(text, tmp_path):
     path = tmp_path / 'arm.yaml'
     path.write_text(f'data: {{kind: excitation}}\n{text}\n')

@@ -7,7 +7,7 @@ from pathlib import Path
 from helpers import long
 from hnn_vi_ros.errors import ModelError, ParameterError
 from hnn_vi_ros.learning.families.lie_group import HeldBody, LieGroupNetwork
-from hnn_vi_ros.learning.import_checkpoint import main
+from hnn_vi_ros.learning.import_model import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from lie_group_models import random_states
@@ -75,7 +75,7 @@ def energy(networks: dict[str, nn.Module], x: torch.Tensor, R: torch.Tensor, p: 
 
 
 def imported(tmp_path: Path, layout: str, path: Path, *more: str) -> None:
-    main([str(path), '--layout', layout, '--activation', 'tanh', '--coordinates', 'body',
+    main([str(path), '--layout', layout, '--coordinates', 'body',
           '--box=-1:1', f'--epsilon={EPSILON}', f'--floor={FLOOR}',
           '--out', str(tmp_path / 'model.safetensors'), *more])
 
@@ -151,7 +151,7 @@ def test_import_without_friction_or_of_other_networks(tmp_path: Path):
 
 
 @pytest.mark.parametrize('option', [
-    ('--epsilon=nan',), ('--floor=-1',), ('--activation', 'sine'), ('--order', 'pq'),
+    ('--epsilon=nan',), ('--floor=-1',), ('--activation', 'sine'),
     ('--coordinates', 'a,b')])
 def test_option_that_bodies_do_not_take_is_one_line(tmp_path: Path, option: tuple):
     with refused(ParameterError):
@@ -160,8 +160,8 @@ def test_option_that_bodies_do_not_take_is_one_line(tmp_path: Path, option: tupl
 
 def test_epsilon_must_be_given_and_is_of_bodies_alone(tmp_path: Path):
     path = save(tmp_path, source('so3'))
-    words = [str(path), '--activation', 'tanh', '--coordinates', 'body', '--box=-1:1']
+    words = [str(path), '--coordinates', 'body', '--box=-1:1']
     with refused(ParameterError):
         main([*words, '--layout', 'so3'])
     with refused(ParameterError):
-        main([*words, '--layout', 'hnn', '--epsilon=0.1'])
+        main([*words, '--epsilon=0.1'])

@@ -110,7 +110,7 @@ def test_map_is_learned_with_a_prior_whose_scale_its_norm_fixes():
 def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(
         tmp_path, pytestconfig, capsys):
     made = trained(pytestconfig, 'belt', BELT | {
-        'data': {'kind': 'arrays', 'test_runs': ['3', '4', '5', '6']}, 'loss': {
+        'baseline': True, 'data': {'kind': 'arrays', 'test_runs': ['3', '4', '5', '6']}, 'loss': {
             'kind': 'trajectory', 'forward_steps': 200, 'forward_lbfgs_steps': 0,
             'windows': [{'duration': 0.1, 'steps': 5}]}}, motions_by_a_belt)
     data, out = made.data, made.model

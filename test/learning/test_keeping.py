@@ -55,7 +55,7 @@ def test_ensemble_that_cannot_be_calibrated_is_kept_and_says_so(
     card = load_checkpoint(tmp_path / 'm.safetensors', ensembles=True).card.ensemble
     assert card.factors is None and card.coverage is None
     assert re.match('none: (the spread .* cannot be calibrated|step failed)', card.calibration)
-    assert 'their spread was not calibrated (none: ' in capsys.readouterr().out
+    assert 'the spread was not calibrated (none: ' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(('module', 'name', 'problem', 'kind'), [
@@ -101,7 +101,7 @@ def test_members_trained_before_one_that_fails_are_kept(
         main([*words, '--ensemble', '3'])
     file = tmp_path / 'm.member1.safetensors'
     assert load_checkpoint(file).card.name == 'm, member 1'
-    assert f'members that were trained: {file}\n' in capsys.readouterr().out
+    assert f'members trained so far: {file}\n' in capsys.readouterr().out
     # Not found out after the next training.
     with refused(HnnViRosError):
         main([*words, '--ensemble', '3'])

@@ -268,7 +268,7 @@ def test_discrete_loss_is_zero_on_a_motion_of_the_midpoint_rule(tmp_path):
         q[k] = simulation.q
         simulation.set_command(tau[k])
         simulation.advance(1)
-    motion = replace(motions[0], t=h * np.arange(n), q=q, tau=tau, held=True)
+    motion = replace(motions[0], t=h * np.arange(n), q=q, tau=tau, inputs='held')
     samples, rows = samples_of([motion], h), torch.arange(n - 2)
     with torch.no_grad():
         found = [float(discrete_loss(network, samples, rows)),
@@ -410,12 +410,20 @@ def test_last_fifth_of_each_run_is_held_out_unless_runs_are_named():
     assert test[0].t[0] == motions[0].t[48]
 
 
-@pytest.mark.parametrize('held, means', [
-    (False, [1.0, 2.0, 3.0, 3.5, 4.0]), (True, [0.5, 1.5, 2.5, 3.0, 4.0])])
-def test_forces_are_averaged_as_they_act_between_samples(held, means):
+@pytest.mark.parametrize('inputs, means', [
+    ('linear', [1.0, 2.0, 3.0, 3.5, 4.0]), ('held', [0.5, 1.5, 2.5, 3.0, 4.0]),
+    ('spline', [1.0, 2.0, 3.0, 3.5, 4.0])])
+def test_forces_are_averaged_as_they_act_between_samples(inputs, means):
     motion = replace(random_motions(1)[0], t=np.arange(5.0), tau=np.arange(5.0)[:, None],
-                     held=held)
-    assert mean_forces(motion, 2).T.tolist() == [means]
+                     inputs=inputs)
+    assert mean_forces(motion, 2)[:, 0] == pytest.approx(means, abs=1e-14)
+
+
+def test_spline_between_samples_has_the_mean_of_a_smooth_force_in_each_interval():
+    t = 0.1 * np.arange(41)
+    motion = replace(random_motions(1)[0], t=t, tau=np.sin(3.0 * t)[:, None], inputs='spline')
+    # A cubic spline is off by 5 / 384 (3 h)^4, without end conditions by a few times that there.
+    assert motion.forces[:, 0] == pytest.approx(np.diff(-np.cos(3.0 * t)) / 0.3, abs=5e-4)
 
 
 @LONG

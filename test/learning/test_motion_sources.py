@@ -10,7 +10,8 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.arrays import ArraysData
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import (
-    even_motions, increasing, Motion, MotionData, Recording, unexplained, unwound)
+    even_motions, increasing, Motion, MotionData, Recording, steps_between, unexplained,
+    unwound)
 from hnn_vi_ros.learning.data.sources import guessed, read_motions
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -58,7 +59,7 @@ def test_bad_messages_are_left_out_counted_and_bridged(tmp_path):
     messages.insert(200, state(1.0, ['gripper'], [1.0]))
     path = write(tmp_path / 'a.mcap', messages)
     (motion,), description = read(path)
-    assert '3 that lack a number and 2 that are late or come twice' in description
+    assert '3 that lack a number and 2 that are late or duplicated' in description
     # Cubics through q and dq over intervals of at most 0.05 s: h^4 / 384 times 3^4.
     assert np.abs(motion.q - Q).max() < 0.05**4 / 384.0 * 3.0**4 + 1e-9
     parts, description = read(path, on_bad='split')
@@ -111,13 +112,6 @@ def test_commands_are_the_forces_where_they_are_named(tmp_path):
     wide = array(np.array([1.0]), np.array([[1.0, 2.0, 3.0]]), '/forces')
     with refused(DataError):
         read(write(tmp_path / 'b.mcap', [*driver(), *wide]), forces='forces')
-
-
-@pytest.mark.parametrize('changes', [
-    {'topic': 'nothing'}, {'joints': ['a', 'c']}, {'joints': ['a']}, {'forces': 'nothing'}])
-def test_bag_without_what_is_wanted_says_what_it_holds(tmp_path, changes):
-    with refused(DataError):
-        read(write(tmp_path / 'a.mcap', driver()), **changes)
 
 
 def test_bag_in_which_no_message_holds_all_joints_is_refused(tmp_path):
@@ -212,17 +206,31 @@ def test_columns_of_a_log_are_those_of_its_header(tmp_path):
         from_file(path, LogMotions(time='Time', q=['Pole angle (rad)']))
 
 
-def test_columns_in_degrees_become_radians_and_are_not_taken_for_them(tmp_path):
+def test_column_that_stands_twice_is_named_with_its_places(tmp_path):
+    path = tmp_path / 'log.csv'
+    path.write_text('t,V_C,x,V_C\n0,1,2,3\n1,2,3,4\n')
+    with refused(DataError):
+        from_file(path, LogMotions(time='t', q=['x'], tau=['V_C']))
+
+
+def test_comment_that_names_some_columns_is_no_header(tmp_path):
+    path = tmp_path / 'log.txt'
+    np.savetxt(path, np.column_stack([np.zeros_like(T), T, Q]), header='a b', comments='% ')
+    (motion,), _ = from_file(path, LogMotions(
+        columns=['run', 't', 'a', 'b'], comment='%', trial='run', time='t', q=['a', 'b']))
+    assert np.abs(motion.q - Q).max() < 1e-12
+
+
+def test_columns_in_degrees_become_radians(tmp_path):
     path, named = tmp_path / 'log.csv', ['Angle [deg]', 'rate_deg_s']
     rows = [f'{t:.17g},{q:.17g},{v:.17g}' for t, q, v in zip(
         T, np.degrees(Q[:, 0]), np.degrees(V[:, 0]), strict=True)]
     path.write_text('\n'.join([','.join(['t', *named]), *rows]))
     data = {'time': 't', 'q': named[:1], 'v': named[1:]}
-    (motion,), _ = from_file(path, LogMotions(**data, degrees=named))
-    assert np.abs(motion.q[:, 0] - Q[:, 0]).max() < 1e-12
-    assert np.abs(motion.v[:, 0] - V[:, 0]).max() < 1e-12
-    with refused(DataError):
-        from_file(path, LogMotions(**data))
+    for degrees in (named, None):
+        (motion,), _ = from_file(path, LogMotions(**data, degrees=degrees))
+        assert np.abs(motion.q[:, 0] - Q[:, 0]).max() < 1e-12
+        assert np.abs(motion.v[:, 0] - V[:, 0]).max() < 1e-12
     (motion,), _ = from_file(path, LogMotions(**data, degrees=[]))
     assert np.abs(motion.q[:, 0] - np.degrees(Q[:, 0])).max() < 1e-10
 
@@ -251,17 +259,59 @@ def test_contradictory_log_description_is_refused(changes):
         LogMotions(**(LOG | changes))
 
 
+@pytest.mark.parametrize('head, sizes, unit', [
+    ('Time [ms],x [mm]', (1e3, 1e3), 'm'), ('stamp_ns,x_cm', (1e9, 1e2), 'm'),
+    ('t / min,x (m)', (1.0 / 60.0, 1e-3), 'mm'), ('t,tau_m', (1.0, 1.0), 'rad')])
+def test_columns_are_converted_to_seconds_and_the_unit_of_the_coordinate(
+        tmp_path, head, sizes, unit):
+    path, names = tmp_path / 'log.csv', head.split(',')
+    rows = [f'{sizes[0] * t:.17g},{sizes[1] * q:.17g}' for t, q in zip(T, Q[:, 0], strict=True)]
+    path.write_text('\n'.join([head, *rows]))
+    data = LogMotions(time=names[0], q=names[1:])
+    (motion,), _ = read_motions(Path(), data, ['x'], [str(path)], [unit])
+    assert np.abs(motion.t - T).max() < 1e-8
+    assert np.abs(motion.q[:, 0] - Q[:, 0]).max() < 1e-8
+
+
+@pytest.mark.parametrize('head, unit', [('t,x [mm]', 'rad'), ('t,x [px]', 'm'), ('t [m],x', 'm')])
+def test_unit_of_something_else_is_refused(tmp_path, head, unit):
+    path, (time, x) = tmp_path / 'log.csv', head.split(',')
+    path.write_text(f'{head}\n0,1\n1,2')
+    with refused(DataError):
+        read_motions(Path(), LogMotions(time=time, q=[x]), ['x'], [str(path)], [unit])
+
+
 @pytest.mark.parametrize('name, times', [
-    ('Time [ms]', [f'{1e3 * t:.6f}' for t in T]), ('stamp_ns', [f'{1e9 * t:.0f}' for t in T]),
     ('time', [f'{1.7e12 + 1e3 * t:.3f}' for t in T]),
     ('time', [f'2026-01-01 10:00:{t:05.2f}' for t in T]),
     ('time', [f'10:00:{t:05.2f}' for t in T])])
-def test_times_that_are_no_seconds_are_refused(tmp_path, name, times):
+def test_times_that_are_no_numbers_or_too_large_are_refused(tmp_path, name, times):
     path = tmp_path / 'log.csv'
     path.write_text('\n'.join([f'{name},angle', *(
         f'{t},{q:.17g}' for t, q in zip(times, Q[:, 0], strict=True))]))
     with refused(DataError):
         from_file(path, LogMotions(time=name, q=['angle']))
+
+
+def test_forces_none_leaves_out_the_forces_of_every_kind(tmp_path):
+    np.savez(tmp_path / 'a.npz', t=T, q=Q, dq=V, tau=TAU)
+    np.savetxt(tmp_path / 'log.csv', np.column_stack([T, Q, TAU]), '%.9f', ',')
+    bag = write(tmp_path / 'a.mcap', driver())
+    columns = {'columns': ['t', 'a', 'b', 'ta', 'tb'], 'time': 't', 'q': ['a', 'b'],
+               'tau': ['ta', 'tb']}
+    for data in ({'kind': 'log', 'path': str(tmp_path / 'log.csv'), **columns},
+                 {'kind': 'arrays', 'path': str(tmp_path / 'a.npz')},
+                 {'kind': 'bag', 'paths': [str(bag)]}):
+        for forces in ({}, {'forces': 'none'}):
+            config = machine([{'name': 'a'}, {'name': 'b'}], data | forces)
+            (motion,), _ = config.motions(tmp_path, ['a', 'b'], [])
+            assert motion.tau.any() != bool(forces)
+
+
+def test_samples_that_lie_a_thousand_steps_apart_are_refused():
+    assert steps_between(1.0, 0.01) == 100
+    with refused(DataError):
+        steps_between(10.0, 0.01)
 
 
 def motions(t=T, q=Q, v=V, tau=TAU, a=None, **changes) -> tuple:
@@ -280,7 +330,7 @@ def test_stamp_that_is_far_ahead_costs_one_sample(at):
     t = T.copy()
     t[at] += 1e6
     (motion,), described = motions(t)
-    assert '1 that are late or come twice' in described
+    assert '1 that are late or duplicated' in described
     assert len(motion.t) == len(T) and np.abs(motion.q - Q).max() < 1e-6
 
 
@@ -300,7 +350,7 @@ def test_angle_that_is_kept_within_a_turn_is_unwound():
     wrapped = np.stack([np.angle(np.exp(1j * turning[:, 0])), Q[:, 1]], axis=-1)
     v = np.stack([np.full_like(T, 9.0), V[:, 1]], axis=-1)
     (motion,), described = motions(q=wrapped, v=v)
-    assert 'turns of coordinate 1 counted' in described
+    assert 'coordinate 1 unwrapped' in described
     assert np.abs(motion.q - turning).max() < 1e-6
     (motion,), _ = motions(q=wrapped, v=None)
     assert np.abs(motion.v_smooth[40:-40, 0] - 9.0).max() < 0.01
@@ -318,6 +368,16 @@ def test_velocities_that_are_not_those_of_the_positions_are_refused(wrong):
         motions(v=v)
     with refused(DataError):
         motions(a=np.stack([-4.0 * Q[:, 0], -9.0 * wrong * Q[:, 1]], axis=-1))
+
+
+@pytest.mark.parametrize('part', [slice(1, None), slice(None, -1)], ids=['behind', 'ahead'])
+def test_velocities_that_are_differences_of_positions_are_not_used(part):
+    v = V.copy()
+    v[part] = np.diff(Q, axis=0) / 0.01
+    (motion,), told = motions(v=v)
+    assert motion.v is None and 'differences of the positions' in told
+    (motion,), told = motions()
+    assert motion.v is not None and 'differences' not in told
 
 
 def test_noise_quanta_and_joints_at_rest_are_no_wrong_velocities():
@@ -347,7 +407,7 @@ def test_runs_of_other_rates_are_put_on_that_of_most_samples(tmp_path):
                                                         ('dq', V[::step]), ('tau', TAU[::step]))})
     (first, second), described = read_motions(
         tmp_path, ArraysData(), ['a', 'b'], [str(tmp_path / 'a.npz')])
-    assert 'y put from every 0.02 s on every 0.01 s' in described
+    assert 'y resampled from 0.02 s to 0.01 s' in described
     assert abs(first.spacing - second.spacing) < 1e-12
     # Cubics through q and dq over 0.02 s: h^4 / 384 times 3^4.
     assert np.abs(second.q - Q[:len(second.q)]).max() < 0.02**4 / 384.0 * 3.0**4 + 1e-12
@@ -367,7 +427,7 @@ def test_efforts_of_joints_without_a_motor_are_zero_and_told(tmp_path):
         return [state(T[i], ['a', 'b'], Q[i], V[i], tau(i)) for i in range(len(T))]
     (motion,), described = read(
         write(tmp_path / 'a.mcap', published(lambda i: [np.nan, TAU[i, 1]])))
-    assert 'no effort of a, which counts as no motor' in described
+    assert 'no effort of a, taken as no motor' in described
     assert not motion.tau[:, 0].any() and motion.tau[:, 1].all()
     path = write(tmp_path / 'b.mcap', published(lambda i: [np.nan, np.nan]))
     (motion,), described = read(path)

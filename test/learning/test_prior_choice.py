@@ -188,7 +188,7 @@ def test_motions_too_short_to_choose_by_train_networks_alone(capsys):
         'short', whole.t[:60], whole.q[:60], whole.v_smooth[:60], whole.tau[:60], 40.0)
     chosen, card = selected(sliding(), [short], problem_of)
     assert card is None and chosen.family.prior is None
-    assert '1 short motions leave nothing to choose by' in capsys.readouterr().out
+    assert '1 motions are too short for a selection' in capsys.readouterr().out
 
 
 def test_windows_last_as_many_steps_however_rare_samples_are():
@@ -208,10 +208,10 @@ def test_domain_says_what_goes_beyond():
     inside = np.array([[2.0 * np.pi + 0.4, 0.5]]), np.array([[0.0, 3.0]])
     assert not domain.excess(*inside, np.array([[0.5]])).any()
     beyond = domain.beyond(inside[0], np.array([[0.0, 30.0]]), np.array([[1.5]]))
-    assert beyond == ['elbow to 30 rad/s, seen 15', 'force 1 to 1.5 N m, seen 1']
+    assert beyond == ['elbow = 30 rad/s, trained to 15', 'force 1 = 1.5 N m, trained to 1']
     slide = Domain(DomainCard.of(q[:, :1], v[:, :1], np.array([[-1.0], [1.0]])), ['prismatic'], [
         ('slide', 'm', 'kg m/s')])
-    assert slide.beyond(q[:1, :1], v[:1, :1], np.array([[3.0]])) == ['force 1 to 3 N, seen 1']
+    assert slide.beyond(q[:1, :1], v[:1, :1], np.array([[3.0]])) == ['force 1 = 3 N, trained to 1']
     guard = BoxGuard((q.T, v.T), None, domain)
 
     def look(step: int, velocity: float) -> Look:
@@ -219,5 +219,5 @@ def test_domain_says_what_goes_beyond():
                     0.0, 0.0)
     assert alarm_of(guard, look(0, 3.0)) is None
     alarm = alarm_of(guard, look(1, 30.0))
-    assert 'elbow to 30 rad/s, seen 15 at most), 50 % of the samples' in alarm.message
+    assert '(largest: elbow = 30 rad/s, trained to 15), in 50 % of the samples' in alarm.message
     assert alarm_of(guard, look(2, 31.0)) is None and guard.share == pytest.approx(2 / 3)

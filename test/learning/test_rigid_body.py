@@ -8,13 +8,16 @@ from helpers import long
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
-from hnn_vi_ros.learning.families.choices import Trajectory
+from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, Motion, smoothed
+from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import momentum
-from hnn_vi_ros.learning.tasks.machine import learn
+from hnn_vi_ros.learning.judging.missing import missing_force
+from hnn_vi_ros.learning.judging.residuals import (
+    followed, is_noise, noise_text, residuals_of)
+from hnn_vi_ros.learning.tasks.machine import learn, problem_of
 from hnn_vi_ros.simulation import Simulation
 from machines import driven, machine_config
 from messages import misfit
@@ -115,18 +118,63 @@ def test_friction_that_accelerations_do_not_show_is_found_by_windows():
     assert viscous / parameters(network)['inertia1'] == pytest.approx(FRICTION, rel=SHARE)
 
 
+def swing(deg: float) -> EvenMotion:
+    """Return 12 s of a pendulum with friction, positions alone, with white noise."""
+    t = 0.02 * np.arange(600)
+    z = solve_ivp(lambda _, z: [z[1], -9.0 * np.sin(z[0]) - 0.1 * z[1]], (0.0, t[-1]),
+                  [1.8, 0.0], t_eval=t, rtol=1e-10, atol=1e-10, method='DOP853').y
+    q = z[0][:, None] + np.deg2rad(deg) * np.random.default_rng(0).normal(size=(600, 1))
+    run = Motion('run', 'run', t, q)
+    return smoothed('run', t, q, None, 0.0 * q, cutoff_of([run], 0.02))
+
+
+PENDULUM = {'prior': 'pendulum', 'mass_depends_on': None, 'residual': False}
+
+
+@pytest.mark.long
+def test_noise_of_positions_biases_neither_gravity_nor_friction():
+    motion, setting = swing(0.5), config('a', **PENDULUM, friction={'coulomb': 2})
+    problem = problem_of(setting, [motion])
+    found, inertia = parameters(problem.module), parameters(problem.module)['inertia1']
+    # Of 600 samples; derivatives of noise would make ten times the friction.
+    assert found['gravity1'] / inertia == pytest.approx(9.0, rel=0.005)
+    viscous, coulomb, *_ = (part.detach() for part in problem.module.friction.coefficients())
+    assert float(viscous) / inertia == pytest.approx(0.1, rel=0.05)
+    # Dry friction that there is not is left out.
+    assert float(coulomb.abs().max()) < 1e-4 * found['gravity1']
+    assert problem.noise == pytest.approx(np.deg2rad([0.5]), rel=0.1)
+    residuals = residuals_of(problem.known(), [motion], problem.noise)
+    assert is_noise(residuals) and followed(residuals) == pytest.approx(motion.t[-1], rel=0.01)
+    assert 'of the noise in windows of up to 12 s' in noise_text(residuals)
+
+
+@pytest.mark.long
+def test_force_that_is_missing_is_named_with_what_it_goes_with():
+    motion = swing(0.02)
+    network, _ = learn(config('a', **PENDULUM, friction={'viscous': False, 'coulomb': 0}),
+                       [motion])
+    said = missing_force(network, [motion], ['angle'])
+    assert said.startswith('On angle a force of ') and 'goes with velocity' in said
+
+
+def test_filter_ends_where_the_motion_sinks_into_its_noise():
+    # The swing has 0.4 Hz and harmonics: the more noise, the fewer are seen.
+    cutoffs = [swing(deg).cutoff for deg in (0.01, 0.1, 1.0)]
+    assert 12.0 > cutoffs[0] > cutoffs[1] > cutoffs[2] > 0.8
+
+
 @pytest.mark.long
 def test_best_rigid_body_takes_the_angles_that_fit():
-    loss = Trajectory.model_validate({
+    loss = TrajectoryLoss.model_validate({
         'kind': 'trajectory', 'windows': [{'duration': 0.05, 'steps': 1}]})
-    network, _ = best_rigid_body(loss, motions())
+    network = best_rigid_body(loss, motions()).module
     assert network.structure.angles == [[1.0, 0.0], [0.0, 1.0]]
     assert parameters(network) == pytest.approx(EXPECTED, rel=SHARE)
     # The same pendulum by the angle of the second link from the first.
     relative = [smoothed('run', motion.t, *(
         part @ np.array([[1.0, -1.0], [0.0, 1.0]]) for part in (motion.q, motion.v)),
         motion.tau @ np.array([[1.0, 0.0], [1.0, 1.0]]), 40.0) for motion in motions()]
-    network, _ = best_rigid_body(loss, relative)
+    network = best_rigid_body(loss, relative).module
     assert network.structure.angles == [[1.0, 0.0], [1.0, 1.0]]
     found = parameters(network)
     assert found.pop('motor_inertia2') < SHARE * EXPECTED['inertia2']

@@ -446,7 +446,7 @@ def test_stage_that_gains_nothing_begins_again_at_lower_rates(capsys):
     module = Valley(0.01)
     losses = TrainingProblem(module, [module.stage(1.0, 3)]).fit()
     told = capsys.readouterr().out.splitlines()
-    assert told[:1] == ['fall: no better at a rate of 1']
+    assert told[:1] == ['fall: no improvement at learning rate 1']
     assert abs(module.x.item()) < 0.01 and losses['fall'] <= 1e-4
 
 
@@ -456,7 +456,7 @@ def test_stage_never_ends_worse_than_it_began(limit, capsys):
     TrainingProblem(module, [module.stage(1.0, 1)]).fit()
     assert module.x.item() == 1e-9
     assert capsys.readouterr().out.splitlines() == [
-        'fall: no better at a rate of 1', 'fall: no better at a rate of 0.25']
+        'fall: no improvement at learning rate 1', 'fall: no improvement at learning rate 0.25']
 
 
 def test_stages_that_are_judged_in_another_way_begin_with_their_own_best():

@@ -15,7 +15,8 @@ from hnn_vi_ros.learning.families.choices import FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import Linearised, MechanicalNetwork
 from hnn_vi_ros.learning.fit import steps as window_steps
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
-from hnn_vi_ros.learning.fit.machine import Samples, samples_of, scales_of, window_loss, Windows
+from hnn_vi_ros.learning.fit.machine import (
+    Samples, samples_of, scales_of, window_loss, WindowSettings)
 from hnn_vi_ros.learning.fit.steps import METHODS, simulated, Solutions
 from hnn_vi_ros.learning.tasks.machine import describe, problem_of
 from hnn_vi_ros.learning.tasks.records import Records
@@ -81,7 +82,7 @@ def test_steps_in_torch_are_those_of_the_compiled_methods(tmp_path, method, stru
 
 @pytest.mark.parametrize('method', [*METHODS])
 def test_windows_are_the_same_however_many_nodes_are_solved_at_once(method, monkeypatch):
-    network, windows = random_network(STRUCTURES['arm']), Windows(20, method, 0.1)
+    network, windows = random_network(STRUCTURES['arm']), WindowSettings(20, method, 0.1)
     samples, rows = samples_of([motion_of(2)], H), torch.arange(0, 40, 4)
     found = []
     for at_once in (1, 100, 10**9):
@@ -113,7 +114,7 @@ def test_first_guess_does_not_change_what_is_found(guess):
 
 
 def loss_and_slopes(network: MechanicalNetwork, samples: Samples, rows: torch.Tensor,
-                    windows: Windows) -> tuple[float, torch.Tensor]:
+                    windows: WindowSettings) -> tuple[float, torch.Tensor]:
     parameters = [*network.parameters()]
     value = window_loss(network, samples, rows, windows)
     slopes = torch.autograd.grad(value, parameters, materialize_grads=True)
@@ -126,7 +127,7 @@ def loss_and_slopes(network: MechanicalNetwork, samples: Samples, rows: torch.Te
 def test_derivatives_of_windows_are_those_of_their_loss(method, structure):
     network = random_network(STRUCTURES[structure])
     samples, rows = samples_of([motion_of(network.d)], H), torch.arange(0, 40, 4)
-    windows = Windows(5, method, 0.1)
+    windows = WindowSettings(5, method, 0.1)
     found, expected = slopes_along(lambda: window_loss(network, samples, rows, windows),
                                    [*filter(lambda one: one.requires_grad, network.parameters())],
                                    2e-4)

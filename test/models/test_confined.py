@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A confined network: itself in its box, and a wall around it that no motion leaves."""
 
-import json
 from pathlib import Path
 
 from ensembles import OSCILLATOR
-from helpers import EPS, exact, jacobian, python_step, symplectic_defect, Uncompiled
+from helpers import EPS, exact, jacobian, mostly_long, python_step, symplectic_defect, Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -15,8 +14,6 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.train import main as train
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
-from hnn_vi_ros.models.model_card import ModelCard
-from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from messages import refused
@@ -31,8 +28,6 @@ integrator: {{kind: generalized_leapfrog}}
 step_size: 0.01
 initial_state: {{q: [1.0], p: [0.0]}}
 """
-# Of the starts below, the motion of these networks leaves for good.
-OPEN = {'double_pendulum', 'henon_heiles', 'kepler'}
 STARTS = np.array([[1.5], [2.0], [3.0]])
 
 
@@ -78,14 +73,6 @@ def test_confined_network_is_bit_identical_in_its_box(name: str):
     assert np.array_equal(held.hessian_vector(*split(z), *split(v)),
                           held.base.hessian_vector(*split(z), *split(v)))
     assert np.array_equal(held.box, held.base.box)
-
-
-@pytest.mark.parametrize('method', ['variational_euler', 'gauss8'])
-def test_confined_motion_in_the_box_is_bit_identical(method: str):
-    held = confined('pendulum')
-    runs = [Simulation(hamiltonian, INTEGRATORS[method](), 0.01, [2.5], [0.0]).record(1000, 1)
-            for hamiltonian in (held, held.base)]
-    assert np.array_equal(*runs)
 
 
 @pytest.mark.parametrize('name', MODELS)
@@ -150,7 +137,7 @@ def test_confined_wall_is_convex_and_grows_without_bound(name: str):
 
 
 @pytest.mark.parametrize('method, steps', [('generalized_leapfrog', 100_000), ('gauss8', 10_000)])
-@pytest.mark.parametrize('name', MODELS)
+@pytest.mark.parametrize('name', mostly_long(MODELS, 'pendulum'))
 def test_confined_motion_from_outside_the_box_comes_back_and_stays(name, method, steps, measured):
     """From 1.5, 2 and 3 half-widths in each coordinate, going outward."""
     held = confined(name)
@@ -179,20 +166,6 @@ def test_confined_motion_from_outside_the_box_comes_back_and_stays(name, method,
     assert back.all()
 
 
-@pytest.mark.parametrize('name', sorted(OPEN))
-def test_network_that_is_not_confined_lets_the_same_states_drift_away(name: str):
-    network = confined(name).base
-    centre, half = geometry(network)
-    d = half.size // 2
-    simulation = Simulation(
-        network, INTEGRATORS['generalized_leapfrog'](), 0.01,
-        centre[:d] + STARTS * half[:d], centre[d:] + np.tile(0.5 * half[d:], (3, 1)))
-    q, _ = simulation.record(1, 100_000)
-    r = np.abs(q.reshape(3, d) - centre[:d]) / half[:d]
-    # Confined, none of them goes further than 8.
-    assert (r.max(axis=1) > 40.0).all()
-
-
 @pytest.mark.parametrize('method', ['symplectic_euler', 'generalized_leapfrog', 'gauss4'])
 def test_confined_step_outside_the_box_is_symplectic_to_60_digits(method: str):
     held, h = ConfinedHamiltonian(BoxedTao()), 0.05
@@ -206,11 +179,6 @@ def test_confined_step_outside_the_box_is_symplectic_to_60_digits(method: str):
 def test_confined_hamiltonian_wants_a_box():
     with refused(ValueError):
         ConfinedHamiltonian(Tao())
-
-
-def test_confined_hamiltonian_says_so_in_its_provenance():
-    held = confined('pendulum')
-    assert held.provenance == held.base.provenance | {'confined': 'to its training box'}
 
 
 def test_confined_state_too_far_for_a_double_ends_in_a_failure():
@@ -230,14 +198,6 @@ def test_model_card_says_whether_a_scene_confines_unless_the_scene_does(tmp_path
         scene.write_text(SCENE.format(model=f'{model}{text}'))
         hamiltonian = load_scene(scene).create_hamiltonian()
         assert isinstance(hamiltonian, ConfinedHamiltonian) == expected
-
-
-def test_model_card_from_before_confinement_loads_unconfined():
-    card = load_checkpoint(shipped_file('model', 'pendulum')).card.model_dump()
-    del card['confine']
-    older = ModelCard.model_validate_json(json.dumps(card))
-    assert not older.confine
-    assert isinstance(load_learned(shipped_file('model', 'pendulum')), NeuralHamiltonian)
 
 
 def test_training_configuration_with_confine_makes_a_model_that_confines(tmp_path, monkeypatch):

@@ -145,7 +145,7 @@ def test_check_of_a_scene_finds_uncertainty_that_no_ensemble_has(
     scene = load_scene('exact_pendulum').changed({'uncertainty': {'limit': 0.2}})
     (tmp_path / 'scene.yaml').write_text(dump_yaml(scene.model_dump(exclude_none=True)))
     assert scene_tool.main(['--check', str(tmp_path / 'scene.yaml')]) == 1
-    assert 'hamiltonian: no mean of an ensemble' in capsys.readouterr().err
+    assert 'hamiltonian: is not the mean of an ensemble' in capsys.readouterr().err
 
 
 def test_uncertainty_of_one_model_is_refused(tmp_path: Path):

@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 import warnings
 
-from helpers import Uncompiled
+from helpers import long, Uncompiled
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
@@ -29,8 +29,9 @@ from pydantic import TypeAdapter
 import pytest
 import torch
 
-FAMILIES = ['hnn', 'separable_hnn', 'dissipative_hnn', 'dgnet', 'vin', 'lagrangian',
-            'control_affine']
+# Learned one-forms are not canonical; machines, bodies that turn and graphs have own tests.
+FAMILIES = sorted(families.FAMILIES.keys() - {
+    'symplectic_form', 'mechanical', 'lie_group', 'graph'})
 # Hessians of networks as large as these are of the order of ten; see test_neural.
 ROUND_OFF = 1e-12
 
@@ -61,7 +62,7 @@ def random_model(family: str, d: int, commands: int = 1, **changes) -> Checkpoin
     return Checkpoint(card, networks)
 
 
-@pytest.mark.parametrize('family', families.FAMILIES)
+@pytest.mark.parametrize('family', sorted(families.FAMILIES.keys() - {'graph'}))
 def test_row_of_a_family_names_what_is_compiled_and_what_is_trained(family: str):
     row = families.FAMILIES[family]
     assert issubclass(row.hamiltonian, LearnedHamiltonian)
@@ -138,7 +139,7 @@ def states(d: int, n: int = 5) -> np.ndarray:
     return np.random.default_rng(3).uniform(-1.0, 1.0, (n, 2 * d))
 
 
-@pytest.mark.parametrize('d', [1, 3])
+@pytest.mark.parametrize('d', [long(1), 3])
 @pytest.mark.parametrize('family', FAMILIES)
 def test_kernel_of_each_family_agrees_with_torch_autograd(family: str, d: int):
     hamiltonian, z = learned(family, d), states(d)

@@ -5,13 +5,14 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from helpers import long
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.families.lie_group import HeldBody, LieGroupNetwork
-from hnn_vi_ros.learning.tasks.body import LieSteps, Node
+from hnn_vi_ros.learning.tasks.body import BodyState, LieSteps
 from hnn_vi_ros.models.attitude_features import turn_matrices
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
@@ -54,7 +55,7 @@ def test_gradient_and_hessian_of_a_learned_body_are_the_derivatives_of_its_energ
 
 
 @pytest.mark.parametrize('method, retraction', [
-    ('lie_leapfrog', 'cayley'), ('lie_variational_euler', 'exponential')])
+    long('lie_leapfrog', 'cayley'), ('lie_variational_euler', 'exponential')])
 @pytest.mark.parametrize('name', CARDS)
 def test_torch_step_on_a_group_is_the_compiled_step_to_round_off(tmp_path, name: str, method: str,
                                                                  retraction: str):
@@ -72,8 +73,8 @@ def test_torch_step_on_a_group_is_the_compiled_step_to_round_off(tmp_path, name:
         simulation.set_command(u[0].numpy())
     simulation.advance(3)
     step = LieSteps(LieGroupNetwork.of(model), method, retraction, h)
-    node = Node(torch.tensor(q[:, :places]), torch.tensor(turn_matrices(q[:, -4:])),
-                torch.tensor(p))
+    node = BodyState(torch.tensor(q[:, :places]), torch.tensor(turn_matrices(q[:, -4:])),
+                     torch.tensor(p))
     for _ in range(3):
         node = step(node, u)
     R = turn_matrices(simulation.q[None, -4:])
@@ -90,7 +91,7 @@ def test_torch_step_has_the_derivatives_of_its_solution():
     def end(change: float) -> torch.Tensor:
         with torch.no_grad():
             bias.add_(change)
-        node = LieSteps(network, 'lie_leapfrog', 'exponential', 0.2)(Node(x, R, p), u)
+        node = LieSteps(network, 'lie_leapfrog', 'exponential', 0.2)(BodyState(x, R, p), u)
         with torch.no_grad():
             bias.sub_(change)
         return node.p.sum() + node.x.sum() + node.R.sum()

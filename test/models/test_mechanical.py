@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from helpers import random_checkpoint
+from helpers import long, random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -93,8 +93,8 @@ def test_card_refuses_features_that_make_no_sense(changes: dict):
 
 
 @pytest.mark.parametrize('shape, method, bound', [
-    ('arm', 'generalized_leapfrog', 1e-4), ('arm', 'implicit_midpoint', 1e-4),
-    ('arm', 'gauss4', 1e-8), ('worn', 'gauss4', 1e-8)])
+    ('arm', 'generalized_leapfrog', 1e-4), long('arm', 'implicit_midpoint', 1e-4),
+    long('arm', 'gauss4', 1e-8), ('worn', 'gauss4', 1e-8)])
 def test_energy_balance_closes_with_learned_friction_and_commands(tmp_path, shape, method, bound):
     model = saved(tmp_path, shape)
     hamiltonian = FAMILIES['mechanical'].hamiltonian(load_checkpoint(model))

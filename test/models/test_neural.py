@@ -160,7 +160,7 @@ def test_rounding_is_measured_whatever_the_slope_and_the_unit():
 
 def test_relu_network_is_not_smooth_and_says_so_once():
     hamiltonian = random_hamiltonian('relu', [2, 8, 1], seed=1)
-    with pytest.warns(UserWarning, match='gradient of H jumps') as caught:
+    with pytest.warns(UserWarning, match='gradient of H is discontinuous') as caught:
         Simulation(hamiltonian, INTEGRATORS['variational_euler'](), 0.01, [0.3], [0.1])
     assert len(caught) == 1
     for activation in ('tanh', 'sine', 'softplus'):

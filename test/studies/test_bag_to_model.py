@@ -59,7 +59,7 @@ def test_study_refuses_a_bag_of_another_length(short):
 
 
 def test_committed_page_keeps_the_promises():
-    page = (Path(__file__).parents[2] / 'docs' / study.PAGE).read_text()
+    page = (Path(__file__).parents[2] / 'docs' / 'evidence' / study.PAGE).read_text()
     rows = [line.split('|') for line in page.split('\n') if line.endswith('% |')]
     assert len(rows) == study.STARTS + 1
     for _, _, path_error, band, _ in rows:

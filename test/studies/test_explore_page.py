@@ -14,7 +14,7 @@ import pytest
 from studies import explore_page
 from studies.results import read_rows
 
-DOCS = Path(__file__).parents[2] / 'docs' / 'accuracy'
+DOCS = Path(__file__).parents[2] / 'docs' / 'evidence' / 'accuracy'
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 OPTIONS = ('--headless=new', '--no-sandbox', '--disable-dev-shm-usage', '--no-first-run',

@@ -13,6 +13,7 @@ from studies import machine_tables, published_tables, simulated_arm
 from studies.machine_tables import (
     CASES, DEFAULT, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY,
     rows_of, RUNS, valid_times, WITH_PRIOR)
+from studies.published_page import machine_rows
 
 
 FREE = 'real free double pendulum'
@@ -86,6 +87,18 @@ def test_goal_is_met_by_the_mean_of_every_coordinate():
             'x', case, {model: [values] for model in (NETWORKS, WITH_PRIOR, RIGID_BODY, PLAIN)})
                   if (row['measure'], row['model']) == (measure, NETWORKS))
         assert row['met'] is met and row['ours'] == ours
+
+
+def test_row_of_a_measure_shows_all_models_and_misses_of_targets_in_bold(tmp_path):
+    case = CASES[FREE]
+    results = {model: [dict.fromkeys(case.references, [0.001 * k] * 2)] for k, model in enumerate(
+        (DEFAULT, NETWORKS, WITH_PRIOR, RIGID_BODY, PLAIN), 2)}
+    (tmp_path / 'machines.json').write_text(json.dumps([*rows_of('x', case, results)]))
+    first, *others = machine_rows(tmp_path / 'machines.json')
+    assert first == ['x', 'RMS error [rad] over 0.5 s, validation', '0.0038, 0.0045',
+                     '0.002, 0.002', '0.003, 0.003', '**0.004, 0.004**', '0.005, 0.005',
+                     '0.006, 0.006']
+    assert len(others) == 2
 
 
 def test_tables_that_were_stopped_go_on_where_they_were(tmp_path, monkeypatch):

@@ -3,9 +3,11 @@
 """Studies as a whole: how they are run and fail, and their committed pages and figures."""
 
 from importlib import import_module
+import json
 from pathlib import Path
 import sys
 
+from benchmarks import campaign
 from messages import assert_message
 import numpy as np
 from PIL import Image
@@ -18,7 +20,7 @@ from studies.accuracy_page import as_page, FOLDER, PAGE, scene_page
 from studies.explore_page import read_cards, rows_of
 from studies.results import Results
 
-DOCS = ROOT / 'docs'
+DOCS = ROOT / 'docs' / 'evidence'
 
 
 def test_studies_are_listed_with_what_they_do(capsys):
@@ -75,17 +77,25 @@ def page_on_learning() -> dict[Path, str]:
 
 def page_on_turning_bodies() -> dict[Path, str]:
     # Written by hand around the part that is measured.
-    before, _, rest = (DOCS / turning_costs.PAGE).read_text().partition(turning_costs.BEGIN)
+    path = DOCS.parent / turning_costs.PAGE
+    before, _, rest = path.read_text().partition(turning_costs.BEGIN)
     after = rest.partition(turning_costs.END)[2]
     part = turning_costs.page_part(DOCS / FOLDER)
-    return {DOCS / turning_costs.PAGE:
-            f'{before}{turning_costs.BEGIN}\n\n{part}\n{turning_costs.END}{after}'}
+    return {path: f'{before}{turning_costs.BEGIN}\n\n{part}\n{turning_costs.END}{after}'}
+
+
+def page_on_the_automatic_choice() -> dict[Path, str]:
+    rows = json.loads((DOCS / 'automatic-choice.json').read_text(encoding='utf-8'))
+    return {DOCS / 'automatic-choice.md': campaign.page([campaign.Row(**row) for row in rows])}
 
 
 PAGES = {
     'accuracy': pages_on_accuracy, 'learning': page_on_learning,
+    'automatic choice': page_on_the_automatic_choice,
     'hard cases': lambda: {
-        DOCS / hard_cases_report.PAGE: hard_cases_report.page_of(DOCS)},
+        DOCS / hard_cases_report.PAGE: hard_cases_report.page_of(DOCS),
+        DOCS / hard_cases_report.PICTURES / hard_cases_report.GRID:
+            hard_cases_report.grid_of(DOCS)},
     'bag to model': lambda: {DOCS / bag_to_model.PAGE: bag_to_model.as_page(DOCS)},
     'turning bodies': page_on_turning_bodies}
 

@@ -24,10 +24,11 @@ PEERS = all(find_spec(name) is not None for name in ('diffrax', 'mujoco'))
 @pytest.fixture
 def docs(tmp_path: Path) -> Path:
     """Return a folder of documentation with one scene's rows and the page."""
-    (tmp_path / 'accuracy').mkdir()
-    for name in ('turning-bodies.md', 'accuracy/floors.json', *(
-            f'accuracy/{path.name}' for path in (DOCS / 'accuracy').glob('*.csv'))):
-        shutil.copy(DOCS / name, tmp_path / name)
+    folder = DOCS / turning_costs.FOLDER
+    for path in (DOCS / turning_costs.PAGE, folder / 'floors.json', *folder.glob('*.csv')):
+        copy = tmp_path / path.relative_to(DOCS)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, copy)
     return tmp_path
 
 
@@ -36,16 +37,17 @@ def docs(tmp_path: Path) -> Path:
 @pytest.mark.timeout(300)
 def test_study_of_a_second_writes_the_page_and_rows_that_agree(docs: Path):
     turning_costs.main(['--docs', str(docs), '--quick'])
+    folder = docs / turning_costs.FOLDER
     for scene in ('heavy_top', 'quadrotor'):
-        rows = {row.method.partition(' ')[0]: row for row in read_rows(
-            docs / 'accuracy' / f'{scene}.csv') if row.finished}
+        rows = {row.method.partition(' ')[0]: row for row in read_rows(folder / f'{scene}.csv')
+                if row.finished}
         # Each in coordinates of its own: all of them have the same body and the same start.
         assert {'kahan_li8', 'scipy', 'diffrax', 'RK4', 'MuJoCo'} <= rows.keys()
         assert rows['kahan_li8'].path_error < 1e-9 and rows['diffrax'].path_error < 1e-7
         assert rows['RK4'].path_error < 1e-6
-        assert page_data(docs / 'accuracy')['scenes'][scene]['horizons'].keys() == {'1.0'}
-        assert (docs / 'accuracy' / f'{scene}_1s.png').stat().st_size > 1000
-    page = (docs / 'turning-bodies.md').read_text()
+        assert page_data(folder)['scenes'][scene]['horizons'].keys() == {'1.0'}
+        assert (folder / f'{scene}_1s.png').stat().st_size > 1000
+    page = (docs / turning_costs.PAGE).read_text()
     # The last table tells what is kept, of ours and of two of the peers.
     assert page.count('| `kahan_li8` |') == 3 and page.count('| MuJoCo RK4 |') == 2
     assert page.count('| RK4 on quaternions |') == 3
@@ -74,7 +76,7 @@ def test_what_a_top_keeps_is_that_of_its_attitude_whatever_the_norm():
 
 
 def test_page_without_its_marks_is_one_line(docs: Path):
-    (docs / 'turning-bodies.md').write_text('# Bodies\n')
+    (docs / turning_costs.PAGE).write_text('# Bodies\n')
     with refused(ParameterError):
         turning_costs.write(docs, {}, [])
 

@@ -398,7 +398,7 @@ def test_constraint_takes_the_solution_that_goes_to_zero_with_h():
 
 
 def test_damping_of_a_momentum_that_is_not_that_of_the_velocity_is_warned_of():
-    with pytest.warns(UserWarning, match='p is not the momentum of the velocity'):
+    with pytest.warns(UserWarning, match='not proportional to the velocity'):
         on_surface(Turning(3.0), 'sphere', 'generalized_leapfrog', 0.1, EFFECTS['damping'](0.5))
 
 
@@ -488,8 +488,8 @@ def test_constraint_that_becomes_redundant_is_named_in_the_step_where_it_does():
         HolonomicConstraint(form='plane', point=['z'], anchor=[0.0], normal=[1.0]),
         HolonomicConstraint(form='python', factory='test_constraints:narrowing')],
         p=[-1.0, 0.0, 0.0])
-    with pytest.raises(StepFailure, match='holonomic_constraint_1: it depends on the constraints '
-                                          'before it.*; leave it out'):
+    with pytest.raises(StepFailure, match='holonomic_constraint_1: it depends on earlier '
+                                          'constraints.*; remove it'):
         simulation.advance(100)
     # Where x^3 at the two ends of a step is lost beside 1: at x = 0.01, to half a step.
     assert simulation.q[0] == pytest.approx(0.01, abs=0.0051)

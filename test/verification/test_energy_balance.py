@@ -104,7 +104,7 @@ def test_energy_balance_closes_with_the_order_of_every_method_that_takes_the_eff
         measured('order of the energy balance less that of the method',
                  f'{row.name}, least of {len(shortfalls)} methods ({worst})',
                  -shortfalls[worst], '>= -0.35')
-    assert len(shortfalls) >= 3
+    assert len(shortfalls) >= (2 if row.create(tmp_path)[0].internal else 3)
     assert {name: value for name, value in shortfalls.items() if not value <= 0.35} == {}
 
 

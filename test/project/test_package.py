@@ -26,8 +26,8 @@ FLOORS = (
     'learning', 'identify', 'sweeps', 'envs', 'ros', 'commands', 'cli', '__main__', '__init__')
 # The same inside two rooms.
 INNER_FLOORS = {
-    'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'import_checkpoint', 'tasks',
-                 'train', 'evaluate'),
+    'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'graph_of_module',
+                 'export_module', 'import_model', 'tasks', 'train', 'evaluate'),
     'ros': ('worlds', 'plumbing', 'settings', 'node_parameters', 'arguments', 'recording',
             'topics', 'replay', 'run', 'rerun_bridge', 'services', 'initial_state',
             'controller_node', 'listener_node', 'launching', 'simulator_node')}
@@ -153,11 +153,21 @@ def test_every_name_that_a_room_exports_is_defined_where_it_says():
     assert not wrong, '\n'.join(wrong)
 
 
+def test_no_public_class_has_the_name_of_one_in_another_file():
+    files: dict[str, list[str]] = {}
+    for path in MODULES:
+        for node in tree(path).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith('_'):
+                files.setdefault(node.name, []).append(relative(path))
+    assert {name: where for name, where in files.items() if len(where) > 1} == {}
+
+
 def test_tests_stand_in_the_rooms_of_what_they_test():
-    folders = {path.relative_to(ROOT / 'test').parts[0] for path in TEST_FILES
-               if path.parent != ROOT / 'test'}
-    # Beside them, what is asked of all methods and effects, and the studies of docs/studies.
-    assert folders - {'verification', 'studies'} <= set(FLOORS) - {'__init__'}
+    assert {path.name for path in (ROOT / 'test').glob('*.*')} == {'code_size.py', 'conftest.py'}
+    folders = {path.relative_to(ROOT / 'test').parts[0] for path in TEST_FILES}
+    # Beside them, what is asked of all methods and effects, the studies of docs/studies, and what
+    # is asked of the repository.
+    assert folders - {'verification', 'studies', 'project'} <= set(FLOORS) - {'__init__'}
 
 
 def test_no_module_imports_itself_around_a_circle():

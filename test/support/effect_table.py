@@ -145,6 +145,14 @@ EFFECT_ROWS = [
     EffectRow('joint_friction under load', (
         ('joint_friction', {'load': {'angle': 0.5}, 'speed': 1.0}),
         ('external_force', {'coordinates': ['angle'], 'timeout': 100.0}))),
+    # As above, the motion avoids rest.
+    EffectRow('lugre_friction', (('lugre_friction', {
+        'coordinate': 'angle', 'stiffness': 6.0, 'friction': 1.0, 'stribeck': 0.5, 'speed': 1.0,
+        'damping': 0.3, 'bristle_damping': 0.2, 'bristle_damping_speed': 3.0}),),
+        p=(-2.0,), duration=0.5, order=2),
+    EffectRow('motor', (('motor', {
+        'coordinate': 'angle', 'time_constant': 0.4, 'torque_limit': 9.0, 'no_load_speed': 7.0}),
+        ('external_force', {'coordinates': ['angle'], 'timeout': 100.0})), order=2),
     EffectRow('impact', (_IMPACT,), **_FALLING),
     EffectRow('joint_limits', (('joint_limits', {
         'lower': {'angle': 0.3}, 'restitution': 0.7}),), **_FALLING),
@@ -168,12 +176,15 @@ UNKNOWN = {
     'holonomic_constraint': {'point': ['x', 'w'], 'anchor': [0.0, 0.0]},
     'impact': {'coordinate': 'w'}, 'joint_friction': {'damping': {'x': 1.0, 'w': 1.0}},
     'joint_limits': {'upper': {'w': 1.0}},
+    'lugre_friction': {'coordinate': 'w', 'stiffness': 1.0, 'friction': 1.0},
 }
 # Arguments with one number too many for two coordinates.
 TOO_LONG = {
     'damping': {'rate': [1.0, 2.0, 3.0]}, 'thermostat': {'temperature': 1.0, 'rate': [1.0] * 3},
     'learned_dissipation': {'model': 3}, 'learned_friction': {'model': 'three'},
 }
+# Refused with reference to the other effects of a scene.
+BESIDE = {'motor'}
 
 # Each effect once in compiled code, with as few compilations as possible.
 COMPILED = {
@@ -197,6 +208,11 @@ COMPILED = {
         ('thermostat', {'temperature': 0.5, 'rate': 2.0, 'seed': 1}),
         ('impact', {'coordinate': 'angle', 'position': 0.3, 'restitution': 0.7}),
         ('joint_limits', {'upper': {'angle': 1.2}, 'restitution': 1.0})]),
+    'internal variables': ('implicit_midpoint', 'henon_heiles', (), (0.3, -0.2), (0.4, 0.3), [
+        ('lugre_friction', {'coordinate': 'x', 'stiffness': 6.0, 'friction': 0.1}),
+        ('periodic_drive', {'coordinate': 'y', 'amplitude': 0.5, 'frequency': 0.7}),
+        ('motor', {'coordinate': 'y', 'time_constant': 0.3}),
+        ('external_force', {'coordinates': ['y'], 'timeout': 0.25})]),
     'rods': ('stormer_verlet', 'free_particle', (1.0, ('x', 'z', 'x2', 'z2')),
              (0.6, 0.8, 0.6, 1.8), (0.8, -0.6, 0.8, -0.6), [
                  ('gravity', {'coordinate': 'z2'}),

@@ -19,7 +19,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Integrator, OK, Point
+from hnn_vi_ros.integrators.base import Integrator, OK, PhasePoint
 from hnn_vi_ros.integrators.gauss import Gauss, in_fours, Tableau
 from hnn_vi_ros.integrators.lie.equations import LieOptions
 from hnn_vi_ros.integrators.lie.lie_gauss import LieGauss
@@ -335,8 +335,8 @@ def python_step(integrator: Integrator, hamiltonian: Hamiltonian, h: float, z: n
     """Take one uncompiled step in the arithmetic of z, shape (2 d,)."""
     d = z.size // 2
 
-    def point() -> Point:
-        return Point(*[z[:d] * 0 for _ in range(6)])
+    def point() -> PhasePoint:
+        return PhasePoint(*[z[:d] * 0 for _ in range(6)])
 
     start, end = point(), point()
     start.q[:], start.p[:] = z[:d], z[d:]
@@ -350,9 +350,9 @@ def python_step(integrator: Integrator, hamiltonian: Hamiltonian, h: float, z: n
 
 
 def plain_steps(integrator: Integrator, kernel: Kernel, h: float, q: Sequence[float],
-                p: Sequence[float], steps: int = 1) -> Point:
+                p: Sequence[float], steps: int = 1) -> PhasePoint:
     """Return the state after steps of a Python kernel; a short p is zero-padded."""
-    z, z1 = Point.empty(len(q)), Point.empty(len(q))
+    z, z1 = PhasePoint.empty(len(q)), PhasePoint.empty(len(q))
     z.q[:], z.p[:len(p)] = q, p
     memory = integrator.memory(len(q))
     kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)

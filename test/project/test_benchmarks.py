@@ -17,7 +17,7 @@ import sys
 from benchmarks.bench import GROUPS, run, write
 from benchmarks.choosing import accurate_ways, cheapest, first_good, path_run, problem_of, Way
 from benchmarks.measurement import assert_close, compare, interleave, race, Row, Settings
-from benchmarks.report import Group, measured_here, read_groups
+from benchmarks.report import as_markdown, Group, measured_here, read_groups
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.simulation.accuracy.trials import Method
 import numpy as np
@@ -33,7 +33,7 @@ IMPORTING = {
     'accuracy': (['studies/*.py'], True),
     'study': (['studies/*.py'], False),
     'hard-cases': (['studies/*.py'], False),
-    'docs': (['*.py', 'tutorials/*.ipynb'], True),
+    'docs': (['conf.py', 'tools/*.py', 'tutorials/*.ipynb'], True),
 }
 # Files of requirements of a group of make_venv that has others than one of its name.
 FILES = {'run': ['build', 'runtime', 'bags', 'rerun', 'sweep', 'jazzy']}
@@ -93,10 +93,12 @@ def test_bench_writes_the_ratios_and_says_which_rows_miss(tmp_path, capsys):
     # To the rounding of sums of some tenths of a second.
     assert abs(written[0]['ratio'] - 0.5) < 1e-12
     text = (tmp_path / 'out' / 'benchmarks.md').read_text()
-    assert '| slow | 3 s | 1 s | **3.00 s more** | 2.5 |' in text
+    assert '| slow | 3 s | 1 s | **3.00 s more** |' in text
     assert '- **slow**, 3.00 (target 2.5): It sleeps.' in text and '**half**' not in text
-    # Without a target it is in the JSON alone.
+    # Without a target it is in the JSON alone, as are comparisons with ourselves that meet theirs.
     assert '| told |' not in text
+    own = as_markdown({'effects': measured_here(rows['fake'])})
+    assert '| slow |' in own and '| half |' not in own
     assert 'left' in capsys.readouterr().out
 
 
@@ -112,24 +114,16 @@ def test_groups_that_are_measured_again_leave_the_others(tmp_path):
     assert '- gradient: there\n- many: here\n' in text
 
 
-def test_rows_of_groups_that_were_measured_before_an_interruption_are_found_again(tmp_path):
+def test_groups_that_were_measured_before_an_interruption_are_kept():
     def broken(settings: Settings) -> Iterator[Row]:
         yield from ()
         raise RuntimeError('interrupted')
 
-    row, keep = Row('row', '1', '2', 0.5, (0.4, 0.6), 1.0, 3, note='Kept.'), tmp_path / 'kept'
-    again = []
-
-    def once(settings: Settings) -> Iterator[Row]:
-        again.append(1)
-        yield row
-
-    groups = {'once': (once, 1.0), 'broken': (broken, 1.0)}
+    row, kept = Row('row', '1', '2', 0.5, (0.4, 0.6), 1.0, 3), []
     with pytest.raises(RuntimeError, match='interrupted'):
-        run(groups, 1, quick=False, keep=keep)
-    assert run({'once': (once, 1.0)}, 1, quick=False, keep=keep) == {'once': [row]}
-    assert again == [1]
-    assert [*read_groups(keep)] == ['once']
+        run({'once': (lambda settings: iter([row]), 1.0), 'broken': (broken, 1.0)}, 1, True,
+            lambda *group: kept.append(group))
+    assert kept == [('once', [row])]
 
 
 def test_ratio_is_the_median_of_those_of_each_turn():
@@ -261,7 +255,7 @@ def names_in(path: Path, nested: bool) -> frozenset[str]:
 def files_of(module: str) -> list[Path]:
     """Return the files of a module of ours, none of one of others."""
     place = module.replace('.', '/')
-    return [root / file for root in (DOCS, ROOT)
+    return [root / file for root in (DOCS, DOCS / 'tools', ROOT)
             for file in (f'{place}.py', f'{place}/__init__.py') if (root / file).is_file()]
 
 

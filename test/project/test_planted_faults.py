@@ -13,7 +13,7 @@ import hnn_vi_ros
 from hnn_vi_ros.files.resources import share_folder
 import pytest
 
-PACKAGE, TESTS = Path(hnn_vi_ros.__file__).parent, Path(__file__).resolve().parent
+PACKAGE, TESTS = Path(hnn_vi_ros.__file__).parent, Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ FAULTS = [
           (('_mix(np.uint64(seed) + _GOLDEN)', '_mix(_GOLDEN)'),),
           'simulation/test_system.py', 'noise_is_that_of_its_seed'),
     Fault("energy guard's threshold ten times too high", 'simulation/guards/bands.py',
-          (('_JUMP = 10.0', '_JUMP = 100.0'),),
+          (('_JUMP_RATIO = 10.0', '_JUMP_RATIO = 100.0'),),
           'simulation/guards/test_guards.py', 'says_at_once_that_the_energy_jumps'),
     Fault('checksum of chunks not compared', 'recording/bags/mcap_file.py',
           ((' and head.crc in (0, zlib.crc32(data))', ''),),
@@ -112,16 +112,15 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, ignored = tmp_path_factory.mktemp('project'), shutil.ignore_patterns('__pycache__')
     shutil.copytree(PACKAGE, folder / 'hnn_vi_ros', ignore=ignored)
     shutil.copytree(TESTS, folder / 'test', ignore=ignored)
-    for link, target in (('config', share_folder() / 'config'), ('docs', TESTS.parent / 'docs'),
-                         ('resource', share_folder() / 'resource')):
-        (folder / link).symlink_to(target)
+    for target in (*(share_folder() / name for name in ('config', 'resource')),
+                   *(TESTS.parent / name for name in ('docs', 'setup.cfg'))):
+        (folder / target.name).symlink_to(target)
     return folder
 
 
 def run_tests(project: Path, kernels: Path, faults: list[Fault]) -> subprocess.CompletedProcess:
     """Run the tests of `make test` that must find some faults, with new compiled code."""
-    path = os.pathsep.join(
-        [str(project), str(project / 'test'), os.environ.get('PYTHONPATH', '')])
+    path = os.pathsep.join([str(project), os.environ.get('PYTHONPATH', '')])
     return subprocess.run(
         [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider', '-m', 'not long',
          '-k', ' or '.join(f'({Path(fault.test).name} and {fault.chosen})' for fault in faults),

@@ -33,14 +33,14 @@ def test_checkout_of_another_user_is_told_as_such():
         finally:
             os.chmod(folder, 0o755)
     assert (result.returncode, result.stdout) == (1, '')
-    assert result.stderr == (f"error: '{folder}' cannot be written by this user; clone the "
-                             'repository into a folder of yours\n')
+    assert result.stderr == (f"error: '{folder}' is not writable for this user; clone the "
+                             'repository into a writable folder\n')
 
 
 @pytest.mark.parametrize('environment, words', [
     ({'ROS': 'humble'}, 'there are no wheels of ROS=humble; choose jazzy or kilted, or source '),
-    ({'ROS_DISTRO': 'humble'}, 'needs ROS 2 Jazzy or newer, and ROS 2 humble is sourced; use a '),
-    ({'ROS_DISTRO': 'kilted', 'ROS': 'jazzy'}, 'ROS=jazzy was asked for, and ROS 2 kilted is s'),
+    ({'ROS_DISTRO': 'humble'}, 'needs ROS 2 Jazzy or newer, but ROS 2 humble is sourced; use a '),
+    ({'ROS_DISTRO': 'kilted', 'ROS': 'jazzy'}, 'ROS=jazzy was requested, but ROS 2 kilted is so'),
     ({'ROS_DISTRO': 'lyrical', 'PYTHON': '/usr/bin/python3'}, 'ROS 2 lyrical is sourced but '),
 ])
 def test_ros_that_cannot_be_had_is_one_line(tmp_path, environment, words):
@@ -154,7 +154,7 @@ def test_word_that_is_none_of_the_script_is_refused_in_one_line(built):
     run = subprocess.run([built / 'requirements' / 'build_package', 'scene'],
                          capture_output=True, text=True, check=False)
     assert (run.returncode, run.stdout) == (2, '')
-    assert run.stderr == "error: build_package takes 'scenes' or nothing, not 'scene'\n"
+    assert run.stderr == "error: build_package accepts 'scenes' or no argument, not 'scene'\n"
 
 
 # Each target of the Makefile, from a fresh clone with an empty environment.

@@ -5,9 +5,10 @@
 from pathlib import Path
 import re
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / 'config' / 'robots').glob('*.urdf'))
 
 # All features of a URDF: a branch, revolute and prismatic joints with arbitrary axes, fixed links,
@@ -71,6 +72,51 @@ def with_quaternions(text: str, version: str = '1.2') -> str:
 
     return re.sub('rpy="([^"]*)"', turned, text).replace(
         '<robot ', f'<robot version="{version}" ', 1)
+
+
+def mimic_tree(rng: np.random.Generator, count: int, free: int
+               ) -> tuple[str, np.ndarray, np.ndarray]:
+    """
+    Return a random tree of joints j0, j1, ... that follow some of them, and G and c.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Source of the tree.
+    count, free : int
+        Number of joints, and of those that follow none, which are the first columns of G in the
+        order of their names.
+
+    """
+    order = rng.permutation(count)
+    leaders = sorted(order[:free])
+    G, c, mimics = np.zeros((count, free)), np.zeros(count), [''] * count
+    G[leaders, range(free)] = 1.0
+    for place in range(free, count):
+        # Any joint before it in the order: chains, and leaders further from the base.
+        joint, leader = order[place], rng.choice(order[:place])
+        factor, offset = rng.uniform(0.4, 1.6) * rng.choice([-1.0, 1.0]), rng.uniform(-0.5, 0.5)
+        G[joint], c[joint] = factor * G[leader], factor * c[leader] + offset
+        mimics[joint] = f'<mimic joint="j{leader}" multiplier="{factor}" offset="{offset}"/>'
+    parts = ['<robot name="followers"><link name="l0"/>']
+
+    def words(*values: float) -> str:
+        return ' '.join(map(repr, map(float, values)))
+    for i in range(count):
+        spread = rng.normal(size=(3, 3)) * 0.1
+        moments = np.trace(spread @ spread.T) * np.eye(3) - spread @ spread.T
+        inertia = ' '.join(f'i{"xyz"[a]}{"xyz"[b]}="{float(moments[a, b])!r}"'
+                           for a in range(3) for b in range(a, 3))
+        parts.append(
+            f'<joint name="j{i}" type="{rng.choice(["revolute", "continuous", "prismatic"])}">'
+            f'<parent link="l{rng.integers(max(0, i - 2), i + 1)}"/><child link="l{i + 1}"/>'
+            f'<origin xyz="{words(*rng.normal(size=3) * 0.3)}" '
+            f'rpy="{words(*rng.normal(size=3))}"/>'
+            f'<axis xyz="{words(*rng.normal(size=3))}"/>{mimics[i]}'
+            '<limit lower="-9" upper="9" velocity="1" effort="1"/></joint>'
+            f'<link name="l{i + 1}"><inertial><origin xyz="{words(*rng.normal(size=3) * 0.2)}"/>'
+            f'<mass value="{rng.uniform(0.3, 2.0)!r}"/><inertia {inertia}/></inertial></link>')
+    return ''.join([*parts, '</robot>']), G, c
 
 
 def chain(masses: list[float], lengths: list[float]) -> str:

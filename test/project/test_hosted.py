@@ -50,7 +50,7 @@ def test_package_is_built_on_each_distribution_that_is_taken():
 def test_hooks_before_a_commit_are_linters_of_the_tests():
     (repository,) = yaml.safe_load((ROOT / '.pre-commit-config.yaml').read_text())['repos']
     hooks = {hook['id'] for hook in repository['hooks']}
-    linters = (ROOT / 'test' / 'test_linters.py').read_text()
+    linters = (ROOT / 'test' / 'project' / 'test_linters.py').read_text()
     assert all(f'satisfy_{hook}(' in linters for hook in hooks)
     assert all({'name', 'entry', 'language'} <= set(hook) for hook in repository['hooks'])
 

@@ -5,6 +5,7 @@
 from importlib import import_module
 import json
 import re
+from textwrap import dedent
 from types import ModuleType
 
 import hnn_vi_ros
@@ -17,13 +18,13 @@ from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.outputs import OUTPUTS
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS
 import pytest
+import redirects
 import sources
 from sources import MODULES, ROOT
 
 DOCS = ROOT / 'docs'
-FOLDERS = ('tutorials', 'how-to', 'concepts', 'reference', 'accuracy')
-OWN = sorted(path for folder in FOLDERS
-             for path in (DOCS / folder).glob('*.md'))
+FOLDERS = ('tutorials', 'how-to', 'reference', 'concepts', 'evidence')
+OWN = sorted(path for folder in FOLDERS for path in (DOCS / folder).rglob('*.md'))
 NOTEBOOKS = sorted(DOCS.glob('tutorials/*.ipynb'))
 PAGES = [ROOT / 'README.md', *sorted(DOCS.glob('*.md')), *OWN, *NOTEBOOKS]
 # What `make docs` has built, if it has.
@@ -43,6 +44,20 @@ def generate() -> ModuleType:
     return import_module('generate')
 
 
+def test_root_of_the_site_has_only_the_first_pages():
+    assert {path.name for path in DOCS.iterdir() if path.is_file()} == {
+        'conf.py', 'index.md', 'install.md', 'live.md'}
+
+
+def test_earlier_addresses_of_pages_open_the_present_ones(tmp_path):
+    redirects.write(tmp_path)
+    for page, moved in redirects.MOVED.items():
+        assert (DOCS / f'{moved}.md').is_file() and not (DOCS / f'{page}.md').exists()
+        path = tmp_path / f'{page}.html'
+        (url,) = re.findall(r'http-equiv="refresh" content="0; url=(.*?)"', path.read_text())
+        assert (path.parent / url).resolve() == tmp_path / f'{moved}.html'
+
+
 def test_pages_are_short_and_their_links_lead_to_files():
     wrong = []
     for page in PAGES:
@@ -53,6 +68,19 @@ def test_pages_are_short_and_their_links_lead_to_files():
         if len(words.splitlines()) > (150 if page.name == 'README.md' else 400):
             wrong.append(f'{page} is too long')
     assert not wrong, '\n'.join(wrong)
+
+
+def test_excerpts_of_how_it_works_are_in_the_files_that_they_name():
+    excerpts = sources.blocks(DOCS / 'concepts/how-it-works.md', 'python')
+    assert len(excerpts) >= 8
+    for excerpt in excerpts:
+        first, _, code = excerpt.partition('\n')
+        lines, here = sources.text(ROOT / first.removeprefix('# ')).splitlines(), 0
+        for part in re.split(r'^ *\.\.\.\n', code, flags=re.MULTILINE):
+            count, wanted = len(part.splitlines()), dedent(part).strip('\n')
+            here = next((i + count for i in range(here, len(lines)) if wanted == dedent(
+                '\n'.join(lines[i:i + count])).strip('\n')), len(lines) + 1)
+            assert here <= len(lines), f'{first} has no lines in this order:\n{part}'
 
 
 def test_notebooks_are_committed_without_what_a_run_leaves():
@@ -92,7 +120,7 @@ def test_every_error_and_alarm_has_a_remedy_on_the_page_on_troubleshooting(gener
     wrong += [guard.__name__ for guard in generate.guards()
               if not guard.remedy or guard.kind not in alarms or guard.kind not in explained]
     assert not wrong, wrong
-    page = text('troubleshooting.md')
+    page = text('how-to/troubleshooting.md')
     for words in ('generated/errors.part.md', 'generated/alarms.part.md', STEP_FAILED):
         assert words in page
     defined = {name for path in MODULES for name in re.findall(

@@ -31,6 +31,10 @@ PRIVATE = {
         '_linking_libraries', '_loopvect', '_module_pass_manager', '_open_for_write',
         '_opt_level', '_py_func', '_raise_if_finalized', '_reload_init', '_set_uuid',
         '_source_stamp', 'numba._dynfunc'}),
+    'learning/graph_of_module.py': ('torch', {
+        '_adaptive_avg_pool2d', '_native_batch_norm_legit',
+        '_native_batch_norm_legit_no_training', '_overloadpacket', '_pytree',
+        'torch._decomp.core_aten_decompositions', 'torch._decomp.get_decompositions'}),
     'ros/plumbing/rclpy_internals.py': ('rclpy', {
         '_service_change_state', '_state_machine',
         'rclpy.impl.implementation_singleton.rclpy_implementation',

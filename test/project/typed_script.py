@@ -12,6 +12,9 @@ own: Scene = Scene.build(hamiltonian='pendulum', integrator={'kind': 'gauss4'}, 
                          initial_state=(np.array([1.0]), [0.0]))
 run: Trajectory = simulate(own, duration=1.0, initial_state=(np.array([0.5]), [0.0]),
                            times=np.linspace(0.0, 1.0, 5))
+run = simulate(lambda q, p: p**2 / 2 + q**4, 1.0, 0.0, duration=1.0, step_size=0.1)
+state: tuple[np.ndarray, np.ndarray] = run[:5](0.05)
+Trajectory.load(Path('run.safetensors')).to_csv('run.csv')
 run = simulate('quadrotor', 1.0, commands=np.zeros((100, 4)))
 run = simulate(scene, 1.0, commands=lambda t: [t])
 many: Trajectory = simulate_many(scene, q=[[0.1], [0.2]], p=np.zeros((2, 1)), duration=1.0)

@@ -22,7 +22,7 @@ from hnn_vi_ros.files.yaml_file import in_plain_words
 from pydantic import ValidationError
 import pytest
 
-TESTS = Path(__file__).resolve().parent
+TESTS = Path(__file__).resolve().parents[1]
 TABLE = 'messages.txt'
 # Set by --messages: folder in which each process records the messages it has seen.
 RECORD = 'HNN_VI_ROS_MESSAGES'

@@ -54,7 +54,7 @@ assert not {TRAINING!r} & {{*sys.modules}}
 def test_run_is_simulated_and_drawn_without_what_a_recording_takes(tmp_path):
     # matplotlib takes pillow itself.
     assert_done(f"""
-for module in ('commands.cost', 'envs', 'identify.identify', 'learning.import_checkpoint',
+for module in ('commands.cost', 'envs', 'identify.identify', 'learning.import_model',
                'ros.controller_node', 'run.companions.members', 'torch'):
     import_module(f'hnn_vi_ros.{{module}}')
 {SIMULATED}

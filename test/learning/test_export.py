@@ -1,0 +1,374 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Torch modules exported as graphs: against torch, and refusals of what is no function H(q, p)."""
+
+from itertools import pairwise
+import math
+import subprocess
+import sys
+
+from hnn_vi_ros import export, load_scene, simulate, simulate_many
+from hnn_vi_ros.errors import ModelError, UnsupportedSystem
+from hnn_vi_ros.models import load_learned
+from hnn_vi_ros.torch import DifferentiableSimulation
+from messages import refused
+import numpy as np
+import pytest
+import torch
+from torch import nn
+from torch.nn import functional
+
+BOX = {d: {'q': d * [(-2, 2)], 'p': d * [(-2, 2)]} for d in (1, 2)}
+
+
+class Written(nn.Module):
+    """A module whose forward is a function."""
+
+    def __init__(self, function, *parts):
+        super().__init__()
+        self.parts, self.function = nn.ModuleList(parts), function
+
+    def forward(self, x):
+        return self.function(x, *self.parts)
+
+
+def residual(x, first, second, last):
+    x = functional.softplus(first(x))
+    return last(x + functional.softplus(second(x)))
+
+
+def attention(x, embed, query, key, value, last):
+    h = embed(torch.stack(x.chunk(2, -1), -1))
+    weights = torch.softmax(query(h) @ key(h).transpose(1, 2) / 2.0, -1)
+    return last(torch.tanh(h + weights @ value(h))).sum((1, 2))
+
+
+def pairs(x, net):
+    q, p = x[:, :6].reshape(-1, 3, 2), x[:, 6:]
+    i, j = torch.triu_indices(3, 3, 1)
+    r = ((q[:, i] - q[:, j])**2).sum(-1, keepdim=True)
+    return 0.5 * (p**2).sum(-1) + net(torch.sqrt(r + 0.1)).sum((1, 2))
+
+
+def mass_matrix(x, net):
+    q, p = x[:, :2], x[:, 2:]
+    entries, factor = net(q), x.new_zeros(len(x), 2, 2)
+    factor[:, 0, 0], factor[:, 1, 1] = entries[:, 0].exp(), entries[:, 1].exp()
+    factor[:, 1, 0] = entries[:, 2]
+    return 0.5 * ((factor.transpose(1, 2) @ p[..., None])**2).sum((1, 2)) + q.cos().sum(-1)
+
+
+def experts(x, gate, *nets):
+    return (torch.softmax(gate(x), -1) * torch.cat([net(x) for net in nets], -1)).sum(-1)
+
+
+def net(*widths, activation=nn.Tanh):
+    layers = [part for a, b in pairwise(widths)
+              for part in (nn.Linear(a, b), activation())]
+    return nn.Sequential(*layers[:-1])
+
+
+MODULES = {
+    'residual softplus': (1, lambda: Written(
+        residual, nn.Linear(2, 9), nn.Linear(9, 9), nn.Linear(9, 1))),
+    'layer norm and gelu': (2, lambda: nn.Sequential(
+        nn.Linear(4, 9), nn.LayerNorm(9), nn.GELU(), nn.Linear(9, 1))),
+    'dropout and batch norm': (1, lambda: nn.Sequential(
+        nn.Linear(2, 9), nn.Dropout(0.3), nn.BatchNorm1d(9), nn.SiLU(), nn.Linear(9, 1))),
+    'attention': (3, lambda: Written(
+        attention, nn.Linear(2, 4), *(nn.Linear(4, 4) for _ in range(3)), nn.Linear(4, 1))),
+    'sum over pairs': (6, lambda: Written(pairs, net(1, 8, 1))),
+    'mass matrix': (2, lambda: Written(mass_matrix, net(2, 8, 3))),
+    'mixture': (1, lambda: Written(experts, nn.Linear(2, 2), net(2, 8, 1), net(2, 8, 1))),
+    'relu': (1, lambda: net(2, 9, 9, 1, activation=nn.ReLU)),
+    'mean over bodies': (3, lambda: Written(lambda x, inner, outer: outer(
+        inner(torch.stack(x.chunk(2, -1), -1)).mean(1)), net(2, 8, 8), net(8, 8, 1))),
+    'norm of order 3': (2, lambda: Written(
+        lambda x: torch.linalg.vector_norm(x + 3.0, ord=3, dim=-1))),
+    'convex in its input': (1, lambda: Written(lambda x, first, second: functional.linear(
+        functional.softplus(first(x)), second.weight.exp()), nn.Linear(2, 9), nn.Linear(9, 1))),
+}
+
+
+def assigned(x):
+    y = x.new_zeros(len(x), 3)
+    y[:, 0], y[:, 1], y[:, 2] = torch.tensor(5), x[:, 0], 3
+    return (y**2).sum(-1) + x[:, 1]**2
+
+
+# Of the twelve that a user may bring; see also those above.
+MODULES |= {
+    'Fourier features': (1, lambda: Written(lambda x, net: net(torch.cat(
+        [f(x * 2.0**k) for k in range(4) for f in (torch.sin, torch.cos)], -1)), net(16, 8, 1))),
+    'sine network': (1, lambda: Written(lambda x, first, second, last: last(
+        torch.sin(30.0 * second(torch.sin(30.0 * first(x))))), nn.Linear(2, 9),
+        nn.Linear(9, 9), nn.Linear(9, 1))),
+    'invariant to rotations': (3, lambda: Written(lambda x, net: net(torch.stack(
+        [(x[:, :3]**2).sum(-1), (x[:, 3:]**2).sum(-1), (x[:, :3] * x[:, 3:]).sum(-1)], -1)),
+        net(3, 8, 1))),
+}
+MODULES |= {name: (1, lambda f=f: Written(f)) for name, f in {
+    'scattered numbers': lambda x: (x.scatter(
+        1, torch.zeros(len(x), 1, dtype=int), 1.5)**2 * x**2).sum(-1),
+    'integers joined': lambda x: torch.cat([x, torch.tensor([[3, 7]]).expand(len(x), 2)], 1
+                                           ).prod(-1),
+    'assigned numbers': assigned,
+    'filled by a mask': lambda x: (x.masked_fill(x > 0.3, 0.5)**2 + x).sum(-1),
+    'clamped': lambda x: torch.clamp(x, -0.5, 0.5).sum(-1) + functional.relu6(x).prod(-1),
+    'truth values': lambda x: torch.logical_and(x[:, 0], x[:, 1]).to(x.dtype) * x.prod(-1),
+    'exponential units': lambda x: functional.elu(600.0 * x).prod(-1),
+    'logarithm of sigmoid': lambda x: functional.logsigmoid(x).sum(-1),
+    'soft plus with a threshold': lambda x: functional.softplus(x, 3.0, 5.0).sum(-1),
+    'in place': lambda x: x.mul(2.0).sigmoid_().sum(-1),
+    'lower triangle': lambda x: torch.tril(x[:, :, None] * x[:, None]).sum((1, 2)),
+    'thresholds': lambda x: functional.hardshrink(x).prod(-1),
+    'zeros like constants': lambda x: x.prod(-1) + torch.zeros_like(torch.ones(2)).sum(),
+    'loss to nothing': lambda x: functional.huber_loss(
+        x, torch.zeros_like(x), reduction='none').sum(-1),
+}.items()}
+KERNEL = torch.linspace(-1.0, 1.0, 6, dtype=torch.float64).reshape(2, 1, 3)
+
+
+def changed_in_place(x):
+    x += 1.0
+    x[:, 0] = 2.0 * x[:, 1]
+    y = torch.empty(len(x), 4, dtype=x.dtype)
+    y[:, :2].copy_(x[:, 2:])
+    y[:, 2:] = x[:, :2]
+    y.clamp_(-1.5, 1.5).sub_(0.5)
+    y[:, 1:].mul_(2.0)
+    first = y[:, 0]
+    y[:, 1] += x[:, 3]
+    first.add_(1.0)
+    return (y**3).sum(-1)
+
+
+def derivative_inside(x):
+    q = x[:, :2].clone().requires_grad_(True) if not x.requires_grad else x[:, :2]
+    force, = torch.autograd.grad((q**4).sum(), q, create_graph=True)
+    return (force * x[:, 2:]).sum(-1)
+
+
+def slow_derivative_inside(x):
+    return torch.func.vmap(torch.func.grad(lambda z: (z**3).prod()))(x).sum(-1)
+
+
+MODULES |= {name: (2, lambda f=f: Written(f)) for name, f in {
+    'convolutions': lambda x: functional.conv2d(
+        functional.conv1d(x[:, None], KERNEL, KERNEL[:, 0, 0], padding=1)[:, None],
+        KERNEL.reshape(1, 1, 2, 3), stride=(1, 2), padding=(0, 2),
+        dilation=(1, 2)).square().sum((1, 2, 3)),
+    'convolution of groups': lambda x: functional.conv1d(
+        x.reshape(-1, 2, 2), KERNEL.repeat(2, 1, 1)[:, :, :2], groups=2).prod(1).sum(-1),
+    'ring': lambda x: functional.pad(x[:, None], (1, 2), mode='circular').prod(-1).sum(-1),
+    'padded': lambda x: functional.pad(x, (1, -1), value=2.0).prod(-1),
+    'pools': lambda x: functional.avg_pool1d(x[:, None], 2).prod(-1).sum(
+        -1) + functional.max_pool1d(x[:, None], 3, 1, 1).square().sum((1, 2)),
+    'scattered sums': lambda x: x.new_zeros(len(x), 2).scatter_add(
+        1, torch.tensor([[0, 1, 0, 1]]).expand(len(x), 4), x).prod(-1),
+    'largest and smallest': lambda x: x.max(1).values * x.min(1, keepdim=True)[0][:, 0],
+    'sorted': lambda x: x.sort(1).values @ torch.arange(4.0, dtype=x.dtype)
+    + x.topk(2).values.prod(-1),
+    'running products': lambda x: x.cumprod(1).sum(-1),
+    'inverse hyperbolic functions': lambda x: (x**2 + 1.01).acosh().prod(-1)
+    + (0.4 * x).atanh().prod(-1) + x.erfc().prod(-1),
+    'rounded': lambda x: (x.trunc() * x).sum(-1) + torch.fmod(x, 0.7).prod(-1)
+    + (torch.div(x, 0.3, rounding_mode='floor') * x).sum(-1),
+    'entropy': lambda x: torch.xlogy(x.relu(), x.exp() + 1.0).prod(-1),
+    'norms of other orders': lambda x: torch.linalg.vector_norm(x, -math.inf, -1)
+    * torch.linalg.vector_norm(x, 0, -1) * torch.linalg.vector_norm(x[:, :1], 2, -1),
+    'changed in place': changed_in_place,
+    'derivative inside': derivative_inside,
+    'derivative of a function inside': slow_derivative_inside,
+}.items()}
+MODULES['scripted'] = (1, lambda: torch.jit.script(net(2, 8, 1)))
+
+
+LARGE = 'a million weights'
+MODULES[LARGE] = (2, lambda: net(4, 1000, 1000, 1))
+
+
+@pytest.mark.parametrize('name', [
+    pytest.param(name, marks=[pytest.mark.long] * (name == LARGE)) for name in MODULES])
+def test_exported_module_is_that_of_torch(name, tmp_path):
+    d, make = MODULES[name]
+    torch.manual_seed(0)
+    module = make()
+    path = tmp_path / 'model.safetensors'
+    box = d * [(-2.0, 2.0)]
+    export(module, path, [f'q{k}' for k in range(d)], {'q': box, 'p': box})
+    own, module = load_learned(path), module.double().eval()
+    rng = np.random.default_rng(1)
+    (q, p), v = rng.uniform(-2.0, 2.0, (2, 7, d)), rng.normal(size=(7, 2 * d))
+    x = torch.tensor(np.hstack([q, p]), requires_grad=True)
+    values = module(x.clone()).reshape(-1)
+    (slopes,) = torch.autograd.grad(values.sum(), x, create_graph=True)
+    (product,) = torch.autograd.grad((slopes * torch.tensor(v)).sum(), x)
+    for found, expected in (
+            (own.energy(q, p), values), (np.hstack(own.gradient(q, p)), slopes),
+            (np.hstack(own.hessian_vector(q, p, v[:, :d], v[:, d:])), product)):
+        expected = expected.detach().numpy()
+        assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+def test_exported_module_is_loaded_without_torch(tmp_path):
+    path = tmp_path / 'model.safetensors'
+    export(net(2, 8, 1), path, ['x'], BOX[1])
+    code = ('import sys; from hnn_vi_ros.models import load_learned; import numpy as np; '
+            f'h = load_learned({str(path)!r}); h.gradient(np.zeros((1, 1)), np.ones((1, 1))); '
+            'print("torch" in sys.modules)')
+    found = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                           check=True)
+    assert found.stdout == 'False\n'
+
+
+def test_separable_module_is_found_to_be_separable(tmp_path):
+    kinetic, potential = net(1, 8, 1), net(1, 8, 1)
+    for name, function in (('sum', lambda x, t, v: t(x[:, 1:]) + v(x[:, :1])),
+                           ('product', lambda x, t, v: t(x[:, 1:]) * v(x[:, :1]))):
+        path = tmp_path / f'{name}.safetensors'
+        export(Written(function, kinetic, potential), path, ['x'], BOX[1])
+        assert load_learned(path).separable == (name == 'sum')
+
+
+def test_training_mode_and_single_precision_are_said(tmp_path):
+    remarks = export(nn.Sequential(nn.Linear(2, 8), nn.Dropout(0.5), nn.Linear(8, 1)),
+                     tmp_path / 'model.safetensors', ['x'], BOX[1])
+    assert ['eval()' in remark for remark in remarks] == [True, False]
+    assert 'float32' in remarks[1]
+
+
+def test_norms_have_the_slope_0_at_0(tmp_path):
+    path = tmp_path / 'model.safetensors'
+    export(Written(lambda x: x.norm(dim=-1)), path, ['x'], BOX[1])
+    assert np.hstack(load_learned(path).gradient(*np.zeros((2, 1, 1)))).tolist() == [[0.0, 0.0]]
+
+
+def test_norm_of_several_values_is_smooth_and_of_one_is_not(tmp_path):
+    for columns in (1, 2):
+        path = tmp_path / f'{columns}.safetensors'
+        export(Written(lambda x, n=columns: x[:, :n].norm(dim=-1)), path, ['x'], BOX[1])
+        assert load_learned(path).smooth == (columns == 2)
+
+
+def test_distances_are_norms_of_differences(tmp_path):
+    # torch has no second derivatives of cdist and pdist, so that they are compared with norms.
+    ways = [lambda x: torch.cdist(x.reshape(-1, 2, 2), KERNEL[:, 0, :2][None]).sum((1, 2))
+            + functional.pdist(x.reshape(4, 1)).sum(),
+            lambda x: (x.reshape(-1, 2, 1, 2) - KERNEL[:, 0, :2]).norm(dim=-1).sum((1, 2))
+            + (x[:, [0, 0, 0, 1, 1, 2]] - x[:, [1, 2, 3, 2, 3, 3]]).abs().sum(-1)]
+    found = []
+    for k, way in enumerate(ways):
+        path = tmp_path / f'{k}.safetensors'
+        export(Written(way), path, ['x', 'y'], BOX[2])
+        q, p, v, w = np.random.default_rng(2).uniform(-2.0, 2.0, (4, 5, 2))
+        own = load_learned(path)
+        found.append([own.energy(q, p)[:, None], *own.gradient(q, p),
+                      *own.hessian_vector(q, p, v, w)])
+    assert np.abs(np.hstack(found[0]) - np.hstack(found[1])).max() < 1e-12
+
+
+def without(x):
+    y = x.clone()
+    y[y > 0.3] = 0.5
+    return y.sum()
+
+
+def halved(x):
+    while x.norm() > 0.5:
+        x = x / 2.0
+    return x.sum()
+
+
+def normalised():
+    layer = torch.nn.utils.weight_norm(nn.Linear(2, 1))
+    layer(torch.ones(1, 2))
+    return layer
+
+
+REFUSED = {name: function if isinstance(function, nn.Module) else Written(function)
+           for name, function in {
+    'indices by values': without,
+    'indices of the largest': lambda x: x[:, x.argmax()].sum(),
+    'places of sorted values': lambda x: (x.sort(1).indices * x).sum(),
+    'a class by values': lambda x: functional.one_hot((x[:, 0] > 0).long(), 2).sum() * x.sum(),
+    'embedding by values': lambda x: functional.embedding(
+        (x[:, 0] > 0).long(), KERNEL[:, 0]).sum(),
+    'two outputs': net(2, 8, 2),
+    'no sum over coordinates': lambda x: x**2,
+    'a tuple': lambda x: (x.sum(), x),
+    'nothing': lambda x: None,
+    'single precision inside': lambda x: x.float().sum().double(),
+    'single precision returned': lambda x: x.sum().float(),
+    'a sum in single precision': lambda x: x.sum(dtype=torch.float32).double(),
+    'random numbers': lambda x: (x * torch.rand_like(x)).sum(),
+    'a counter': lambda x, state=[0]: state.append(0) or x.sum() * len(state),
+    'a branch': lambda x: x.sum() if x[0, 0] > 0 else -x.sum(),
+    'a loop to convergence': halved,
+    'a number': lambda x: torch.tensor(float(x.detach().sum())),
+    'numpy': lambda x: torch.tensor(x.detach().numpy().sum()),
+    'a constant': lambda x: torch.ones(1, dtype=x.dtype),
+    'a detached part': lambda x: (x * x.detach()).sum(),
+    'an inverse': lambda x: torch.linalg.inv(torch.eye(2, dtype=x.dtype) + x.T @ x).sum(),
+    'rounding to decimals': lambda x: (x.round(decimals=1) * x).sum(),
+    'a transform': lambda x: torch.fft.rfft(x).abs().sum(),
+    'a transposed convolution': lambda x: functional.conv_transpose1d(
+        x[:, None], KERNEL[:1]).sum(),
+    'another width': net(3, 8, 1),
+    'two arguments': Written(lambda q, p: 0.5 * p**2),
+    'an error': lambda x: x.no_such_method(),
+    'no energy in the domain': lambda x: x.log().sum(),
+    'weights without values': nn.Linear(2, 1, device='meta'),
+    'weights of another time': normalised(),
+    'a function': nn.Identity(),
+}.items()}
+
+
+@pytest.mark.parametrize('name', REFUSED)
+@pytest.mark.filterwarnings('ignore')  # torch tells of what is old
+def test_module_that_is_no_energy_is_refused_in_a_line(name, tmp_path):
+    path = tmp_path / 'model.safetensors'
+    module = torch.sum if name == 'a function' else REFUSED[name]
+    with refused(ModelError):
+        export(module, path, ['x'], BOX[1])
+    assert not path.exists()
+
+
+@pytest.mark.parametrize('coordinates, domain', [
+    (['x', 'y'], BOX[1]), (['x', 'x'], BOX[2]), (['x'], {'q': [(-1, 1)]}), ([], BOX[1]),
+    (['x'], {'q': [(1, -1)], 'p': [(-1, 1)]}), (['x'], {'q': [1], 'p': [(-1, 1)]})])
+def test_domain_that_does_not_fit_is_refused_in_a_line(coordinates, domain, tmp_path):
+    with refused(ModelError):
+        export(net(2, 8, 1), tmp_path / 'model.safetensors', coordinates, domain)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Return the scene of an exported pendulum."""
+    path, scene = tmp_path / 'model.safetensors', tmp_path / 'scene.yaml'
+    export(Written(lambda x: 0.5 * x[:, 1]**2 - torch.cos(x[:, 0])), path, ['theta'],
+           {'q': [(-math.pi, math.pi)], 'p': [(-3, 3)]})
+    scene.write_text(f"""\
+hamiltonian: {{kind: hnn, model: {path}}}
+integrator: {{kind: gauss4}}
+step_size: 0.1
+initial_state: {{q: [1.0], p: [0.0]}}
+""")
+    return load_scene(scene)
+
+
+def test_exported_pendulum_keeps_its_energy(scene):
+    trajectory = simulate(scene, 100.0)
+    # gauss4 keeps a modified energy, which differs by O(h^4).
+    assert np.ptp(trajectory.energy) < 0.1**4
+
+
+@pytest.mark.parametrize('name', ['0.weight', 'tensor1', 'linear1.weight'])
+def test_gradients_by_weights_of_an_exported_model_are_refused_by_name(scene, name):
+    with refused(UnsupportedSystem):
+        DifferentiableSimulation(scene, [f'hamiltonian.{name}'])
+
+
+def test_device_refuses_an_exported_model_by_name(scene):
+    with refused(UnsupportedSystem):
+        simulate_many(scene, np.ones((2, 1)), np.zeros((2, 1)), duration=1.0, device='cpu')

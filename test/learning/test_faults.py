@@ -1,0 +1,62 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Samples that a sensor got wrong are found, and no others."""
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.data.faults import faults
+from messages import refused
+import numpy as np
+import pytest
+from scipy.special import ellipj, ellipk
+
+RATES = 20, 100, 500  # [Hz], of a motion of 0.5 Hz
+
+
+def swing(rate: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return times and an undamped pendulum of amplitude 1 rad, with white noise."""
+    t = np.arange(20 * rate) / rate
+    k = np.sin(0.5)
+    q = 2.0 * np.arcsin(k * ellipj(3.3 * t + ellipk(k**2), k**2)[0])
+    return t, q + noise * np.random.default_rng(0).normal(size=len(t))
+
+
+def found(t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    return faults(t, q[:, None], None, 'log')[0]
+
+
+@pytest.mark.parametrize('noise', [0.0, 5e-3, 0.05])
+@pytest.mark.parametrize('rate', RATES)
+def test_right_samples_are_no_faults(rate, noise):
+    t, q = swing(rate, noise)
+    rest = np.where(t < 8.0, q[8 * rate], q)  # held for long, then released
+    close = 1.0 / (1.0 + (0.7 * rate * np.sin(t))**2)  # peaks as of close passages of a planet
+    for x in (q, np.round(q, 2), rest, np.abs(q), np.angle(np.exp(5j * q)), close):
+        assert not found(t, x).any()
+
+
+@pytest.mark.parametrize('rate', RATES)
+@pytest.mark.parametrize('value', [-17.4, 0.0, 3.0])
+def test_values_that_stand_for_none_are_faults(rate, value):
+    t, q = swing(rate, 5e-3)
+    wrong = np.random.default_rng(1).random(len(t)) < 0.05
+    far = wrong & (np.abs(q - value) > 0.5)
+    mask = found(t, np.where(wrong, value, q))
+    # Right samples among more than three wrong ones of seven are lost: 35 0.05^4 of them.
+    assert mask[far].all() and mask[~wrong].mean() < 1e-3
+
+
+@pytest.mark.parametrize('rate', RATES)
+def test_stuck_sensor_is_found_and_slow_one_is_read_once_for_each_value(rate):
+    t, q = swing(rate, 5e-3)
+    stuck = (t > 5.0) & (t < 5.4)
+    assert np.array_equal(found(t, np.where(stuck, q[5 * rate], q)), stuck)
+    held = np.repeat(q[:len(q) // 5], 5)
+    assert found(t[:len(held)], held).sum() == 4 * len(held) // 5
+
+
+def test_many_faults_and_jumps_that_stay_are_refused():
+    t, q = swing(100, 5e-3)
+    with refused(DataError):
+        found(t, np.where(np.random.default_rng(1).random(len(t)) < 0.15, -17.0, q))
+    with refused(DataError):
+        found(t, q + (t > 7.7))

@@ -1,0 +1,124 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Coordinates, velocities and forces are found by the names of columns, keys and joints."""
+
+from pathlib import Path
+
+from bag_files import state, write
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.data.header import read_header
+from hnn_vi_ros.learning.data.sources import guessed, read_motions
+from hnn_vi_ros.learning.data.units import conversion, split_unit
+from hnn_vi_ros.learning.fit.config import guess_config, load_config
+from hnn_vi_ros.phase_space import Coordinate
+from messages import refused
+import numpy as np
+import pytest
+
+T = 0.02 * np.arange(200)
+
+
+def log(path: Path, header: str, count: int | None = None) -> Path:
+    """Write a log whose columns are times and sinusoids."""
+    count = count or len(header.split(','))
+    columns = [T, *(np.sin((1.3 + k) * T + k) for k in range(count - 1))]
+    np.savetxt(path, np.stack(columns, axis=-1), '%.6f', ',', header=header, comments='')
+    return path
+
+
+@pytest.mark.parametrize('name, base, unit', [
+    ('angle [deg]', 'angle', 'deg'), ('theta_deg', 'theta', 'deg'), ('x_mm', 'x', 'mm'),
+    ('rate_deg_s', 'rate', 'deg/s'), ('Ang. Vel. (°/s)', 'Ang. Vel.', '°/s'),
+    ('Motor Torque Nm', 'Motor Torque', 'Nm'), ('a [m/s²]', 'a', 'm/s²'), ('q1', 'q1', ''),
+    ('Angle/deg', 'Angle', 'deg'), ('time_ms_rel', 'time', 'ms'), ('Zeit in s', 'Zeit', 's'),
+    ('angle (left)', 'angle (left)', ''), ('v_m_per_s', 'v', 'm/s'), ('a_m_s2', 'a', 'm/s2')])
+def test_name_is_split_from_its_unit(name, base, unit):
+    assert split_unit(name) == (base, unit)
+
+
+@pytest.mark.parametrize('unit, target, factor', [
+    ('mm', 'm', 1e-3), ('deg/s', 'rad/s', np.pi / 180.0), ('rpm', 'rad s-1', np.pi / 30.0),
+    ('N·mm', 'N m', 1e-3), ('mm/s', 'cm/s', 0.1), ('kg m2/s', 'N m s', 1.0), ('mm', 'rad', None),
+    ('px', 'm', None), ('furlong', 'm', None)])
+def test_units_of_one_quantity_are_converted(unit, target, factor):
+    assert conversion(unit, target) == (factor if factor is None else pytest.approx(factor))
+
+
+@pytest.mark.parametrize('header, coordinates, v, tau', [
+    ('t,q1,q2,dq1,dq2,tau1,tau2', 'q1 rad q2 rad', 'dq1 dq2', 'tau1 tau2'),
+    ('stamp,theta,thetadot,u', 'theta rad', 'thetadot', 'u'),
+    ('t,x,theta,force', 'x m theta rad', '', 'force'),
+    ('t,theta,x,omega,v', 'x m theta rad', 'v omega', ''),
+    ('time,shoulder_pos,elbow_pos,shoulder_vel,elbow_vel,shoulder_effort,elbow_effort',
+     'shoulder rad elbow rad', 'shoulder_vel elbow_vel', 'shoulder_effort elbow_effort'),
+    ('t,/js/joint_a/position,/js/joint_b/position,/js/joint_b/velocity,/js/joint_a/velocity',
+     'js_joint_a rad js_joint_b rad', '/js/joint_a/velocity /js/joint_b/velocity', ''),
+    ('t,q,tau_cmd,tau,q_des', 'q rad', '', 'tau'), ('t,x [px],v', 'x px', 'v', ''),
+    ('t,displacement_mm,acc,u_V', 'displacement m', '', 'u_V'),
+    ('t,θ,ω', 'θ rad', 'ω', ''), ('t,motorAngle,motorTorque', 'motor rad', '', 'motorTorque')])
+def test_columns_are_found_by_their_names_and_the_printed_yaml_is_the_configuration(
+        tmp_path, header, coordinates, v, tau):
+    config, text = guess_config([str(log(tmp_path / 'log.csv', header))])
+    assert ' '.join(f'{one.name} {one.q_unit}' for one in config.coordinates) == coordinates
+    assert ' '.join(config.data.v or ()) == v
+    assert ' '.join(config.data.tau or ()) == tau
+    (tmp_path / 'config.yaml').write_text(text)
+    assert load_config(tmp_path / 'config.yaml') == config
+
+
+@pytest.mark.parametrize('header', [
+    't,q', 't,q,dq', 't,ch1', 't,theta_deg,theta_rad', 't,theta,omega,rate', 't,status,a,b',
+    'x,y', 't,theta,omega1,omega2', 't,x,x', 't,encoder [counts]'])
+def test_header_of_two_readings_or_none_is_refused_in_a_line(tmp_path, header):
+    with refused(DataError):
+        read_header(log(tmp_path / 'log.csv', header))
+
+
+SCENE = [Coordinate('angle', 'rad', 'N m s'), Coordinate('x', 'm', 'N s')]
+
+
+@pytest.mark.parametrize('header, coordinates, q, v, tau', [
+    ('t,theta_deg', SCENE[:1], 'theta_deg', None, None), ('t,q,dq', SCENE[:1], 'q', 'dq', None),
+    ('t,ch1', SCENE[:1], 'ch1', None, None), ('t,x,angle', SCENE, 'angle x', None, None),
+    ('t,x_mm,angle,force', SCENE, 'angle x_mm', None, 'force'),
+    ('', SCENE[:1], 'column 2', None, None)])
+def test_columns_are_those_of_the_coordinates_of_a_scene(
+        tmp_path, header, coordinates, q, v, tau):
+    path = log(tmp_path / 'log.csv', header, 2 if not header else None)
+    if not header:
+        path.write_text(path.read_text().lstrip())
+    data = guessed(str(path), coordinates)
+    names = [' '.join(names) if names else None for names in (data.q, data.v, data.tau)]
+    assert names == [q, v, tau]
+
+
+@pytest.mark.parametrize('header', ['t,theta,phi', 't,x_mm', 't,angle'])
+def test_columns_that_are_not_those_of_the_scene_are_refused(tmp_path, header):
+    path = log(tmp_path / 'log.csv', header)
+    with refused(DataError):
+        read_motions(path, guessed(str(path), SCENE[:1] if header != 't,angle' else SCENE),
+                     ['angle'], [str(path)], ['rad'])
+
+
+@pytest.mark.parametrize('rates, role', [(np.cos(T), 'v'), (np.sin(3.0 * T), 'tau')])
+def test_second_column_without_a_name_is_the_velocity_if_it_is_the_rate(tmp_path, rates, role):
+    path = tmp_path / 'log.csv'
+    np.savetxt(path, np.stack([T, np.sin(T), rates], axis=-1), '%.6f', ',')
+    data = guessed(str(path), SCENE[:1])
+    assert {name: getattr(data, name) for name in ('v', 'tau')} == {
+        'v': None, 'tau': None, role: ['column 3']}
+
+
+def test_joints_of_bags_and_arrays_tell_their_kind_or_are_refused(tmp_path):
+    for name in ('elbow', 'lift'):
+        bag = write(tmp_path / f'{name}.mcap', [
+            state(t + 1.0, [name], [np.sin(t)], [np.cos(t)], [0.0]) for t in T])
+        if name == 'elbow':
+            config, _ = guess_config([str(bag)])
+            assert config.motions(tmp_path, ['elbow'], [])[0][0].q.shape[1] == 1
+        else:
+            with refused(DataError):
+                guess_config([str(bag)])
+    np.savez(tmp_path / 'a.npz', t=T, q=np.zeros((200, 2)))
+    with refused(DataError):
+        guess_config([str(tmp_path / 'a.npz')])
