@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 #
-# Sets everything up on first use. `make` alone tells what there is.
+# Sets everything up on first use. `make` alone lists the targets.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -15,12 +15,12 @@ SCENE ?= harmonic_oscillator
 DURATION ?= 20
 ARGS ?=
 NAME ?=
-OUT ?= docs
-# Nobody else's graph is disturbed unless that is asked for.
+OUT ?= docs/evidence
+# By default, do not disturb the ROS graph of others.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export PYTHON TORCH ROS
 
-# What there is already, as its requirements and sources are, is left as it is: in milliseconds.
+# These take milliseconds if the environment and the build are up to date.
 VENV := @requirements/make_venv
 INSTALL := @requirements/build_package
 BUILD := @requirements/build_package scenes
@@ -34,24 +34,24 @@ ONE_THREAD := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 
 
 help:
 	@echo 'make run [SCENE=NAME|FILE] [DURATION=SECONDS]  simulate a scene (0: until Ctrl-C)'
-	@echo 'make test [ARGS=...]                           run what a change can break (ARGS go to pytest)'
-	@echo 'make test-long                                 run the tests that take long; an hour'
-	@echo 'make messages [ARGS=...]                       write the tables of error messages again'
+	@echo 'make test [ARGS=...]                           run the short tests (ARGS go to pytest)'
+	@echo 'make test-long                                 run the long tests; an hour'
+	@echo 'make messages [ARGS=...]                       regenerate the tables of error messages'
 	@echo 'make bench [OUT=FOLDER] [ARGS=...]             measure the speed against other tools'
-	@echo 'make accuracy [OUT=FOLDER] [ARGS=...]          measure what accuracy costs; hours'
+	@echo 'make accuracy [OUT=FOLDER] [ARGS=...]          measure the cost of accuracy; hours'
 	@echo 'make hard-cases [OUT=FOLDER] [ARGS=...]        run the hard cases in full; hours'
 	@echo 'make study [NAME=... ARGS=...]                 run another study; without NAME, list them'
 	@echo 'make docs                                      build the site into docs/_build/html'
 	@echo 'make build [TORCH=cpu|cuda|any|none]           set up .venv, build, compile all scenes'
-	@echo '           [ROS=jazzy|kilted]                  by this ROS 2, where none is sourced'
-	@echo 'make clean                                     remove what was built'
+	@echo '           [ROS=jazzy|kilted]                  with this ROS 2, if none is sourced'
+	@echo 'make clean                                     remove all build results'
 	@echo 'make distclean                                 remove .venv as well'
 
 build:
 	$(VENV) run
 	$(BUILD)
 
-# One scene compiles what it runs when it starts, which takes seconds; all of them take minutes.
+# One scene compiles its code at the start, which takes seconds; all scenes take minutes.
 # exec: a signal then reaches the node itself. The scene is quoted for YAML, which reads the value.
 run: export SCENE := $(SCENE)
 run:
@@ -87,7 +87,7 @@ messages:
 	@$(ENVIRONMENT); $(PYTEST) -p xdist -n auto --dist loadfile --messages $(or $(ARGS),test)
 	@git diff --stat -- '*/messages.txt'
 
-# -P: the package that is measured is the one that was built.
+# -P: measure the installed build, not the sources.
 bench:
 	$(VENV) run train bench
 	$(BUILD)
