@@ -11,7 +11,8 @@ from typing import final, TypeVar
 from hnn_vi_ros.errors import DataError, listed, RecordingError
 from hnn_vi_ros.files import parse_mapping
 from hnn_vi_ros.recording import (
-    BagReader, decode_float64_multi_array, decode_joint_state, MOMENTUM, qos_profiles, Recorded)
+    BagReader, decode_float64_multi_array, decode_joint_state, decode_string, MOMENTUM,
+    qos_profiles, Recorded)
 from hnn_vi_ros.run import STATE_FILE
 import numpy as np
 import safetensors
@@ -131,7 +132,7 @@ class SignalReader:
 
         The samples before and after a reset are not of one motion.
         """
-        scene = f'{self._found(state)[0].rpartition("/")[0]}/scene'
+        scene = _scene_of(self._found(state)[0])
         times: dict[bytes, int] = {}
         for message in self.bag.messages(self._topics.get(scene, [])):
             times.setdefault(message.data, message.time)
@@ -305,7 +306,7 @@ class SignalReader:
     @cached_property
     def _step_0(self) -> int | None:
         """Return the stamp of step 0 of the simulator that wrote the bag [ns], None of others."""
-        text = self.bag.attachment('scene.yaml')
+        text = self.bag.attachment('scene.yaml') or self._published_scene()
         if text is None:
             return None
         described, _ = parse_mapping(text, f'{self.path}: its scene', DataError)
@@ -313,6 +314,15 @@ class SignalReader:
         if type(origin) is not int or not 0 <= origin < 2**63:
             raise DataError(f'{self.path}: its scene: origin is not a valid count')
         return origin
+
+    def _published_scene(self) -> str | None:
+        """Return the first scene beside the only ~/state, as other recorders keep it."""
+        state = self.state_topic()
+        if state is None:
+            return None
+        topic = _scene_of(state)
+        first = next(self.bag.messages(self._topics.get(topic, [])), None)
+        return None if first is None else self._decoded(topic, first, decode_string)
 
     def _found(self, topic: str, expected: str = '') -> tuple[str, str, Iterator[Recorded]]:
         """Return name, type and messages of the one topic that has this name or ends with it."""
@@ -357,6 +367,11 @@ class SignalReader:
         except (ValueError, UnicodeDecodeError) as problem:
             raise DataError(f'{self.path}: {topic}: the message at {message.time} ns cannot be '
                             f'read: {problem}') from problem
+
+
+def _scene_of(state: str) -> str:
+    """Return the topic of the scene beside a topic ~/state."""
+    return f'{state.rpartition("/")[0]}/scene'
 
 
 def _jumps(q: np.ndarray) -> int:

@@ -140,6 +140,11 @@ def decode_joint_state(data: bytes) -> JointStates:
                        cursor.doubles(), cursor.doubles(), cursor.doubles())
 
 
+def decode_string(data: bytes) -> str:
+    """Return the text of a std_msgs/msg/String; raise ValueError if the bytes are invalid."""
+    return _Cursor(data).text()
+
+
 def decode_float64_multi_array(data: bytes) -> np.ndarray:
     """Return the data of a std_msgs/msg/Float64MultiArray; raise ValueError if invalid."""
     cursor = _Cursor(data)
