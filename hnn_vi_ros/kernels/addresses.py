@@ -22,7 +22,7 @@ from hnn_vi_ros.kernels.blocks import (
     address_of, array_at, Block, check_words, entry_caller, flat, load, type_of)
 from hnn_vi_ros.kernels.compilation import functions_of, kept, name_stably
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.kernels.linking import Part
+from hnn_vi_ros.kernels.linking import Part, Whole
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, names_in, reached
 from numba.core import types
@@ -34,7 +34,8 @@ _ARRAYS, _BEFORE = (2, 4, 6), 24
 # Entries bind these names to their own values; see _entry.
 function: Any = None
 kind: Any = None
-_ENTRY: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'error_model': 'numpy'}
+_ENTRY: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'error_model': 'numpy',
+                          'pipeline_class': Whole}
 
 
 class Target(NamedTuple):

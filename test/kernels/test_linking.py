@@ -3,7 +3,10 @@
 """Functions that are only linked into others, and loops whose arrays nobody counts."""
 
 from collections.abc import Callable, Iterator
+import os
+import platform
 import re
+import subprocess
 import sys
 from types import FunctionType
 
@@ -205,3 +208,35 @@ def test_function_of_another_that_calls_a_kept_one_is_compiled():
     # numba compiles the inner one while it holds its lock for the outer one.
     inner = kept(own=False)(lambda x: 2.0 * x)
     assert doubled(inner)(3.0) == 12.0
+
+
+WIDE = """
+import sys
+from hnn_vi_ros.kernels import part, Whole
+import numba
+
+@part()
+def add(a, x, y):
+    for i in range(x.size):
+        y[i] += a * x[i]
+
+@numba.njit(pipeline_class=Whole)
+def caller(a, x, y):
+    add(a, x, y)
+
+array = numba.float64[::1]
+caller.compile((numba.float64, array, array))
+print('zmm' in caller.inspect_asm(caller.signatures[0]))
+"""
+
+
+@pytest.mark.skipif(platform.machine() != 'x86_64', reason='its vectors are compared')
+@pytest.mark.parametrize('processor, extension, wide', [
+    ('icelake-server', '+avx512vbmi2,', True), ('cascadelake', '', False)])
+def test_vectors_of_512_bits_where_they_do_not_lower_the_clock(processor, extension, wide):
+    # By LLVM's choice both have 256 bits. The code is compiled, not run.
+    environment = {**os.environ, 'NUMBA_CPU_NAME': processor, 'NUMBA_CPU_FEATURES':
+                   f'{extension}+avx512f,+avx512vl,+avx512dq,+avx512bw,+fma,+prefer-256-bit'}
+    found = subprocess.run([sys.executable, '-'], input=WIDE, env=environment, text=True,
+                           capture_output=True, check=True)
+    assert found.stdout == f'{wide}\n'
