@@ -252,8 +252,9 @@ def _scales(kernel: Kernel, h: float, states: np.ndarray) -> np.ndarray:
     """
     d, n = kernel.dimension, kernel.dimension - kernel.channels
     scales, energy = np.ones(2 * d), 1.0
-    sizes = np.abs(states.reshape(-1, 2, d)[:, :, :n]).max(axis=2)
-    if not ((sizes.max(axis=0) > 1.0 / 32.0) & (sizes.max(axis=0) < 32.0)).all():
+    halves = states.reshape(-1, 2, d)[..., :n]
+    if not all(1.0 / 32.0 < size < 32.0 for size in np.abs(halves).max(axis=(0, 2)).tolist()):
+        sizes = np.abs(halves).max(axis=2)
         for own, state in zip(sizes, states, strict=True):
             rates, turns = (np.abs(row.reshape(2, d)[:, :n]).max(axis=1)
                             for row in _motion(kernel, state))
