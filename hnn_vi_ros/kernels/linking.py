@@ -47,8 +47,8 @@ from numba.core.typed_passes import NativeLowering
 from numba.extending import register_jitable
 
 
-# Vectors of the full width. By LLVM's choice servers from Intel get half of it, since the first ones
-# with 512 bits lowered their clock; those with this extension do not.
+# Vectors of the full width. By LLVM's choice servers from Intel get half of it, because the first
+# ones with 512 bits lowered their clock; those with this extension do not.
 _FULL_WIDTH, _KEEPS_CLOCK = '"prefer-vector-width"="512"', '+avx512vbmi2'
 
 

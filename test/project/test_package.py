@@ -4,6 +4,7 @@
 
 import ast
 from functools import cache
+import inspect
 from pathlib import Path
 import re
 import sys
@@ -271,3 +272,10 @@ def test_test_files_assert_something():
         and any(isinstance(line, ast.Assert) for line in ast.walk(node))
         for node in ast.walk(tree(path)))]
     assert not wrong, '\n'.join(wrong)
+
+
+@pytest.mark.parametrize('name', [
+    'simulate', 'simulate_many', 'simulate_spread', 'export', 'sweep'])
+def test_signature_fits_a_screen(name):
+    # Seven lines of eighty characters in the answer of help().
+    assert len(str(inspect.signature(getattr(hnn_vi_ros, name)))) <= 560

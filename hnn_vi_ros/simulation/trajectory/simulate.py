@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation of a scene without ROS: one trajectory, or many in lockstep blocks on threads."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 import math
