@@ -257,13 +257,13 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
         names=', '.join(names), locked=_locked(tree.robot, locked),
         followers=''.join(f'  # Follows another: {line}\n' for line in followers_of(tree)),
         rotor_units=_units(joint.units.rotor for joint in joints),
-        force_units=', '.join(f'[{joint.units.force}]' for joint in joints),
+        force_units=_each(joint.units.force for joint in joints),
         joints='\n'.join(f'    - {name:{wide}}   # {_comment(joint)}'
                          for name, joint in zip(names, joints, strict=True)),
         effects=''.join(f'\n  {line}' for line in effects) or ' []', step_size=f'{step_size:g}',
         q=q.tolist(), rest=rest.tolist(), p=[0.0] * q.size,
-        units=', '.join(f'[{coordinate.q_unit}]' for coordinate in tree.coordinates),
-        p_units=', '.join(f'[{coordinate.p_unit}]' for coordinate in tree.coordinates))
+        units=_each(coordinate.q_unit for coordinate in tree.coordinates),
+        p_units=_each(coordinate.p_unit for coordinate in tree.coordinates))
 
 
 def _template(name: str) -> str:
@@ -293,6 +293,12 @@ def _rotors(rotors: dict[str, float], first: str) -> str:
 def _units(units: Iterable[str]) -> str:
     """Return the distinct units in brackets."""
     return ', '.join(f'[{unit}]' for unit in dict.fromkeys(units))
+
+
+def _each(units: Iterable[str]) -> str:
+    """Return the unit of each number in brackets, or that of all."""
+    every = [f'[{unit}]' for unit in units]
+    return every[0] if len(set(every)) == 1 else ', '.join(every)
 
 
 def _comment(joint: Joint) -> str:
