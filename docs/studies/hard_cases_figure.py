@@ -20,7 +20,7 @@ from studies.hard_cases_plan import Case
 from studies.hard_cases_results import CaseRow
 
 _OTHER = ('#555555', '*')
-_MARKS, _DPI, _COLUMNS, _PANELS = 6, 110, 2, 6
+_MARKS, _DPI, _COLUMNS, _PANELS = 6, 110, 2, 5
 _ROUNDING = 1e-17
 # Marks of the runs of each verdict, and their names.
 _VERDICTS: dict[str, dict[str, Any]] = {

@@ -11,14 +11,14 @@ import shutil
 from types import MappingProxyType
 from typing import Any
 
-from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.errors import listed, ParameterError
 from hnn_vi_ros.integrators import INTEGRATORS
 from studies.coarse_steps import committed, read_runs, table
 from studies.hard_cases_figure import draw_bands, draw_case
 from studies.hard_cases_plan import Case, load_plan
 from studies.hard_cases_results import (
     CaseRow, CSV, differences, Expectation, expectations_file, Folder, FULL, Key,
-    load_expectations, read_csv)
+    load_expectations, read_csv, write_csv)
 from studies.pages import render
 
 MARKDOWN = 'hard_cases.md'
@@ -44,7 +44,7 @@ def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
                     for case in cases]
         page = folder.path / MARKDOWN
         page.write_text(render(MARKDOWN, cases=_parts(cases, rows, expected)), encoding='utf-8')
-        return [page, folder.write_csv(rows), *pictures]
+        return [page, write_csv(folder.path / CSV, rows), *pictures]
     except OSError as problem:
         raise ParameterError(f'--out {folder.path}: cannot be written ({problem.strerror}); '
                              'give a folder that can be written') from problem
@@ -53,6 +53,8 @@ def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
 def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
     """
     Write the page of the docs, its table of all runs, and the pictures.
+
+    Other cases that the page already has stay on it.
 
     Parameters
     ----------
@@ -73,9 +75,18 @@ def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         copies = [Path(shutil.copyfile(source.path / name, folder / name))
-                  for name in (CSV, *map(_picture, cases))]
-        card = folder / CARD
-        card.write_text(json.dumps(source.identity, indent=1) + '\n', encoding='utf-8')
+                  for name in map(_picture, cases)]
+        there, card, identity = folder / CSV, folder / CARD, source.identity
+        rows, numbers = read_csv(source.path / CSV), [case.number for case in cases]
+        others = [row for row in read_csv(there) if row.case not in numbers] \
+            if there.is_file() else []
+        if others:
+            before, own = json.loads(card.read_text(encoding='utf-8')), identity['machine']
+            if own not in before['machine']:
+                before['machine'] += f'; case {listed(numbers)} from {own}'
+            identity = before
+        copies.append(write_csv(there, sorted(rows + others, key=lambda row: row.case)))
+        card.write_text(json.dumps(identity, indent=1) + '\n', encoding='utf-8')
         page, grid = docs / PAGE, folder / GRID
         page.write_text(page_of(docs), encoding='utf-8')
         grid.write_text(grid_of(docs), encoding='utf-8')

@@ -224,8 +224,22 @@ def parse_values(text: str) -> dict[str, float]:
     return {name: float(value) for name, _, value in pairs}
 
 
+def write_csv(path: Path, rows: Sequence[CaseRow]) -> Path:
+    """Write rows as a table for other programs; return its path."""
+    names = [name for name in CaseRow.__dataclass_fields__ if name not in _UNWRITTEN]
+    with path.open('w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file, lineterminator='\n')
+        writer.writerow(names)
+        for row in rows:
+            cells = [getattr(row, name) for name in names]
+            writer.writerow([
+                format_values(cell) if isinstance(cell, dict) else '' if cell != cell
+                else f'{cell:g}' if isinstance(cell, float) else cell for cell in cells])
+    return path
+
+
 def read_csv(path: Path) -> list[CaseRow]:
-    """Return the rows of ``Folder.write_csv``, without the data of the pictures."""
+    """Return the rows of ``write_csv``, without the data of the pictures."""
     kinds: dict[str, Callable[[str], Any]] = {
         'int': int, 'str': str, 'float': lambda text: float(text or math.nan)}
     with path.open(encoding='utf-8') as file:
@@ -283,17 +297,3 @@ class Folder:
         self.rows.append(row)
         with (self.path / LINES).open('a', encoding='utf-8') as file:
             file.write(json.dumps(asdict(row)) + '\n')
-
-    def write_csv(self, rows: Sequence[CaseRow]) -> Path:
-        """Write rows as a table for other programs."""
-        path = self.path / CSV
-        names = [name for name in CaseRow.__dataclass_fields__ if name not in _UNWRITTEN]
-        with path.open('w', newline='', encoding='utf-8') as file:
-            writer = csv.writer(file, lineterminator='\n')
-            writer.writerow(names)
-            for row in rows:
-                cells = [getattr(row, name) for name in names]
-                writer.writerow([
-                    format_values(cell) if isinstance(cell, dict)
-                    else '' if cell != cell else cell for cell in cells])
-        return path

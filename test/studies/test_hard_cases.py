@@ -313,3 +313,21 @@ def test_page_of_the_docs_is_written_with_its_pictures(short, tmp_path):
     assert (tmp_path / 'hard_cases' / 'bands.png').is_file()
     assert '![case 14](hard_cases/case_14.png)' in page
     assert (tmp_path / 'hard_cases' / 'case_14.png').is_file()
+
+
+def test_page_keeps_the_cases_that_a_run_leaves_out(short, tmp_path):
+    there, parts = Path(__file__).parents[2] / 'docs/evidence/hard_cases', tmp_path / 'hard_cases'
+    parts.mkdir()
+    for name in ('hard_cases.csv', 'hard_cases.json'):
+        shutil.copy(there / name, parts / name)
+    assert hard_cases.main(['--quick', '--case', '14', '--out', str(short), '--docs',
+                            str(tmp_path)]) == 0
+
+    def rows(folder: Path, of_case: bool) -> list[str]:
+        lines = (folder / 'hard_cases.csv').read_text().splitlines()
+        return [line for line in lines if line.startswith('14,') == of_case]
+
+    assert rows(parts, False) == rows(there, False) and len(rows(there, False)) > 400
+    assert rows(parts, True) == rows(short, True) != rows(there, True)
+    page = (tmp_path / 'hard-cases.md').read_text()
+    assert '## Case 1: long horizon' in page and 'The figure shows the first 1e5 steps.' in page
