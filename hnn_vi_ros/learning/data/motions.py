@@ -38,6 +38,9 @@ _FASTEST, _ABOVE_MOTION, _SIGNAL = 40.0, 2.0, 4.0
 _WHOLE = 0.9
 # Gap threshold in usual intervals; nothing is interpolated over a gap.
 GAP = 10.0
+# Smallest distance of samples in usual intervals: between closer ones, noise looks like speed, and
+# a spline without measured rates swings out beside them.
+_CLOSE = 0.5
 MAX_ROWS = 1_000_000
 # Largest accepted share of bad samples.
 _MOST_BAD = 0.5
@@ -212,6 +215,7 @@ class ReadingReport:
     least: int = MIN_SAMPLES
     lacking: int = 0
     late: int = 0
+    close: int = 0
     short: int = 0
     cuts: int = 0
     notes: dict[str, None] = field(default_factory=dict)
@@ -219,6 +223,7 @@ class ReadingReport:
     def __str__(self) -> str:
         parts = [f'{count} {what}' for count, what in (
             (self.lacking, 'that lack a number'), (self.late, 'that are late or duplicated'),
+            (self.close, 'less than half an interval after another'),
             (self.short, f'in pieces of fewer than {self.least}')) if count]
         found = [f'left out {" and ".join(parts)} of the samples'] if parts else []
         found += [f'cut at {self.cuts} places'] if self.cuts else []
@@ -394,6 +399,10 @@ def _even(pieces: Pieces, usual: float, data: MotionData, report: ReadingReport
         if differenced(piece):
             report.note('velocities are differences of the positions, and not used')
             piece = replace(piece, v=None)
+        if piece.v is None:
+            kept = spaced(piece.t, _CLOSE * spacing)
+            report.close += len(piece.t) - len(kept)
+            piece = part_of(piece, kept)
         name = motion.name if len(long) == 1 else f'{motion.name}#{number}'
         piece = replace(piece, inputs=data.inputs or motion.inputs)
         yield replace(resampled(piece, usual), name=name)
@@ -405,6 +414,17 @@ def unwound_piece(motion: Motion, rows: np.ndarray, report: ReadingReport) -> Mo
     q, turning = unwound(piece.t, piece.q, piece.v)
     report.note(*(f'coordinate {k + 1} unwrapped' for k in turning))
     return replace(piece, q=q)
+
+
+def spaced(t: np.ndarray, least: float) -> np.ndarray:
+    """Return the indices of samples at least this time [s] apart, each as early as possible."""
+    kept = [0]
+    if (np.diff(t) >= least).all():
+        return np.arange(len(t))
+    for i, time in enumerate(t):
+        if time - t[kept[-1]] >= least:
+            kept.append(i)
+    return np.array(kept)
 
 
 def even_times(t: np.ndarray, spacing: float) -> np.ndarray:
