@@ -22,8 +22,9 @@ _OFF, _AGAIN, _OFTEN = 2.0, 3, 5.0
 _FEW = 0.1
 # Equal samples in a row that may be a stuck sensor; the share of other equal neighbours below
 # which a sensor never repeats a value by itself; the speed, relative to the usual one, that is
-# fast; and the share of values repeated equally often above which a sensor is slower than its log.
-_EQUAL, _NEVER, _FAST, _REGULAR = 5, 0.01, 0.3, 0.9
+# fast; that with which no rest begins or ends; and the share of values repeated equally often
+# above which a sensor is slower than its log.
+_EQUAL, _NEVER, _FAST, _ABRUPT, _REGULAR = 5, 0.01, 0.3, 0.6, 0.9
 
 
 def times_text(t: np.ndarray) -> str:
@@ -158,6 +159,9 @@ def _stuck(x: np.ndarray) -> np.ndarray:
     repeats = (len(steps) - len(moving) - sum(j - i for i, j in runs)) / len(steps)
     for i, j in runs:
         if i == 0 or j == len(steps):
+            # A body at rest starts slowly, and noise moves what is measured of it.
+            beside = steps[j if i == 0 else i - 1:][:1]
+            found[i + (i > 0):j + 1] = repeats < _NEVER and (beside > _ABRUPT * usual).any()
             continue
         before, after = steps[max(i - 3, 0):i].mean(), steps[j + 1:j + 4].mean(
             ) if j + 1 < len(steps) else 0.0
