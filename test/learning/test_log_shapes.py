@@ -12,6 +12,7 @@ from messages import refused
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 
 NOISE = 2e-3
 T = 0.05 * np.arange(401)
@@ -20,6 +21,9 @@ SWING = solve_ivp(lambda _, y: [y[1], -14.0 * np.sin(y[0]) - 0.05 * y[1]], (0.0,
 Q = SWING[0] + NOISE * np.random.default_rng(0).normal(size=len(T))
 V, DEG, TURNING = SWING[1], np.degrees(Q), 5.0 * Q
 U = np.sin(3.0 * T)
+# Times of a slow, busy logger, and of one with a clock that jitters by a fifth of the interval.
+RANDOM = np.sort(np.random.default_rng(1).uniform(0.0, 20.0, len(T)))
+JITTERING = np.sort(T + np.random.default_rng(2).normal(0.0, 0.01, len(T)))
 AT = np.random.default_rng(1).permutation(np.arange(5, len(T) - 5))
 
 
@@ -37,6 +41,11 @@ def put(values: np.ndarray, at: np.ndarray, wrong: object) -> list[object]:
     for i in at:
         found[i] = wrong(found[i]) if callable(wrong) else wrong
     return found
+
+
+def at(t: np.ndarray) -> np.ndarray:
+    """Return what the sensor gives at some times."""
+    return CubicSpline(T, SWING[0])(t) + NOISE * np.random.default_rng(3).normal(size=len(t))
 
 
 def comma(values: np.ndarray, quote: str = '') -> list[str]:
@@ -95,6 +104,20 @@ READ: dict[str, Callable[[], tuple[str | bytes, np.ndarray]]] = {
     'times that come twice': lambda: (rows(*np.repeat([T, Q], np.where(T == 5.0, 2, 1), 1)), Q),
     'late samples': lambda: (rows(put(T, AT[:5], lambda t: t - 1.0), Q), Q),
     'gap': lambda: (rows(*np.array([T, Q])[:, (T < 5.0) | (T > 5.3)]), Q),
+    'random times': lambda: (rows(RANDOM, at(RANDOM)), Q),
+    'jittering clock': lambda: (rows(JITTERING, at(JITTERING)), Q),
+    'two rates': lambda: ((lambda t: rows(t, at(t)))(np.concatenate(
+        [T[:200], 10.0 + 0.02 * np.arange(500)])), Q),
+    'time in minutes': lambda: (rows(T / 60.0, Q, head='time [min],theta', form='{:.8f}'), Q),
+    'filtered beside measured': lambda: (rows(T, Q, 0.9 * Q, head='t,theta,theta_filtered'), Q),
+    'reference beside measured': lambda: (rows(T, Q, U, head='t,theta,theta_ref'), Q),
+    'index of pandas': lambda: (rows([f'{k}' for k in range(len(T))], T, Q, head=',t,theta'), Q),
+    'zeros in place of values': lambda: (rows(T, put(Q, AT[:26], 0.0)), Q),
+    'zeros in place of times': lambda: (rows(put(T, AT[:5], 0.0), Q), Q),
+    'sentinels of a force': lambda: (rows(T, Q, V, put(U, AT[:9], -999.0),
+                                          head='t,theta,omega,tau'), Q),
+    'exponents': lambda: (rows(T, Q, form='{:.6e}'), Q),
+    'stuck at the end': lambda: (rows(T, np.where(T > 19.42, Q[388], Q), form='{:.6f}'), Q),
     'wrapped at 180 degrees': lambda: (rows(T, wrapped(np.degrees(TURNING), -180.0, 360.0)),
                                        TURNING),
     'wrapped at 360 degrees': lambda: (rows(T, wrapped(np.degrees(TURNING), 0.0, 360.0),
@@ -125,6 +148,15 @@ REFUSED: dict[str, Callable[[], str | bytes]] = {
     'separators of thousands': lambda: rows(T, [f'"{1e5 * (q + 2):,.1f}"' for q in Q],
                                             head='t,x [mm]'),
     'many glitches': lambda: rows(T, put(Q, AT[:90], lambda q: q + 2.9)),
+    'stuck at the start': lambda: rows(T, np.where(T < 2.5, Q[50], Q), form='{:.6f}'),
+    'stuck for seconds': lambda: rows(T, np.where((T > 5.0) & (T < 9.0), Q[101], Q)),
+    'cosine': lambda: rows(T, np.cos(Q), head='t,cos_theta'),
+    'velocity of another sign': lambda: rows(T, Q, -V, head='t,theta,omega'),
+    'current and torque': lambda: rows(T, Q, U, V, head='t,theta,current [A],torque [Nm]'),
+    'channels in rows': lambda: rows(*[['t', 'theta'], *np.array([T, Q]).T], head=''),
+    'JSON': lambda: rows([f'{{"t": {t}, "theta": {q}}}' for t, q in zip(T, Q, strict=True)],
+                         head=''),
+    'whole seconds': lambda: rows(np.floor(T), Q),
     'two motions in one': lambda: rows(0.01 * np.arange(2 * len(T)), np.concatenate([
         np.sin(0.6 * T), np.sin(0.6 * T + 2.0)])),
     'times that never increase': lambda: rows(T[::-1], Q),

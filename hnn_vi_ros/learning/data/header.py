@@ -27,7 +27,8 @@ _ROLES = {word: role for role, words in {
     TIME: 't time times timestamp stamp zeit temps elapsed seconds secs clock millis',
     TRIAL: 'trial run experiment episode swing segment repetition',
     UNUSED: ('index sample samples n seq row id frame unnamed desired des reference ref setpoint '
-            'target goal command cmd error err temperature temp status mode flag raw'),
+            'target goal command cmd error err temperature temp status mode flag raw filtered '
+            'smoothed sin sine cos cosine'),
     A: 'acc accel acceleration',
     V: 'v vel velocity velocities speed omega w rate gyro angvel',
     TAU: 'u tau torque force f effort efforts moment input voltage current drive',
