@@ -83,9 +83,9 @@ class ResultTable:
         return [name for name in SYSTEMS if name in there]
 
 
-def write_results(folder: Path, results: Sequence[Result]) -> Path:
+def write_results(folder: Path, results: Sequence[Result], name: str = CSV) -> Path:
     """Write the table of every value; return the file."""
-    path = folder / FOLDER / CSV
+    path = folder / FOLDER / name
     with path.open('w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file, lineterminator='\n')
         writer.writerow(_COLUMNS)
@@ -94,7 +94,7 @@ def write_results(folder: Path, results: Sequence[Result]) -> Path:
     return path
 
 
-def read_results(folder: Path) -> list[Result]:
+def read_results(folder: Path, name: str = CSV) -> list[Result]:
     """
     Read the file of ``write_results``.
 
@@ -104,7 +104,7 @@ def read_results(folder: Path) -> list[Result]:
         It is not there, or is something else.
 
     """
-    path = folder / FOLDER / CSV
+    path = folder / FOLDER / name
     try:
         header, *lines = csv.reader(path.read_text(encoding='utf-8').splitlines())
         if header != _COLUMNS:

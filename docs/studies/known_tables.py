@@ -1,0 +1,172 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page docs/evidence/published-tables.md: published figures beside those of the studies."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+import json
+from pathlib import Path
+import time
+from typing import Any
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.command_line import Parser
+from matplotlib.figure import Figure
+from studies.pages import render
+from studies.published_page import (
+    FOLDER, MACHINES, read_results, Result, ResultTable, spread, write_results)
+from studies.results import commit, machine
+
+PAGE, CSV = 'published-tables.md', 'known_tables.csv'
+BODIES = 'lie_groups.json'
+SECONDS = 'seconds'
+
+
+@dataclass(frozen=True)
+class Claim:
+    """
+    A published figure, and ours that stands beside it; smaller is better.
+
+    Parameters
+    ----------
+    table, system, measure : str
+        Key of our values in the results.
+    published : float
+        In the units of the publication.
+    text : str
+        Subject of the row.
+    published_text, ours : str
+        Method of the published figure, and of ours.
+
+    """
+
+    table: str
+    system: str
+    measure: str
+    published: float
+    text: str
+    published_text: str
+    ours: str
+
+
+CLAIMS = (
+    Claim('energy_drift', 'chain', 'variational_euler', 0.39,
+          'ten links, 1e5 steps of 1 ms: energy band', 'DART, semi-implicit Euler',
+          '`variational_euler`'),
+    Claim('energy_drift', 'chain', 'gauss4', 0.011, '', 'DART, variational', '`gauss4`'),
+    Claim('energy_drift', 'acrobot 0.2', 'gauss8', 3.554e-3,
+          'Acrobot, 100 s: energy drift, dt = 0.2 s', 'Gymnasium', '`gauss8`, h = 0.1 s'),
+    Claim('energy_drift', 'acrobot 0.05', 'gauss8', 4.189e-6, 'dt = 0.05 s', 'Gymnasium',
+          '`gauss8`, h = 0.1 s'),
+    Claim('energy_drift', 'acrobot 0.01', 'gauss8', 1.519e-8, 'dt = 0.01 s', 'Gymnasium',
+          '`gauss8`, h = 0.05 s'),
+)
+
+
+def parser_of(name: str, text: str | None, more: str = '') -> Parser:
+    """Return the parser of a study of the page, which has --out."""
+    found = Parser(name, text, [f'make study NAME={name}{more}'])
+    found.add_argument('--out', type=Path, default=Path('docs/evidence'), metavar='DIR',
+                       help='folder to write to (default: docs/evidence)')
+    return found
+
+
+def keep(out: Path, table: str, values: Iterable[tuple[str, int, str, float]]) -> Path:
+    """
+    Replace the results of one table, then write the page; return it.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the page.
+    table : str
+        Name of the table.
+    values : iterable of (str, int, str, float)
+        System, seed, measure and value. The processor time of the table is added.
+
+    """
+    (out / FOLDER).mkdir(parents=True, exist_ok=True)
+    start, origin = time.process_time(), (commit(), machine())
+    rows = [Result(table, *row, *origin) for row in values]
+    rows.append(Result(table, '', 0, SECONDS, time.process_time() - start, *origin))
+    known = read_results(out, CSV) if (out / FOLDER / CSV).is_file() else []
+    results = [*(row for row in known if row.table != table), *rows]
+    write_results(out, results, CSV)
+    path = out / PAGE
+    path.write_text(as_page(out, results), encoding='utf-8')
+    return path
+
+
+def as_page(folder: Path, results: Sequence[Result] | None = None) -> str:
+    """Return the page, from the results of all studies."""
+    found = ResultTable(read_results(folder, CSV) if results is None else results)
+    rows: list[list[str]] = []
+    reached, last = 0, ''
+    for claim in CLAIMS:
+        values = found.values(claim.table, claim.system, claim.measure)
+        ours, met = 'not measured', False
+        if len(values):
+            met = float(f'{values.mean():.2e}') <= claim.published
+            ours = spread(values) if met else f'**{spread(values)}**'
+        reached += met
+        minutes = '' if claim.table == last else _minutes(found, claim.table)
+        rows.append([claim.text, f'{claim.published:.3g}', claim.published_text, ours, claim.ours,
+                     str(len(values)), minutes])
+        last = claim.table
+    return render(PAGE, rows=rows, reached=reached, all=len(CLAIMS), same=_same_data(folder),
+                  gymnasium=_gymnasium(found), machine=found.names('machine'),
+                  commit=found.names('commit'))
+
+
+def _gymnasium(found: ResultTable) -> str:
+    """Return the drifts of Gymnasium's steps from our starts."""
+    drifts = (found.values('energy_drift', f'acrobot {dt}', 'Gymnasium rk4')
+              for dt in ('0.2', '0.05', '0.01'))
+    return ', '.join(f'{values.mean():.1e}' for values in drifts if len(values))
+
+
+def _minutes(found: ResultTable, table: str) -> str:
+    seconds = found.values(table, '', SECONDS)
+    return f'{seconds.sum() / 60.0:.2g}' if len(seconds) else ''
+
+
+def _same_data(folder: Path) -> list[list[str]]:
+    """Return the rows of published data sets, from the files of other pages."""
+    machines = _json(folder / FOLDER / MACHINES)
+    bodies = _json(folder / FOLDER / BODIES)['test_loss']
+    rows = []
+    for row in machines:
+        key = row['case'], row['measure'], row['model']
+        if key in _MACHINES:
+            rows.append([_MACHINES[key], _numbers(row['reference']), _numbers(row['ours']),
+                         str(len(row['seeds']))])
+    rows += [[f'LieGroupHamDL, {text}: test loss', f'{bodies[name]["published"]:.1e}',
+              f'{bodies[name]["ours"]:.1e}', '1'] for name, text in _BODIES.items()]
+    return rows
+
+
+_MACHINES = {
+    ('two-link arm that writes letters', 'valid prediction time [s], e and v', 'networks'):
+        'letters (larger is better): valid prediction time [s]',
+    ('real actuated double pendulum', 'RMS error [rad] after 0.1 s, test', 'default'):
+        'hardware C.1: error [rad] after 0.1 s',
+    ('real actuated double pendulum', 'RMS error [rad] after 0.5 s, test', 'default'):
+        'hardware C.1: error [rad] after 0.5 s'}
+_BODIES = {'turning_pendulum': 'pendulum', 'flying_quadrotor': 'quadrotor'}
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding='utf-8'))
+    except OSError as problem:
+        raise ParameterError(f'{path}: cannot be read ({problem.strerror}); give a copy of '
+                             'docs/evidence as --out') from problem
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ', '.join(f'{value:.3g}' for value in values)
+
+
+def save(figure: Figure, out: Path, name: str) -> None:
+    """Write a picture next to the results."""
+    figure.savefig(out / FOLDER / f'{name}.png', dpi=110)
