@@ -60,6 +60,13 @@ CLAIMS = (
           '`gauss8`, h = 0.1 s'),
     Claim('energy_drift', 'acrobot 0.01', 'gauss8', 1.519e-8, 'dt = 0.01 s', 'Gymnasium',
           '`gauss8`, h = 0.05 s'),
+    Claim('two_masses', '0.1', 'gauss4', 0.0190, 'two masses, noise: NRMS of a test record',
+          'OE-pHNN, its method and step', '`identify`, `gauss4`, h = 0.1 s'),
+    Claim('two_masses', '0.05', 'gauss4', 0.0192, 'half the step', 'OE-pHNN', 'the same'),
+    Claim('two_masses', '0.1', 'variational_euler', 0.823, 'another method',
+          'OE-pHNN, Euler', '`variational_euler`'),
+    Claim('two_masses', '0.05', 'variational_euler', 0.0548, 'both',
+          'OE-pHNN, Euler', '`variational_euler`'),
 )
 
 
@@ -114,7 +121,8 @@ def as_page(folder: Path, results: Sequence[Result] | None = None) -> str:
                      str(len(values)), minutes])
         last = claim.table
     return render(PAGE, rows=rows, reached=reached, all=len(CLAIMS), same=_same_data(folder),
-                  gymnasium=_gymnasium(found), machine=found.names('machine'),
+                  gymnasium=_gymnasium(found), double=_mean(found, 'two_masses', '0.2', 'gauss4'),
+                  machine=found.names('machine'),
                   commit=found.names('commit'))
 
 
@@ -123,6 +131,11 @@ def _gymnasium(found: ResultTable) -> str:
     drifts = (found.values('energy_drift', f'acrobot {dt}', 'Gymnasium rk4')
               for dt in ('0.2', '0.05', '0.01'))
     return ', '.join(f'{values.mean():.1e}' for values in drifts if len(values))
+
+
+def _mean(found: ResultTable, table: str, system: str, measure: str) -> str:
+    values = found.values(table, system, measure)
+    return f'{values.mean():.3g}' if len(values) else 'not measured'
 
 
 def _minutes(found: ResultTable, table: str) -> str:

@@ -7,7 +7,7 @@ from shutil import copytree
 
 import numpy as np
 import pytest
-from studies import energy_drift, known_tables
+from studies import energy_drift, known_tables, two_masses
 from studies.published_page import read_results
 
 DOCS = Path(__file__).parents[2] / 'docs' / 'evidence'
@@ -53,3 +53,13 @@ def test_energies_are_measured_on_short_runs(out: Path):
     assert found['chain', 'gauss4'] < 1e-9 < found['chain', 'variational_euler'] < 0.1
     assert found['acrobot 0.2', 'gauss8'] < found['acrobot 0.2', 'Gymnasium rk4'] < 0.1
     assert (out / 'learning' / 'energy_drift.png').stat().st_size > 1000
+
+
+def test_two_masses_are_identified_to_their_noise(out: Path):
+    two_masses.main(['--quick', '--out', str(out)])
+    found = measured(out, 'two_masses')
+    # The noise of 1 mm/s is 0.0024 of the test's velocities; numbers from 30 s add no more to it.
+    assert found['0.1', 'gauss4'] < 0.01 < found['0.1', 'variational_euler']
+    # Order 1: half the step, half the error, to a tenth of it.
+    ratio = found['0.05', 'variational_euler'] / found['0.1', 'variational_euler']
+    assert abs(ratio - 0.5) < 0.05
