@@ -17,6 +17,7 @@ from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.identify.arguments import identify as command_line
 from hnn_vi_ros.identify.identify import identify
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.construction import build
 from matplotlib.figure import Figure
 import numpy as np
@@ -91,18 +92,23 @@ def identified(folder: Path, samples: int, random: np.random.Generator) -> Scene
     return found.free.at(found.solution.values)[0]
 
 
+def driven(simulation: Simulation, t: np.ndarray, u: np.ndarray) -> Iterator[None]:
+    """Advance a simulation step by step, under the mean over each of a spline of the forces u."""
+    steps = round((t[-1] - t[0]) / simulation.step_size)
+    integral = CubicSpline(t - t[0], u).antiderivative()(
+        simulation.step_size * np.arange(steps + 1))
+    for mean in np.diff(integral) / simulation.step_size:
+        simulation.set_command(np.full(simulation.hamiltonian.dimension, mean))
+        simulation.advance(1)
+        yield
+
+
 def velocity(scene: Scene, method: str, step_size: float, t: np.ndarray, u: np.ndarray
              ) -> np.ndarray:
     """Return the velocity of the second mass after each step of a simulation from rest [m/s]."""
     simulation = build(scene.changed({'integrator': {'kind': method}, 'step_size': step_size}))
-    steps = round(t[-1] / step_size)
-    integral = CubicSpline(t, u).antiderivative()(step_size * np.arange(steps + 1))
-    found = []
-    for mean in np.diff(integral) / step_size:
-        simulation.set_command([mean, mean])
-        simulation.advance(1)
-        found.append(simulation.hamiltonian.gradient(simulation.q, simulation.p)[1].sum())
-    return np.array(found)
+    return np.array([simulation.hamiltonian.gradient(simulation.q, simulation.p)[1].sum()
+                     for _ in driven(simulation, t, u)])
 
 
 def nrms(scene: Scene, method: str, step_size: float, t: np.ndarray, u: np.ndarray,
