@@ -102,14 +102,14 @@ def followed(scene: Scene, starts: np.ndarray, u: np.ndarray, t: np.ndarray) -> 
 def chain_acceleration(masses: Sequence[float], lengths: Sequence[float], gravity: float
                        ) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
     """Return the accelerations of point masses on rods, of angles from the vertical below."""
-    m, l = np.asarray(masses), np.asarray(lengths)
+    m, length = np.asarray(masses), np.asarray(lengths)
     below = np.cumsum(m[::-1])[::-1]
     # The mass that two rods move together is that below the lower one.
-    shared = below[np.maximum.outer(np.arange(len(m)), np.arange(len(m)))] * np.outer(l, l)
+    shared = below[np.maximum.outer(np.arange(len(m)), np.arange(len(m)))] * np.outer(length, length)
 
     def acceleration(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
         between = q[:, :, None] - q[:, None, :]
         force = u - np.einsum('mij,mj->mi', shared * np.sin(between), v**2) - (
-            gravity * below * l * np.sin(q))
+            gravity * below * length * np.sin(q))
         return np.linalg.solve(shared * np.cos(between), force[:, :, None])[:, :, 0]
     return acceleration
