@@ -105,7 +105,8 @@ def chain_acceleration(masses: Sequence[float], lengths: Sequence[float], gravit
     m, length = np.asarray(masses), np.asarray(lengths)
     below = np.cumsum(m[::-1])[::-1]
     # The mass that two rods move together is that below the lower one.
-    shared = below[np.maximum.outer(np.arange(len(m)), np.arange(len(m)))] * np.outer(length, length)
+    order = np.arange(len(m))
+    shared = below[np.maximum.outer(order, order)] * np.outer(length, length)
 
     def acceleration(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
         between = q[:, :, None] - q[:, None, :]

@@ -110,7 +110,8 @@ def test_silverbox_of_its_own_formula_is_found_by_the_command_of_the_guide(tmp_p
         simulation = silverbox.build(silverbox.load_scene(tmp_path / 'scene.yaml'))
         steps = silverbox.driven(simulation, t, u)
         y = np.array([0.0, *(simulation.q[0] for _ in steps)])[::2]
-        data |= {f'multisine_{name}/{key}': part for key, part in zip('tuy', (t, u, y), strict=True)}
+        data |= {f'multisine_{name}/{key}': part
+                 for key, part in zip('tuy', (t, u, y), strict=True)}
     (tmp_path / 'silverbox').mkdir()
     np.savez(tmp_path / silverbox.FILE, **data)
     silverbox.main(['--quick', '--data', str(tmp_path), '--out', str(out)])
