@@ -75,11 +75,13 @@ CLAIMS = (
           ('pendulum (q, p)', 4.31, 'SymODEN, task 1: pendulum, error of prediction'),
           ('pendulum (cos, sin)', 0.0948, 'task 2: pendulum by its sine and cosine'),
           ('cart-pole', 4.16, 'task 3: cart-pole'), ('acrobot', 0.809, 'task 4: Acrobot'))),
-    *(Claim('chnn', f'{links} links', 'rigid links', published, text, 'CHNN or CLNN',
-            '`identify`, URDF')
-      for links, published, text in (
-          (1, 5.2e-5, 'CHNN, chain of 1 link: relative error of 10 s'), (2, 1.1e-4, '2 links'),
-          (3, 3.3e-4, '3 links'), (5, 9.3e-4, '5 links'))),
+    *(Claim('chnn', system, 'rigid bodies', published, text, 'CHNN or CLNN', f'`identify`, {ours}')
+      for system, published, text, ours in (
+          ('1 links', 5.2e-5, 'CHNN, chain of 1 link: relative error of a run', 'URDF'),
+          ('2 links', 1.1e-4, '2 links', 'URDF'), ('3 links', 3.3e-4, '3 links', 'URDF'),
+          ('5 links', 9.3e-4, '5 links', 'URDF'), ('gyroscope', 1.7e-5, 'gyroscope', 'formula'),
+          ('rotor', 5.8e-6, 'rotor', 'formula'),
+          ('magnet pendulum', 1.0e-2, 'magnet pendulum', 'formula'))),
     Claim('silverbox', 'test', 'six numbers', 0.24, 'Silverbox, test record: error [mV]',
           'best', '`identify`, six numbers', True),
     Claim('silverbox', 'test', 'seven numbers', 0.24, '', 'best', 'and quadratic drag', True),
