@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from hnn_vi_ros.files.command_line import Parser
 from matplotlib.figure import Figure
 import numpy as np
-from studies.known_tables import CLAIMS, CSV, keep, parser_of, save
+from studies.known_tables import CSV, keep, OWN, parser_of, save
 from studies.published_page import read_results, ResultTable
 from studies.short_motions import chain_acceleration, followed, Mechanism
 
@@ -225,13 +225,14 @@ def draw(results: ResultTable) -> Figure:
     """Draw our errors over the published ones, of this table and of that of SymODEN."""
     figure = Figure(figsize=(7.0, 3.6), layout='constrained')
     axes = figure.subplots()
-    claims = [claim for claim in CLAIMS if claim.table in ('symoden', TABLE)]
-    for k, claim in enumerate(claims):
-        ratios = results.values(claim.table, claim.system, claim.measure) / claim.published
+    claims = [(row.table, *claim) for row in OWN if row.table in ('symoden', TABLE)
+              for claim in row.claims]
+    for k, (*key, published) in enumerate(claims):
+        ratios = results.values(*key) / published
         axes.plot(ratios, [k] * len(ratios), 'o', color='#0072b2', markersize=4)
     axes.axvline(1.0, color='grey', linestyle=':')
     axes.set(xscale='log', xlabel='our error over the published one, each seed',
-             yticks=range(len(claims)), yticklabels=[claim.system for claim in claims])
+             yticks=range(len(claims)), yticklabels=[claim[1] for claim in claims])
     axes.invert_yaxis()
     axes.grid(alpha=0.3)
     return figure

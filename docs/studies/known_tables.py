@@ -14,7 +14,7 @@ from hnn_vi_ros.files.command_line import Parser
 from matplotlib.figure import Figure
 from studies.pages import render
 from studies.published_page import (
-    FOLDER, MACHINES, read_results, Result, ResultTable, spread, write_results)
+    FOLDER, MACHINES, read_results, Result, ResultTable, write_results)
 from studies.results import commit, machine
 
 PAGE, CSV = 'published-tables.md', 'known_tables.csv'
@@ -23,69 +23,46 @@ SECONDS = 'seconds'
 
 
 @dataclass(frozen=True)
-class Claim:
+class Row:
     """
-    A published figure, and ours that stands beside it; smaller is better.
+    A row of the page: a published table, whose figures are better where they are smaller.
 
     Parameters
     ----------
-    table, system, measure : str
-        Key of our values in the results.
-    published : float
-        In the units of the publication.
-    text : str
-        Subject of the row.
-    published_text, ours : str
-        Method of the published figure, and of ours.
-    same : bool
-        True if both are of one published data set.
+    table, text : str
+        Name of the table in the results, and what the page says of the row.
+    claims : tuple of (str, str, float)
+        System and measure of our values, and the published figure in its own units.
 
     """
 
     table: str
-    system: str
-    measure: str
-    published: float
     text: str
-    published_text: str
-    ours: str
-    same: bool = False
+    claims: tuple[tuple[str, str, float], ...]
 
 
-CLAIMS = (
-    Claim('energy_drift', 'chain', 'variational_euler', 0.39,
-          'ten links, 1e5 steps of 1 ms: energy band', 'DART, semi-implicit Euler',
-          '`variational_euler`'),
-    Claim('energy_drift', 'chain', 'gauss4', 0.011, '', 'DART, variational', '`gauss4`'),
-    Claim('energy_drift', 'acrobot 0.2', 'gauss8', 3.554e-3,
-          'Acrobot, 100 s: energy drift, dt = 0.2 s', 'Gymnasium', '`gauss8`, h = 0.1 s'),
-    Claim('energy_drift', 'acrobot 0.05', 'gauss8', 4.189e-6, 'dt = 0.05 s', 'Gymnasium',
-          '`gauss8`, h = 0.1 s'),
-    Claim('energy_drift', 'acrobot 0.01', 'gauss8', 1.519e-8, 'dt = 0.01 s', 'Gymnasium',
-          '`gauss8`, h = 0.05 s'),
-    Claim('two_masses', '0.1', 'gauss4', 0.0190, 'two masses, noise: NRMS of a test record',
-          'OE-pHNN, its method and step', '`identify`, `gauss4`, h = 0.1 s'),
-    Claim('two_masses', '0.05', 'gauss4', 0.0192, 'half the step', 'OE-pHNN', 'the same'),
-    Claim('two_masses', '0.1', 'variational_euler', 0.823, 'another method',
-          'OE-pHNN, Euler', '`variational_euler`'),
-    Claim('two_masses', '0.05', 'variational_euler', 0.0548, 'both',
-          'OE-pHNN, Euler', '`variational_euler`'),
-    *(Claim('symoden', system, 'formula', published, text, 'SymODEN', '`identify`, formula')
-      for system, published, text in (
-          ('pendulum (q, p)', 4.31, 'SymODEN, task 1: pendulum, error of prediction'),
-          ('pendulum (cos, sin)', 0.0948, 'task 2: pendulum by its sine and cosine'),
-          ('cart-pole', 4.16, 'task 3: cart-pole'), ('acrobot', 0.809, 'task 4: Acrobot'))),
-    *(Claim('chnn', system, 'rigid bodies', published, text, 'CHNN or CLNN', f'`identify`, {ours}')
-      for system, published, text, ours in (
-          ('1 links', 5.2e-5, 'CHNN, chain of 1 link: relative error of a run', 'URDF'),
-          ('2 links', 1.1e-4, '2 links', 'URDF'), ('3 links', 3.3e-4, '3 links', 'URDF'),
-          ('5 links', 9.3e-4, '5 links', 'URDF'), ('gyroscope', 1.7e-5, 'gyroscope', 'formula'),
-          ('rotor', 5.8e-6, 'rotor', 'formula'),
-          ('magnet pendulum', 1.0e-2, 'magnet pendulum', 'formula'))),
-    Claim('silverbox', 'test', 'six numbers', 0.24, 'Silverbox, test record: error [mV]',
-          'best', '`identify`, six numbers', True),
-    Claim('silverbox', 'test', 'seven numbers', 0.24, '', 'best', 'and quadratic drag', True),
-)
+# Own generators, and published data sets.
+OWN = (
+    Row('energy_drift', 'DART, chain of ten links: energy band by Euler, variational', (
+        ('chain', 'variational_euler', 0.39), ('chain', 'gauss4', 0.011))),
+    Row('energy_drift', 'Gymnasium, Acrobot: drift at 0.2, 0.05, 0.01 s', (
+        ('acrobot 0.2', 'gauss8', 3.554e-3), ('acrobot 0.05', 'gauss8', 4.189e-6),
+        ('acrobot 0.01', 'gauss8', 1.519e-8))),
+    Row('two_masses', 'OE-pHNN, two masses: NRMS at 0.1, 0.05 s', (
+        ('0.1', 'gauss4', 0.0190), ('0.05', 'gauss4', 0.0192))),
+    Row('two_masses', 'OE-pHNN by Euler, ours by `variational_euler`', (
+        ('0.1', 'variational_euler', 0.823), ('0.05', 'variational_euler', 0.0548))),
+    Row('symoden', 'SymODEN, tasks 1 to 4: prediction error', (
+        ('pendulum (q, p)', 'formula', 4.31), ('pendulum (cos, sin)', 'formula', 0.0948),
+        ('cart-pole', 'formula', 4.16), ('acrobot', 'formula', 0.809))),
+    Row('chnn', 'CHNN, chains of 1, 2, 3, 5 links: relative error', tuple(
+        (f'{links} links', 'rigid bodies', published)
+        for links, published in ((1, 5.2e-5), (2, 1.1e-4), (3, 3.3e-4), (5, 9.3e-4)))),
+    Row('chnn', 'CHNN, gyroscope, rotor, magnet pendulum', (
+        ('gyroscope', 'rigid bodies', 1.7e-5), ('rotor', 'rigid bodies', 5.8e-6),
+        ('magnet pendulum', 'rigid bodies', 1.0e-2))))
+SAME = Row('silverbox', 'Silverbox [mV]: six, seven numbers', (
+    ('test', 'six numbers', 0.24), ('test', 'seven numbers', 0.24)))
 
 
 def parser_of(name: str, text: str | None, more: str = '') -> Parser:
@@ -112,7 +89,10 @@ def keep(out: Path, table: str, values: Iterable[tuple[str, int, str, float]]) -
     """
     (out / FOLDER).mkdir(parents=True, exist_ok=True)
     start, origin = time.process_time(), (commit(), machine())
-    rows = [Result(table, *row, *origin) for row in values]
+    rows = []
+    for row in values:
+        print(table, *row, flush=True)
+        rows.append(Result(table, *row, *origin))
     rows.append(Result(table, '', 0, SECONDS, time.process_time() - start, *origin))
     known = read_results(out, CSV) if (out / FOLDER / CSV).is_file() else []
     results = [*(row for row in known if row.table != table), *rows]
@@ -125,25 +105,30 @@ def keep(out: Path, table: str, values: Iterable[tuple[str, int, str, float]]) -
 def as_page(folder: Path, results: Sequence[Result] | None = None) -> str:
     """Return the page, from the results of all studies."""
     found = ResultTable(read_results(folder, CSV) if results is None else results)
-    rows: dict[bool, list[list[str]]] = {False: [], True: []}
-    reached, last = 0, ''
-    for claim in CLAIMS:
-        values = found.values(claim.table, claim.system, claim.measure)
-        ours, met = 'not measured', False
-        if len(values):
-            met = float(f'{values.mean():.2e}') <= claim.published
-            ours = spread(values) if met else f'**{spread(values)}**'
-        reached += met
-        minutes = '' if claim.table == last else _minutes(found, claim.table)
-        rows[claim.same].append([claim.text, f'{claim.published:.3g}', claim.published_text, ours,
-                                 claim.ours, str(len(values)), minutes])
-        last = claim.table
+    rows = [_cells(found, row) for row in (*OWN, SAME)]
     others = list(_other_pages(folder))
-    reached += sum(met for met, _ in others)
-    return render(PAGE, own=rows[False], same=[*rows[True], *(row for _, row in others)],
-                  reached=reached, all=len(CLAIMS) + len(others), gymnasium=_gymnasium(found),
-                  double=_mean(found, 'two_masses', '0.2', 'gauss4'),
+    counts = [count for count, _ in rows] + [(int(met), 1) for met, _ in others]
+    reached, every = (sum(part) for part in zip(*counts, strict=True))
+    own, same = [cells for _, cells in rows[:-1]], [rows[-1][1], *(cells for _, cells in others)]
+    return render(PAGE, own=own, same=same, reached=reached, all=every,
+                  gymnasium=_gymnasium(found), double=_mean(found, 'two_masses', '0.2', 'gauss4'),
                   machine=found.names('machine'), commit=found.names('commit'))
+
+
+def _cells(found: ResultTable, row: Row) -> tuple[tuple[int, int], list[str]]:
+    """Return how many figures of a row are reached and there, and its cells."""
+    cells, reached, seeds = [], 0, 0
+    for system, measure, published in row.claims:
+        values = found.values(row.table, system, measure)
+        if not len(values):
+            cells.append('not measured')
+            continue
+        met = float(f'{values.mean():.2e}') <= published
+        cells.append(f'{values.mean():.2g}' if met else f'**{values.mean():.3g}**')
+        reached, seeds = reached + met, len(values)
+    published = ', '.join(f'{one:.3g}' for _, _, one in row.claims)
+    return (reached, len(cells)), [row.text, published, ', '.join(cells), str(seeds),
+                                   _minutes(found, row.table)]
 
 
 def _gymnasium(found: ResultTable) -> str:
@@ -166,29 +151,27 @@ def _minutes(found: ResultTable, table: str) -> str:
 def _other_pages(folder: Path) -> Iterator[tuple[bool, list[str]]]:
     """Yield the rows of published data sets on other pages, and whether they are reached."""
     for row in _json(folder / FOLDER / MACHINES):
-        key = row['case'], row['measure'], row['model']
-        if key in _MACHINES:
-            text, by = _MACHINES[key]
-            yield row['met'], [text, _numbers(row['reference']), by, _numbers(row['ours']),
-                               f'`mechanical`, {row["model"]}', str(len(row['seeds'])), '']
-    bodies = _json(folder / FOLDER / BODIES)
+        text = _MACHINES.get((row['case'], row['measure'], row['model']))
+        if text is not None:
+            yield row['met'], [text, _numbers(row['reference']), _numbers(row['ours']),
+                               str(len(row['seeds'])), '']
+    losses = _json(folder / FOLDER / BODIES)['test_loss']
     for name, text in _BODIES.items():
-        loss, seeds = bodies['test_loss'][name], bodies.get('seeds', {}).get(name, {})
-        yield loss['met'], [f'{text}: test loss', f'{loss["published"]:.1e}', 'LieGroupHamDL',
-                            f'{loss["ours"]:.1e}', '`lie_group`', str(len(seeds) + 1), '']
-    # Not in a file: the table of docs/tutorials/emps_drive.md.
-    yield False, ['EMPS, test record: error [mm]', '2.64', 'dynoNet', '**2.77**', '`emps_drive`',
-                  '1', '2']
+        loss = losses[name]
+        yield loss['met'], [text, f'{loss["published"]:.1e}', f'{loss["ours"]:.1e}', '1', '']
+    # The results are those of docs/tutorials/emps_drive.md, which no file has.
+    yield False, ['EMPS [mm]', '2.64', '**2.77**', '1', '2']
 
 
 _MACHINES = {
     ('two-link arm that writes letters', 'valid prediction time [s], e and v', 'networks'):
-        ('letters: valid prediction time [s], larger is better', 'structured HNN'),
+        'letters [s], larger is better',
     ('real actuated double pendulum', 'RMS error [rad] after 0.1 s, test', 'default'):
-        ('C.1 double pendulum: error [rad] after 0.1 s', '12 parameters'),
+        'C.1 after 0.1 s [rad]',
     ('real actuated double pendulum', 'RMS error [rad] after 0.5 s, test', 'default'):
-        ('error [rad] after 0.5 s', 'authors')}
-_BODIES = {'turning_pendulum': 'pendulum as a rotation matrix', 'flying_quadrotor': 'quadrotor'}
+        'C.1 after 0.5 s [rad]'}
+_BODIES = {'turning_pendulum': 'LieGroupHamDL, pendulum',
+           'flying_quadrotor': 'LieGroupHamDL, quadrotor'}
 
 
 def _json(path: Path) -> Any:

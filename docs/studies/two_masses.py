@@ -160,7 +160,6 @@ def main(argv: Sequence[str]) -> None:
     def kept() -> Iterator[tuple[str, int, str, float]]:
         for value in measure(*(1, 300, 500) if arguments.quick else (SEEDS, TRAIN, TEST)):
             values.append(value)
-            print(*value, flush=True)
             yield value
     print(keep(arguments.out, TABLE, kept()))
     save(draw(values), arguments.out, TABLE)
