@@ -4,11 +4,11 @@
 
 from collections.abc import Callable, Iterator
 
-from benchmarks.measurement import assert_close, race, Row, Settings
+from benchmarks.measurement import assert_close, Contestant, race, Row, Settings
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.files.resources import shipped_file
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.effects.commands import Observation, OBSERVATION
+from hnn_vi_ros.files.resources import share_folder, shipped_file
+from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, PhasePoint
@@ -24,31 +24,50 @@ _H = 0.01
 # Long enough for the 2 % that the target resolves.
 _STEPS = {'exact_pendulum': 200_000, 'pendulum': 40_000}
 _ADDED_STEPS = 20_000
-# Each effect with a suitable system, state and YAML options.
+# Each effect with the smallest suitable system, its state and YAML options.
 _SYSTEMS = {
     'line': ('free_particle', {'names': ['z']}, [1.0], [0.0]),
     'plane': ('free_particle', {'names': ['x', 'z']}, [1.0, 0.0], [0.0, 0.5]),
     'pendulum': ('pendulum', {}, [2.0], [0.0]),
+    # Heavy enough for the friction of a machine of 96 kg.
+    'heavy': ('pendulum', {'mass': 1000.0}, [2.0], [0.0]),
+    'forearm': ('urdf', {'file': str(share_folder() / 'config/robots/two_joint_arm.urdf'),
+                         'locked': {'shoulder': 0.0}}, [1.2], [0.0]),
 }
 _EFFECTS = {
     'gravity': ('plane', {'coordinate': 'z'}),
     'spring': ('plane', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
     'magnetic_field': ('plane', {'plane': ['x', 'z']}),
     'soft_wall': ('pendulum', {'coordinate': 'angle', 'position': -1.0}),
+    'potential': ('pendulum', {'formula': 'k*angle^2/2', 'parameters': {'k': 2.0}}),
     'damping': ('pendulum', {'rate': 0.1}),
     'dry_friction': ('pendulum', {'coordinate': 'angle', 'force': 0.1}),
+    'joint_friction': ('pendulum', {'damping': {'angle': 0.1}, 'friction': {'angle': 0.1}}),
     'lugre_friction': ('pendulum', {'coordinate': 'angle', 'stiffness': 10.0, 'friction': 0.1}),
     'quadratic_drag': ('pendulum', {'coordinates': ['angle'], 'coefficient': 0.1}),
     'periodic_drive': ('pendulum', {'coordinate': 'angle', 'amplitude': 0.5, 'frequency': 0.5}),
     'external_force': ('pendulum', {'coordinates': ['angle']}),
+    'motor': ('pendulum', {'coordinate': 'angle', 'time_constant': 0.05, 'torque_limit': 1.0,
+                           'no_load_speed': 10.0}),
+    'servo': ('pendulum', {'coordinates': ['angle'], 'stiffness': 20.0, 'damping': 1.0,
+                           'effort_limit': 10.0, 'position': [1.0]}),
+    'observer': ('pendulum', {'coordinates': ['angle'], 'gain': 1.0, 'damping': 1.0,
+                              'timeout': 1e9}),
     'learned_dissipation': (
         'pendulum', {'model': str(shipped_file('model', 'harmonic_oscillator'))}),
+    'learned_friction': ('heavy', {'model': str(shipped_file('model', 'emps_drive'))}),
     'thermostat': ('pendulum', {'temperature': 0.1, 'rate': 1.0}),
     'holonomic_constraint': ('plane', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
     'impact': ('pendulum', {'coordinate': 'angle', 'position': -1.0}),
+    'joint_limits': ('pendulum', {'lower': {'angle': -1.0}, 'upper': {'angle': 2.5},
+                                  'restitution': 1.0}),
 }
+# A motor changes the command of this effect, which is on both sides.
+_BESIDE = {'motor': 'external_force'}
+# A gear adds the coordinate of its rotor.
+_DRIVES = {'elbow': {'stiffness': 300.0, 'rotor_inertia': 2e-5, 'gear': 50.0, 'damping': 0.1}}
 # These need this method; others are measured with the method of the paper.
-_LEAPFROG = ('thermostat', 'holonomic_constraint', 'impact')
+_LEAPFROG = ('thermostat', 'holonomic_constraint', 'impact', 'joint_limits')
 
 
 def rows(settings: Settings) -> Iterator[Row]:
@@ -59,6 +78,8 @@ def rows(settings: Settings) -> Iterator[Row]:
     for kind in _EFFECTS:
         settings.say(kind)
         yield _added(kind, settings)
+    settings.say('drives')
+    yield _drives(settings)
 
 
 def _conservative(name: str, steps: int, settings: Settings) -> Row:
@@ -95,18 +116,34 @@ def bare(hamiltonian: Hamiltonian, method: Integrator, h: float, q: np.ndarray, 
 
 def _added(kind: str, settings: Settings) -> Row:
     """Compare a system with one effect and the same system without."""
-    system, arguments = _EFFECTS[kind]
+    system = _EFFECTS[kind][0]
     method = 'generalized_leapfrog' if kind in _LEAPFROG else 'variational_euler'
-    name, constants, q, p = _SYSTEMS[system]
-    hamiltonian = HAMILTONIANS[name](**constants)
+    both = [_BESIDE[kind]] if kind in _BESIDE else []
+    return race(f'{method} on {_SYSTEMS[system][0]} with {kind}: time per step', {
+        'with': _contestant(system, method, [*both, kind])}, {
+        'without': _contestant(system, method, both)}, settings, target=None,
+        scale=1e6 / _ADDED_STEPS, note='; '.join(f'both sides with {name}' for name in both))
 
-    def contestant(effects: list[Effect]) -> Callable:
-        simulation = Simulation(hamiltonian, INTEGRATORS[method](), _H, q, p, effects)
-        if simulation.takes_commands:
-            simulation.set_command([0.1])
-        simulation.compile()
-        return lambda: lambda: simulation.advance(_ADDED_STEPS)
 
-    return race(f'{method} on {name} with {kind}: time per step', {
-        'with': contestant([EFFECTS[kind](**arguments)])}, {'without': contestant([])}, settings,
-        target=None, scale=1e6 / _ADDED_STEPS)
+def _drives(settings: Settings) -> Row:
+    """Compare a robot's joint with and without an elastic gear."""
+    method = 'variational_euler'
+    return race(f'{method} on urdf with drives: time per step', {
+        'with': _contestant('forearm', method, [], drives=_DRIVES)}, {
+        'without': _contestant('forearm', method, [])}, settings, target=None,
+        scale=1e6 / _ADDED_STEPS)
+
+
+def _contestant(system: str, method: str, kinds: list[str], **constants: object) -> Contestant:
+    """Return the steps of a system with some effects."""
+    name, known, q, p = _SYSTEMS[system]
+    hamiltonian = (HAMILTONIANS | DESCRIBED)[name](**known | constants)
+    rotors = hamiltonian.dimension // len(q)
+    simulation = Simulation(hamiltonian, INTEGRATORS[method](), _H, q * rotors, p * rotors,
+                            [EFFECTS[kind](**_EFFECTS[kind][1]) for kind in kinds])
+    if simulation.takes_commands:
+        simulation.set_command([0.1])
+    if OBSERVATION in simulation.motors.takes:
+        simulation.set_command(Observation(['angle'], 0.0, np.array([1.9]), np.array([0.0])))
+    simulation.compile()
+    return lambda: lambda: simulation.advance(_ADDED_STEPS)
