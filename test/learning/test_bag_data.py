@@ -10,7 +10,7 @@ from bag_files import ARRAY, array, JOINTS, Message, state, write
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.bags import BagData, BagMotions, BLOCKS
 from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.learning.data.sources import make_dataset, read_motions
+from hnn_vi_ros.learning.data.sources import configuration_of, make_dataset, read_motions
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
@@ -139,6 +139,17 @@ def assert_exact(data, scene, tolerance: float) -> None:
     dH_dq, dH_dp = scene.create_hamiltonian().gradient(data.q, data.p)
     assert np.abs(data.dq_dt - dH_dp).max() < tolerance
     assert np.abs(data.dp_dt + dH_dq).max() < tolerance
+
+
+def test_joints_that_follow_others_are_no_coordinates_of_a_configuration(tmp_path):
+    names = ['thumb_angle', 'tip_angle', 'pad_angle']
+    own = [state(time, names, [time, 0.5 * time, 2.0 * time]) for time in T[:3]]
+    whole = state(T[0], ['pad_angle', 'p_pad_angle', 'thumb_angle', 'p_thumb_angle'], [0.0] * 4,
+                  topic='/hnn_simulator/state')
+    for bag_of, joints_of in (([*own, whole], ['thumb_angle', 'pad_angle']), (own, names)):
+        found = configuration_of([str(write(tmp_path / 'a.mcap', bag_of))])
+        assert [one['name'] for one in found['coordinates']] == joints_of
+        assert found['data']['joints'] == joints_of
 
 
 @pytest.mark.parametrize('close', [True, False])

@@ -33,22 +33,34 @@ Decoded = TypeVar('Decoded')
 
 
 def joint_names(path: Path) -> list[str]:
-    """Return the names in the first joint states of a bag."""
+    """
+    Return the joints in the first joint states of a bag.
+
+    Joints that follow others are left out where ~/state of a simulator shows which have momenta.
+    """
     try:
         bag = BagReader(path)
     except RecordingError as problem:
         raise DataError(str(problem)) from problem
+    names = _first_names(bag, 'joint_states')
+    if not names:
+        raise DataError(f'{path}: no joint_states; name the topics in a configuration')
+    known = set(_first_names(bag, '/state'))
+    return [name for name in names if MOMENTUM + name in known] or names
+
+
+def _first_names(bag: BagReader, ending: str) -> list[str]:
+    """Return the names in the first joint states on a topic with this ending; none without it."""
     for number, channel in bag.channels.items():
         schema = bag.schemas.get(number)
-        if schema is not None and schema.name == JOINT_STATE \
-                and channel.topic.endswith('joint_states'):
+        if schema is not None and schema.name == JOINT_STATE and channel.topic.endswith(ending):
             for message in bag.messages([number]):
                 try:
                     return list(decode_joint_state(message.data).names)
                 except (ValueError, UnicodeDecodeError) as problem:
-                    raise DataError(f'{path}: {channel.topic} cannot be read: {problem}'
+                    raise DataError(f'{bag.path}: {channel.topic} cannot be read: {problem}'
                                     ) from problem
-    raise DataError(f'{path}: no joint_states; name the topics in a configuration')
+    return []
 
 
 @final
