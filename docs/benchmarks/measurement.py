@@ -86,7 +86,7 @@ class Settings:
 
 
 def interleave(contestants: Sequence[Contestant], repetitions: int, *, warm_up: bool = True,
-               one_thread: bool = True) -> np.ndarray:
+               one_thread: bool = True, of_processor: bool = False) -> np.ndarray:
     """
     Time the contestants in turns, so that other load on the machine affects all of them.
 
@@ -100,11 +100,13 @@ def interleave(contestants: Sequence[Contestant], repetitions: int, *, warm_up: 
         Run each contestant once before, untimed.
     one_thread : bool, optional
         Raise if a run uses more than one processor.
+    of_processor : bool, optional
+        Return processor times, which waiting for a shared processor does not change.
 
     Returns
     -------
     np.ndarray, shape (turns, contestants)
-        Wall times [s].
+        Wall or processor times [s].
 
     Raises
     ------
@@ -124,7 +126,7 @@ def interleave(contestants: Sequence[Contestant], repetitions: int, *, warm_up: 
     if one_thread and np.max(busy) > 1.3:
         raise RuntimeError(f'contestant {np.argmax(busy)} keeps {np.max(busy):.1f} processors '
                            'busy; each is to use one')
-    return wall
+    return processor if of_processor else wall
 
 
 def summarise(name: str, ours: str, peer: str, ratios: npt.ArrayLike, target: float | None,
@@ -163,7 +165,7 @@ def compare(name: str, ours: np.ndarray, peer: np.ndarray, *, target: float | No
 
 def race(name: str, ours: Mapping[str, Contestant], peers: Mapping[str, Contestant],
          settings: Settings, *, scale: float, unit: str = 'us', copies: int = 1, note: str = '',
-         **row: Any) -> Row:
+         of_processor: bool = False, **row: Any) -> Row:
     """
     Time several ways of each side in turns; return the row of the fastest of each.
 
@@ -179,10 +181,13 @@ def race(name: str, ours: Mapping[str, Contestant], peers: Mapping[str, Contesta
         Number of repetitions.
     copies : int, optional
         Results of a peer's run, by which its time is divided.
+    of_processor : bool, optional
+        See ``interleave``.
 
     """
     names = [*ours, *peers]
-    times = interleave([*ours.values(), *peers.values()], settings.repetitions)
+    times = interleave([*ours.values(), *peers.values()], settings.repetitions,
+                       of_processor=of_processor)
     times[:, len(ours):] /= copies
     medians = np.median(times, axis=0)
     mine, other = int(np.argmin(medians[:len(ours)])), len(ours) + int(
@@ -190,7 +195,9 @@ def race(name: str, ours: Mapping[str, Contestant], peers: Mapping[str, Contesta
     told = [f'{label}: {scale * median:.3g} {unit}'
             for label, median in zip(names, medians, strict=True)]
     return compare(name, times[:, mine], times[:, other], scale=scale, unit=unit,
-                   peer_name=names[other], note='; '.join([*told, *filter(None, [note])]), **row)
+                   peer_name=names[other], note='; '.join(
+                       [*told, *['processor times'] * of_processor, *filter(None, [note])]),
+                   **row)
 
 
 def assert_close(what: str, ours: np.ndarray, theirs: np.ndarray, tolerance: float) -> None:
