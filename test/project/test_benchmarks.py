@@ -18,6 +18,7 @@ from benchmarks.bench import GROUPS, run, write
 from benchmarks.choosing import accurate_ways, cheapest, first_good, path_run, problem_of, Way
 from benchmarks.measurement import assert_close, compare, interleave, race, Row, Settings
 from benchmarks.report import as_markdown, Group, measured_here, read_groups
+from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.simulation.accuracy.trials import Method
 import numpy as np
@@ -203,6 +204,22 @@ def test_first_good_setting_passes_over_those_that_fail():
 
     assert first_good([3.0, 2.0, 1.0, 0.5], error, 1.0) == 1.0
     assert first_good([3.0, 2.0], error, 1.0) is None
+
+
+def test_page_on_effects_has_the_measured_cost_of_each():
+    rows = read_groups(DOCS / 'evidence' / 'benchmarks.json')['effects'].rows
+    costs = {}
+    for row in rows:
+        if found := re.search(r' with (\w+): time per step', row.name):
+            # '0.238 us' and 'without 0.101 us'.
+            ours, peer = (float(side.split()[-2]) for side in (row.ours, row.peer))
+            costs[found[1]] = f'{1e3 * (ours - peer):.0f}'
+    assert set(costs) == {*EFFECTS, 'drives'}
+    lines = re.findall(r'^\|[^|]+\|([^|]*`[^|]*)\|([^|]+)\|$',
+                       (DOCS / 'how-to' / 'choose-effects.md').read_text(encoding='utf-8'), re.M)
+    told = {kind: cost for kinds, cell in lines for kind, cost in zip(
+        re.findall(r'`(\w+)`', kinds), cell.strip().split('; '), strict=True)}
+    assert told == costs
 
 
 @pytest.mark.long
