@@ -171,17 +171,44 @@ def write_fit(path: Path) -> None:
 
 
 def write_bands(path: Path) -> None:
-    """Draw the error of an ensemble and its bands; `train --ensemble` made it, in models/."""
-    scene = _learned(DOCS.parent / 'models' / _ENSEMBLE, uncertainty={})
-    found = simulate_spread(scene, 60.0, integrator='gauss8', every=10)
-    exact = simulate('exact_pendulum', 60.0, integrator='gauss8', every=10,
-                     step_size=scene.step_size)
-    figure, (axes,) = _figure(3.2)
-    t, band = found.mean.t, found.spread_q[:, 0]
-    axes.plot(t, found.mean.q[:, 0] - exact.q[:, 0], label='error of the mean')
-    axes.fill_between(t, -band, band, alpha=0.3, label='band of 90 %')
-    axes.set(xlabel='t [s]', ylabel='angle [rad]')
-    axes.legend(loc='upper left')
+    """Draw a motion with its band, and the errors of many; `train --ensemble` made the model."""
+    # Imported here: the other pictures need no torch.
+    from hnn_vi_ros.learning.fit.config import find_config, load_config
+    from hnn_vi_ros.learning.judging.ensemble import held_exact, scores_of
+    from hnn_vi_ros.models.checkpoint import load_checkpoint
+    model = DOCS.parent / 'models' / _ENSEMBLE
+    scene = _learned(model, uncertainty={})
+    same: dict[str, Any] = {'integrator': 'gauss8', 'every': 5, 'initial_state': ([3.1], [0.0])}
+    found = simulate_spread(scene, 30.0, **same)
+    exact = simulate('exact_pendulum', 30.0, step_size=scene.step_size, **same)
+    figure = Figure(figsize=(9.0, 3.6), layout='constrained')
+    left, right = figure.subplots(1, 2, width_ratios=[1.5, 1.0])
+    t, mean, half = found.mean.t, found.mean.q[:, 0], found.spread_q[:, 0]
+    left.fill_between(t, mean - half, mean + half, color='#0072b2', alpha=0.3, linewidth=0.0,
+                      label='band of 90 %')
+    left.plot(t, mean, color='#0072b2', label='mean of five networks')
+    left.plot(t, exact.q[:, 0], 'k--', linewidth=1.0, label='exact pendulum')
+    left.set(xlabel='t [s]', ylabel='angle [rad]', xlim=(0.0, 30.0),
+             title='a motion next to the separatrix')
+    figure.legend(loc='outside upper center', ncols=3, fontsize=9)
+    checkpoint, config = (load_checkpoint(str(model), ensembles=True),
+                          load_config(find_config('pendulum')))
+    held, card = held_exact(checkpoint, config, 3000, config.seed + 3), checkpoint.card.ensemble
+    assert held is not None and card is not None and card.factors is not None
+    relative = scores_of(checkpoint, held) / np.array(card.factors)
+    ratios = np.sort(relative[held.inside[1:]].ravel())
+    share = np.arange(1, ratios.size + 1) / ratios.size
+    inside = float(np.mean(ratios <= 1.0))
+    right.plot(ratios, share, color='#0072b2')
+    right.axvline(1.0, color='grey', linestyle=':')
+    right.plot(1.0, inside, 'o', color='#d55e00')
+    right.annotate(f'{inside:.0%} of errors\nare within the band', (1.0, inside), (1.2, 0.55),
+                   arrowprops={'arrowstyle': '->', 'color': '#d55e00'})
+    right.set(xlim=(0.0, 3.0), ylim=(0.0, 1.02), xlabel='error / half-width of the band',
+              ylabel='share of errors below',
+              title=f'{held.inside[1:].any(axis=0).sum()} new motions of 7.5 s')
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
 
 

@@ -47,12 +47,12 @@ def sketch(run: Trajectory, sample: int = -1) -> Image.Image:
 
 
 def _plane(parts: dict[str, Part]) -> tuple[int, int]:
-    """Return the axes of the plane in which moving parts extend most; x and z of equal ones."""
+    """Return the axes of a view from the side with most motion; flat motion is seen from above."""
     places = np.vstack([_places(part) for part in parts.values() if part.moves])
-    extents = np.ptp(places, axis=0)
-    hidden = 1 if extents[1] <= extents.min() * (1.0 + 1e-9) else int(extents.argmin())
-    across, up = (axis for axis in range(3) if axis != hidden)
-    return across, up
+    along_x, along_y, along_z = np.ptp(places, axis=0)
+    if along_z < 0.3 * max(along_x, along_y):
+        return 0, 1
+    return (0, 2) if along_y <= along_x * (1.0 + 1e-9) else (1, 2)
 
 
 def _places(part: Part) -> np.ndarray:
