@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.expressions import GRAMMAR, Graph, Reader, Symbol, traced
     from hnn_vi_ros.hamiltonians.formula import Formula
     from hnn_vi_ros.hamiltonians.mechanisms.parts import (
-        Ball, bounds_of, Cuboid, Line, Mechanism, Part, SILVER, Trail)
+        AMBER, Ball, bounds_of, Cuboid, Line, Mechanism, Part, SILVER, Trail)
     from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS, ROTATING
     from hnn_vi_ros.hamiltonians.mechanisms.skeleton import (
         bones, moved, shapes_of, skeleton, tip_of)

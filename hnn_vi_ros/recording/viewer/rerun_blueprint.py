@@ -103,8 +103,11 @@ def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[
         thin = path in BANDS
         count = len(names) // 2 if thin else len(names)
         colors = [PALETTE[(start + i % count) % len(PALETTE)] for i in range(len(names))]
-        style = rr.SeriesLines(colors=colors, names=without_unit(names)[0],
-                               widths=[0.7 if thin else 2.0] * len(names))
+        # By default the viewer averages samples that share a pixel, which hides oscillations.
+        style = rr.SeriesLines(
+            colors=colors, names=without_unit(names)[0],
+            widths=[0.7 if thin else 2.0] * len(names),
+            aggregation_policy=rr.components.AggregationPolicy.MinMax)
         stream.log(path, style, static=True, strict=True)
 
 
@@ -209,14 +212,16 @@ ENERGIES = ('/energy/H', '/energy/modified', '/energy/work')
 INVARIANTS = '/invariants'
 # Free shares of the time axis at its end: for a legend, and for the last label only.
 _LEGEND_ROOM, _END_ROOM = 0.25, 0.04
-# In points: widths of a plot, of a letter and of the edges of a legend, heights of a legend's line
-# and of the rest of a plot below its bar, and minimum height of a view.
+# In points: widths of a plot, of a letter and of the edges of a legend, height of a plot for each
+# line of its legend, which fills 0.78 of it, and of the axis below, and minimum height of a view.
 _PLOT_WIDTH, _LETTER_WIDTH, _LEGEND_EDGES = 775.0, 7.6, 42.0
-_LEGEND_LINE, _PLOT_MARGIN, _MIN_HEIGHT = 23.0, 46.0, 120.0
+_LEGEND_LINE, _AXIS, _MIN_HEIGHT = 29.6, 29.0, 112.0
 # Minimum share of a run with known duration that a trail shows.
 _TRAIL_SHARE = 0.2
 # Maximum number of gaps between ticks over the height of a plot.
 _MAX_TICK_GAPS = 5.0
+# Values below the first are rounding of zero; the range of a plot that shows them.
+_ROUNDING, _ROUNDING_RANGE = 1e-12, (-1.3e-9, 1.3e-9)
 
 
 class SeriesExtent(NamedTuple):
@@ -272,7 +277,7 @@ class Arrangement:
     def world_share(self) -> float:
         """Share of the height reserved for the mechanism."""
         # Two portraits in a row are half as high as one.
-        return 0.0 if self.bounds is None else (1.0, 0.32, 0.55)[self.portraits]
+        return 0.0 if self.bounds is None else (0.78, 0.32, 0.55)[self.portraits]
 
     @property
     def world_aspect(self) -> float:
@@ -334,10 +339,17 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     names = [names_of(paths, labels)[0] for _, paths in plots]
     # All time axes end together, after the longest legend.
     room = max(map(room_after, names))
-    motion = rrb.Vertical(
-        *(_series_view(title, paths, labels, extent, room) for title, paths in plots),
-        _events_view(), row_shares=[*map(height_for, names), 0.75 * _MIN_HEIGHT],
-        name='Motion')
+    panes: list[rrb.View] = [
+        _series_view(title, paths, labels, extent, room) for title, paths in plots]
+    shares = [*map(height_for, names)]
+    if left is not None and left is world:
+        # A mechanism alone leaves room below.
+        share = arrangement.world_share
+        left = rrb.Vertical(world, _events_view(), row_shares=[share, 1.0 - share])
+    else:
+        panes.append(_events_view())
+        shares.append(0.75 * _MIN_HEIGHT)
+    motion = rrb.Vertical(*panes, row_shares=shares, name='Motion')
     right = rrb.Tabs(motion, _timing_views(pace, extent))
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.42, 0.58])
@@ -401,7 +413,7 @@ def room_after(names: Sequence[str]) -> float:
 
 def height_for(names: Sequence[str]) -> float:
     """Return the height of a view, in points, for a legend of up to eight names."""
-    return max(_MIN_HEIGHT, BAR + _PLOT_MARGIN + _LEGEND_LINE * min(len(names), len(PALETTE)))
+    return max(_MIN_HEIGHT, BAR + _AXIS + _LEGEND_LINE * min(len(names), len(PALETTE)))
 
 
 def with_ticks(low: float, high: float) -> tuple[float, float]:
@@ -410,8 +422,10 @@ def with_ticks(low: float, high: float) -> tuple[float, float]:
 
     The viewer labels multiples of a power of ten that are at least some 25 points apart: in a plot
     of 130 points, multiples of the smallest power of ten that fits at most _MAX_TICK_GAPS times
-    into the range.
+    into the range. It writes no labels of about 1e-13 and below.
     """
+    if 0.0 < max(abs(low), abs(high)) < _ROUNDING:
+        return _ROUNDING_RANGE
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         # A constant: show zero as well, or one of its digits.
         low, high = min(low, 0.0), max(high, 0.0)

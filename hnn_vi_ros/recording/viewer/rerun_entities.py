@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entities of a rerun recording: the robot, arrows of forces, and phase portraits."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import math
 from tempfile import NamedTemporaryFile
 from typing import Any, final
@@ -11,8 +11,8 @@ from hnn_vi_ros.effects import Effect, EFFECTS, EffectState, Force, Potential
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import one_line
 from hnn_vi_ros.hamiltonians import (
-    Ball, bones, Cuboid, Hamiltonian, Joint, Mechanism, moved, Robot, shapes_of, SILVER, SLIDING,
-    tip_of)
+    AMBER, Ball, Cuboid, Hamiltonian, Joint, Mechanism, moved, Part, Robot, shapes_of, SILVER,
+    SLIDING, tip_of, Trail)
 from hnn_vi_ros.phase_space import rotor_name
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer import rerun_blueprint as layout
@@ -159,28 +159,26 @@ def bounds_of_robot(robot: Robot) -> np.ndarray:
     return np.array([[-half] * 3, [half] * 3])
 
 
-def bounds_of_path(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> np.ndarray:
+def bounds_of_path(places: Mapping[str, np.ndarray]) -> np.ndarray:
     """
     Return two corners of the space that a robot fills on a path, shape (2, 3) [m].
 
-    The box contains the origins of the links and the approximate ends of those without joints,
-    which are twice as far away as the centre of mass. A margin of a twentieth of the largest edge
-    on each side allows for the thickness of the links.
-
-    Parameters
-    ----------
-    robot : Robot
-        Robot; joints that are not coordinates are at their fixed value, or at zero.
-    coordinates : sequence of str
-        Names of the moving joints in the order of q.
-    q : np.ndarray, shape (n, d)
-        Path of the joints [rad], [m].
-
+    ``places`` are its bones: the origins of the links and the approximate ends of those without
+    joints, which are twice as far away as the centre of mass. A margin of a twentieth of the
+    largest edge on each side allows for the thickness of the links.
     """
-    points = [*bones(robot, coordinates, q).values()] or [np.zeros((1, 2, 3))]
+    points = [*places.values()] or [np.zeros((1, 2, 3))]
     corners = np.array([np.min(points, axis=(0, 1, 2)), np.max(points, axis=(0, 1, 2))])
     margin = 0.05 * (np.ptp(corners, axis=0).max() or 1.0)
     return corners + margin * np.array([[-1.0], [1.0]])
+
+
+def trails_of(robot: Robot, places: Mapping[str, np.ndarray]) -> dict[str, Part]:
+    """Return the trails of the ends of links without joints, from the bones of a path."""
+    radius = 0.004 * _reach_of(robot)
+    return {f'path of {name}': Trail(places[end][:, 1], radius, AMBER)
+            for name, link in robot.links.items()
+            if not link.joints and (end := f'end of {name}') in places}
 
 
 def _reach_of(robot: Robot) -> float:

@@ -13,13 +13,14 @@ import warnings
 from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians import (
-    Ball, bounds_of, Cuboid, Hamiltonian, Line, Mechanism, Part, Robot, Trail)
+    Ball, bones, bounds_of, Cuboid, Hamiltonian, Line, Mechanism, Part, Robot, Trail)
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer import rerun_blueprint as layout
 from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, ends_of, reach_of
 from hnn_vi_ros.recording.viewer.rerun_blueprint import Arrangement, make_blueprint, SeriesExtent
 from hnn_vi_ros.recording.viewer.rerun_entities import (
-    bounds_of_path, bounds_of_robot, collisions_of, ForceArrows, Portraits, RobotPicture)
+    bounds_of_path, bounds_of_robot, collisions_of, ForceArrows, Portraits, RobotPicture,
+    trails_of)
 from hnn_vi_ros.recording.viewer.rerun_stream import RerunStream, Target
 import numpy as np
 import rerun as rr
@@ -247,6 +248,7 @@ class RerunSink:
         if self._robot is not None:
             own, hidden = bounds_of_robot(self._robot), collisions_of(self._robot)
             bounds = _around(own, bounds)
+            parts |= trails_of(self._robot, self._bones(self._robot, q0[None]))
         self._arrangement = Arrangement(len(shown), bounds, hidden)
         self._blueprint = partial(
             make_blueprint, shown, self._labels, interval=self._interval, pace=pace,
@@ -260,6 +262,9 @@ class RerunSink:
             layout.log_mechanism_styles(recording, parts)
         if self._robot is not None:
             self._picture = self._draw_robot(self._robot)
+
+    def _bones(self, robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
+        return bones(robot, [coordinate.name for coordinate in self._coordinates], q)
 
     def _draw_robot(self, robot: Robot) -> RobotPicture | None:
         """Draw the robot; if the SDK fails, report it and show the rest."""
@@ -313,7 +318,10 @@ class RerunSink:
         if self._forces is not None:
             self._send_forces(self._forces, times, samples)
         if self._robot is not None:
-            self._show(bounds_of_path(self._robot, [c.name for c in self._coordinates], q))
+            places = self._bones(self._robot, q)
+            self._show(bounds_of_path(places))
+            if trails := trails_of(self._robot, places):
+                self._send_mechanism(times, trails)
         if self._picture is not None:
             driven = any(s.motors is not None for s in samples)
             self._picture.send(times, q, np.array([

@@ -256,9 +256,8 @@ def test_bounds_of_a_robot_hold_all_of_it():
 def test_bounds_of_a_path_hold_where_the_links_were():
     robot = RigidBodyTree(str(ARM))
     names = [joint.name for joint in robot.joints]
-    down, up = (bounds_of_path(robot.robot, names, np.array([[angle, 0.0]]))
-                for angle in (0.0, np.pi))
-    both = bounds_of_path(robot.robot, names, np.array([[0.0, 0.0], [np.pi, 0.0]]))
+    down, up, both = (bounds_of_path(bones(robot.robot, names, np.array(path))) for path in (
+        [[0.0, 0.0]], [[np.pi, 0.0]], [[0.0, 0.0], [np.pi, 0.0]]))
     # The elbow is 0.4 m below the shoulder, and above it after half a turn about y.
     assert down[0, 2] < -0.4 and up[1, 2] > 0.4
     assert (both[0] <= np.minimum(down[0], up[0])).all()
