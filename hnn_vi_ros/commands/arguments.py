@@ -61,7 +61,7 @@ def names() -> Parser:
 def scene() -> Parser:
     """Return the parser of ``scene``."""
     parser = Parser('scene', (
-        'Write, check, explain and compile scenes. The first options select the task.'), [
+        'Write, check, explain and compile scenes. The first option is the action.'), [
             'hnn scene --explain double_pendulum',
             'hnn scene --new mine.yaml --like double_pendulum',
             'hnn scene --new --robot my_robot.urdf',

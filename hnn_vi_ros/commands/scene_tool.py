@@ -31,7 +31,8 @@ def main(argv: list[str]) -> int:
         from hnn_vi_ros.commands.new_scene import write_new
         return write_new(options, parser)
     if options.file is not None:
-        parser.error(f'choose a task for {options.file}: --explain, --check, --compile or --new')
+        parser.error(f'choose an action for {options.file}: --explain, --check, --compile or '
+                     '--new')
     if options.no_rescue and options.compile is None:
         parser.error('--no-rescue needs --compile')
     for name in ('like', 'formula', 'robot', 'force'):
@@ -47,7 +48,7 @@ def main(argv: list[str]) -> int:
     elif options.explain is not None:
         lines = explain(load_scene(options.explain))
     else:
-        parser.error('choose a task: --explain, --check, --compile, --schema or --new')
+        parser.error('choose an action: --explain, --check, --compile, --schema or --new')
     for line in lines:
         print(line, flush=True)
     return 0

@@ -7,9 +7,9 @@ from pathlib import Path
 from hnn_vi_ros.files import Parser
 
 _RECOVERED = """\
-The readable content is written to a new file; the original is kept as FILE.orig. Exit status: 0 if
-nothing was lost (a killed recording ends where it was interrupted), 1 if something was lost, or
-nothing could be recovered; then the file is unchanged."""
+The readable content replaces FILE; the original is kept as FILE.orig. Exit status: 0 if nothing
+was lost (a killed recording ends where it was interrupted), 1 if something was lost, or nothing
+could be recovered; then the file is unchanged."""
 
 
 def recover_bag() -> Parser:

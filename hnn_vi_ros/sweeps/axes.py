@@ -106,11 +106,12 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
         raise DataError(f'{where}: covariance: {n} names need as many rows and columns, each name '
                         f'once; {_REMEDY}')
     wanted = {name: name for name in names} if keys is None else dict(keys)
+    whole = [name for name in names if name in found.parameters]
     for name in wanted:
-        if name not in names or name not in found.parameters:
+        if name not in whole:
             raise DataError(one_line(
-                f'{where}: no {name!r} in its parameters and '
-                f'covariance{did_you_mean(name, names)}; there are: {listed(names)}'))
+                f'{where}: no {name!r} in its parameters and covariance'
+                f'{did_you_mean(name, whole)}; both have: {listed(whole) or "nothing"}'))
     chosen = [names.index(name) for name in wanted]
     covariance = np.array(found.covariance.matrix)[np.ix_(chosen, chosen)]
     return Posterior([*wanted.values()],

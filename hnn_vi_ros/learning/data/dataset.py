@@ -202,9 +202,9 @@ class SavitzkyGolay(StrictModel):
                             f'derivatives.degree = {self.degree} requires {least}; record for '
                             'longer')
         if not least <= rows <= most:
-            raise DataError(f'{where}: derivatives.window of {self.window:g} s spans {rows} rows; '
-                            f'{of} allow {least} to {most}: {least * spacing:.3g} to '
-                            f'{most * spacing:.3g} s')
+            raise DataError(f'{where}: derivatives.window = {self.window:g} s spans {rows} rows; '
+                            f'set {least * spacing:.3g} to {most * spacing:.3g} s, for which '
+                            f'{of} allow {least} to {most}')
         return rows
 
 
