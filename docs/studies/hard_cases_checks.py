@@ -12,6 +12,7 @@ from hnn_vi_ros.effects.damping import Damping
 from hnn_vi_ros.effects.loops import LoopManifold
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.gauss import Gauss
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band, rounding_walk
 from hnn_vi_ros.simulation.guards.watch import energies_of, look
@@ -31,6 +32,9 @@ _FINER = 16
 # Times of a picture, each as many times the one before.
 _TIMES = 100
 _EPS = float(np.finfo(np.float64).eps)
+# Steps compared with those without damping, and the change that rounding of the stages allows.
+_COMPARED = 2000
+_CHANGE = 8.0 * _EPS * _COMPARED
 
 
 def run_job(job: Job) -> Measured:
@@ -43,7 +47,9 @@ def run_dissipation(job: Job) -> Measured:
     Run a damped set-up: the largest H of a block is not above that of the block before.
 
     Within a block, which holds many swings, H oscillates as the method's band does. With a rate
-    of zero, the run is bit-identical to the scene without the effect.
+    of zero, the run is bit-identical to the scene without the effect; that of a Gauss method on a
+    formula of constant mass differs by rounding, because without forces another iteration solves
+    its stages.
     """
     simulation, measured = _start(job)
     start, peaks, energies = simulation.energy, [], []
@@ -63,8 +69,10 @@ def run_dissipation(job: Job) -> Measured:
     measured.measures = {'rise': float(max(rises.max(), 0.0)), 'left': peaks[-1] / start}
     if measured.measures['rise'] > RISE:
         measured.broken.append('energy rises')
-    if not _is_identical_without(job):
-        measured.broken.append('other bits with a rate of 0')
+    hamiltonian, integrator, _ = job.parts()
+    iterates_anew = isinstance(integrator, Gauss) and hamiltonian.kernel.quadratic
+    if not _change_by_no_damping(job) <= (_CHANGE if iterates_anew else 0.0):
+        measured.broken.append('another path with a rate of 0')
     path = np.concatenate(energies)
     measured.t, measured.error = _thinned(
         job, np.abs(path - _exact_energies(_SetUp(job), path.size)))
@@ -101,15 +109,15 @@ def _thinned(job: Job, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return every * ends, np.maximum.reduceat(errors, np.concatenate([[0], ends[:-1]]))
 
 
-def _is_identical_without(job: Job, steps: int = 2000) -> bool:
-    """Return whether damping of rate zero is bit-identical to no damping."""
+def _change_by_no_damping(job: Job) -> float:
+    """Return the largest change of q and p by damping of rate zero."""
     hamiltonian, integrator, _ = job.parts()
     paths = []
     for effects in ([], [Damping(0.0)]):
         simulation = Simulation(hamiltonian, integrator, job.set_up.step_size, job.set_up.q,
                                 job.set_up.p, effects)
-        paths.append(np.hstack(simulation.record(steps, 1)))
-    return np.array_equal(*paths)
+        paths.append(np.hstack(simulation.record(_COMPARED, 1)))
+    return float(np.abs(np.subtract(*paths)).max())
 
 
 def run_constraint(job: Job) -> Measured:

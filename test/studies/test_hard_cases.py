@@ -18,7 +18,7 @@ from messages import refused
 import numpy as np
 from PIL import Image
 import pytest
-from studies import hard_cases, hard_cases_run
+from studies import hard_cases, hard_cases_checks, hard_cases_run
 from studies.hard_cases_checks import run_job
 from studies.hard_cases_gates import failed_gates, limit_of, Measured, verdict
 from studies.hard_cases_plan import Job, load_plan, make_jobs
@@ -261,6 +261,16 @@ def test_rod_that_is_not_kept_is_found(monkeypatch):
         (parts := original(self))[0], parts[1], parts[2][:1]))
     broken = failed_gates(run_job(fallen), ['G1'])
     assert broken == ['length > 1e-10', 'rate > 1e-09']
+
+
+def test_damping_that_does_nothing_is_found_where_it_changes_more_than_rounding(monkeypatch):
+    rate = 'another path with a rate of 0'
+    for method, change, broken in (
+            ('generalized_leapfrog', 0.0, []), ('generalized_leapfrog', 1e-16, [rate]),
+            ('gauss4', 1e-13, []), ('gauss4', 1e-11, [rate])):
+        monkeypatch.setattr(hard_cases_checks, '_change_by_no_damping', lambda job, change=change:
+                            change)
+        assert failed_gates(run_job(job(12, method, steps=2000)), ['G1']) == broken
 
 
 def test_other_bits_are_found(monkeypatch):
