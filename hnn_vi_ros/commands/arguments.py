@@ -30,7 +30,7 @@ def run() -> Parser:
         'Simulate a scene without ROS. Plot, show or save its trajectory.'), [
             'hnn run pendulum',
             'hnn run kepler --duration 100 --integrator gauss8 --step-size 0.02 --csv kepler.csv',
-            'hnn run double_pendulum --plot motion.png --animate motion.gif --rerun motion.rrd'])
+            'hnn run double_pendulum --plot motion.png --rerun motion.rrd'])
     _add_run(parser)
     parser.add_argument('--step-size', type=seconds, metavar='SECONDS',
                         help="step size h [s]; overrides the scene's")
@@ -43,7 +43,6 @@ def run() -> Parser:
     _add_files(parser, {
         '--plot': 'plot coordinates, momenta and energy against time: .png, .svg or .pdf',
         '--portrait': 'plot the phase portraits: .png, .svg or .pdf',
-        '--animate': 'animate the mechanism in real time: .gif',
         '--rerun': 'write a recording for the rerun viewer: .rrd',
         '--csv': 'write the samples as CSV: a column each for t, coordinates, momenta and H; - '
                  'is standard output'})

@@ -18,8 +18,7 @@ from hnn_vi_ros.simulation import is_wrong, simulate, Trajectory
 _UNRELIABLE_STATUS = 3
 # Suffixes by option; options without an entry accept any suffix.
 _PICTURES = ('.png', '.svg', '.pdf')
-SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--animate': ('.gif',),
-            '--rerun': ('.rrd',)}
+SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--rerun': ('.rrd',)}
 
 
 def check_outputs(paths: Mapping[str, Path | None], force: bool) -> None:
@@ -138,7 +137,7 @@ def _next_steps(name: str, trajectory: Trajectory) -> str:
     assert scene is not None, 'a run has a scene'
     models = ''.join(f', {path}' for path in scene.model_files().values())
     return (f'scene: {scene.source}{models}; no files were written\n'
-            f'next:  hnn run {name} --plot {scene.name}.png   (or --csv -, --rerun, --animate)\n'
+            f'next:  hnn run {name} --plot {scene.name}.png   (or --csv -, --rerun)\n'
             f'       hnn scene --explain {name}')
 
 
@@ -146,6 +145,5 @@ _WRITERS: dict[str, Callable[[Trajectory, Path], object]] = {
     '--csv': Trajectory.to_csv,
     '--plot': lambda run, path: run.plot().savefig(path, dpi=150),
     '--portrait': lambda run, path: run.phase_portrait().savefig(path, dpi=150),
-    '--animate': lambda run, path: run.animate().save(path, writer='pillow'),
     '--rerun': lambda run, path: run.to_rerun(path),
 }

@@ -23,6 +23,5 @@ largest: float = float(np.abs(run.energy).max())
 kinds = [alarm.kind for alarm in run.alarms]
 run.plot(['angle']).savefig('plot.png')
 many.select(0).phase_portrait().savefig('portrait.png')
-run.animate(speed=2.0).save('run.gif')
 run.to_rerun(Path('run.rrd'))
 print(run.to_dataframe().describe(), run.to_xarray().attrs, names, largest, kinds)

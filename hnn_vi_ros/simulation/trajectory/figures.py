@@ -1,22 +1,20 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of trajectories: time series, phase portraits, animations of mechanisms."""
+"""Figures of trajectories: time series and phase portraits."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import math
 import re
 from textwrap import fill
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import optional
-from hnn_vi_ros.hamiltonians import Ball, bounds_of, Line, Mechanism, Part, Trail
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
 from hnn_vi_ros.recording import contours as level_sets, Frame
 from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np
 
 if TYPE_CHECKING:
-    from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -243,120 +241,3 @@ def draw_contours(axes: 'Axes', trajectory: Trajectory) -> None:
                            linewidths=0.8, zorder=0, label='level sets of H')
     axes.add_collection(lines, autolim=False)
     axes.set(xlim=frame.q, ylim=frame.p)
-
-
-# Maximum number of frames: more would take minutes and gigabytes.
-MOST_FRAMES = 10_000
-# Side of a frame with a mechanism [inch], and width of its lines [points].
-_FRAME_SIDE, _LINE_WIDTH = 5.0, 3.0
-# Margin around a mechanism, as a share of its extent.
-_FRAME_MARGIN = 0.06
-_GROUND = '#0d1117'
-_AXES = ('x [m]', 'y [m]', 'z [m]')
-
-# Function that updates a drawing to the sample with a given number.
-_Show = Callable[[int], None]
-
-
-def animate(trajectory: Trajectory, speed: float, rate: float) -> 'FuncAnimation':
-    """Return the animation of ``Trajectory.animate``."""
-    run = trajectory.single()
-    for name, value in (('speed', speed), ('rate', rate)):
-        if not value > 0.0:
-            raise ValueError(f'{name} = {value} must be greater than 0')
-    times = np.arange(run.t[0], run.t[-1] + 0.5 * speed / rate, speed / rate)
-    if len(times) > MOST_FRAMES:
-        raise ValueError(f'{len(times)} frames, at most {MOST_FRAMES}; use a larger speed or a '
-                         'lower rate')
-    # Take the newest sample that is not later, with a tolerance for rounding of times.
-    samples = np.searchsorted(run.t, times + 1e-9 * speed / rate, side='right') - 1
-    mechanism = run.mechanism()
-    figure, show = _mechanism(run, mechanism) if mechanism else _portrait(run)
-    _write_title(figure, run.title)
-    clock = figure.axes[0].set_title('', loc='left', fontsize='medium')
-
-    def update(k: int) -> None:
-        clock.set_text(f't = {run.t[k]:.3f} s')
-        show(k)
-
-    # Compute the layout once: it takes as long as drawing, and sizes do not change afterwards.
-    update(int(samples[0]))
-    figure.draw_without_rendering()
-    figure.set_layout_engine('none')
-    from matplotlib.animation import FuncAnimation
-    return FuncAnimation(figure, update, frames=samples.tolist(), interval=1000.0 / rate)
-
-
-def _portrait(run: Trajectory) -> tuple['Figure', _Show]:
-    """Return a figure of phase portraits with a point moving along each path."""
-    shown = portrayed(run)
-    figure = draw_portrait(run, contours=len(run.coordinates) == 1)
-    points = [axes.plot([], [], 'o', color=COLOURS[2], markersize=9.0, zorder=4)[0]
-              for axes in figure.axes]
-
-    def show(k: int) -> None:
-        for point, (_, i, j) in zip(points, shown, strict=True):
-            point.set_data([run.q[k, i]], [run.p[k, j]])
-    return figure, show
-
-
-def _mechanism(run: Trajectory, mechanism: Mechanism) -> tuple['Figure', _Show]:
-    """Return a figure of the mechanism, viewed along the axis of its smallest extent."""
-    parts = mechanism(run.q, float(np.abs(run.q).max()) or 1.0)
-    bounds = bounds_of(parts)
-    moved = bounds_of({name: part for name, part in parts.items() if part.moves})
-    # In case of a tie view along y, so that x is to the right and z up; see REP 103.
-    extents = np.ptp(moved, axis=0)
-    hidden = 1 if extents[1] <= extents.min() * (1.0 + 1e-9) else int(extents.argmin())
-    across, up = (axis for axis in range(3) if axis != hidden)
-    size = np.ptp(bounds, axis=0)
-    share = float(np.clip(size[up] / size[across], 0.4, 1.6))
-    figure = new_figure(_FRAME_SIDE, _FRAME_SIDE * share + 0.9)
-    axes = figure.subplots()
-    low, high = bounds - _FRAME_MARGIN * size.max() * np.array([[1.0], [-1.0]])
-    axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect='equal',
-             xlabel=_AXES[across], ylabel=_AXES[up])
-    # Parts have the viewer's colours, on its dark background.
-    axes.set_facecolor(_GROUND)
-    drawn = [_draw(axes, part, across, up) for part in parts.values()]
-
-    def show(k: int) -> None:
-        for move in drawn:
-            move(k)
-    return figure, show
-
-
-def _draw(axes: 'Axes', part: Part, across: int, up: int) -> _Show:
-    """Draw a part, and return the function that moves it to a sample."""
-    colour = tuple(value / 255.0 for value in part.color)
-    if isinstance(part, Line):
-        line, = axes.plot([], [], color=colour, linewidth=_LINE_WIDTH, solid_capstyle='round',
-                          zorder=2)
-
-        def move_line(k: int) -> None:
-            points = part.points[k] if part.moves else part.points
-            line.set_data(points[:, across], points[:, up])
-        return move_line
-    if isinstance(part, Trail):
-        path = np.reshape(part.point, (-1, 3))
-        trail, = axes.plot([], [], color=colour, linewidth=0.5 * _LINE_WIDTH, zorder=1)
-
-        def move_trail(k: int) -> None:
-            trail.set_data(path[:k + 1, across], path[:k + 1, up])
-        return move_trail
-    from matplotlib.patches import Circle, Rectangle
-    if isinstance(part, Ball):
-        ball = Circle((0.0, 0.0), part.radius, color=colour, zorder=3)
-        axes.add_patch(ball)
-
-        def move_ball(k: int) -> None:
-            ball.center = (part.center[k] if part.moves else part.center)[[across, up]]
-        return move_ball
-    half = np.array(part.half_size)[[across, up]]
-    box = Rectangle((0.0, 0.0), *2.0 * half, color=colour, zorder=3)
-    axes.add_patch(box)
-
-    def move_box(k: int) -> None:
-        center = part.center[k] if part.moves else part.center
-        box.set_xy(center[[across, up]] - half)
-    return move_box

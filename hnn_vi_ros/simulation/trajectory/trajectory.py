@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of a run, with plots, animations and export to other libraries."""
+"""Samples of a run, with plots and export to other libraries."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -27,7 +27,6 @@ from safetensors import safe_open, SafetensorError
 from safetensors.numpy import save_file
 
 if TYPE_CHECKING:
-    from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
     import pandas
     import xarray
@@ -330,33 +329,6 @@ class Trajectory:
         """
         from hnn_vi_ros.simulation.trajectory.figures import draw_portrait
         return draw_portrait(self.of(coordinates), contours=len(self.coordinates) == 1)
-
-    def animate(self, speed: float = 1.0, rate: float = 25.0) -> 'FuncAnimation':
-        """
-        Animate the mechanism of the scene, or the states in phase portraits if there is none.
-
-        Parameters
-        ----------
-        speed : float, optional
-            Simulated seconds per second of the animation.
-        rate : float, optional
-            Frame rate [Hz].
-
-        Returns
-        -------
-        matplotlib.animation.FuncAnimation
-            ``.save('run.gif', writer='pillow')`` writes a file; ``.to_jshtml()`` is for notebooks.
-
-        Raises
-        ------
-        MissingPackage
-            matplotlib is not installed.
-        ValueError
-            There are several trajectories (see ``select``), or speed or rate is not positive.
-
-        """
-        from hnn_vi_ros.simulation.trajectory.figures import animate
-        return animate(self, speed, rate)
 
     def to_dataframe(self) -> 'pandas.DataFrame':
         """

@@ -16,7 +16,6 @@ from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 from matplotlib.colors import to_rgb
 from messages import refused
 import numpy as np
-from PIL import Image
 import pytest
 from rerun_reader import read
 
@@ -194,30 +193,6 @@ def test_portraits_of_several_coordinates_stand_side_by_side():
         TURNING.phase_portrait()
 
 
-def test_animation_moves_the_mechanism_to_its_samples(run, tmp_path):
-    animation = run.animate(speed=1.0, rate=5.0)
-    path = tmp_path / 'swing.gif'
-    animation.save(path, writer='pillow')
-    with Image.open(path) as image:
-        assert image.n_frames == 11
-    (axes,) = animation._fig.axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ('x [m]', 'z [m]')
-    bob = axes.patches[-1]
-    # The last picture shows the last sample.
-    assert bob.center == pytest.approx([np.sin(run.q[-1, 0]), -np.cos(run.q[-1, 0])], abs=1e-12)
-
-
-def test_animation_without_a_mechanism_moves_points_in_the_portraits(tmp_path):
-    animation = PLAIN.animate(rate=2.0)
-    animation.save(tmp_path / 'waves.gif', writer='pillow')
-    points = [axes.lines[-1].get_xydata()[0] for axes in animation._fig.axes]
-    assert np.allclose(points, np.stack([WAVES[-1], -WAVES[-1]], axis=1), atol=0.0)
-    with refused(ValueError):
-        MANY.animate()
-    with refused(ValueError):
-        PLAIN.animate(speed=0)
-
-
 def test_recording_for_rerun_holds_the_samples_and_the_events(run, tmp_path):
     run.to_rerun(str(tmp_path / 'run.rrd'))
     found = read(tmp_path / 'run.rrd')
@@ -249,8 +224,7 @@ def test_dataset_has_dimensions_and_units():
 
 @pytest.mark.parametrize('package, call', [
     ('matplotlib', Trajectory.plot), ('matplotlib', Trajectory.phase_portrait),
-    ('matplotlib', Trajectory.animate), ('pandas', Trajectory.to_dataframe),
-    ('xarray', Trajectory.to_xarray)])
+    ('pandas', Trajectory.to_dataframe), ('xarray', Trajectory.to_xarray)])
 def test_package_that_is_not_installed_is_named_in_one_line(package, call, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingPackage, match=f'-m pip install "{package}"') as caught:
