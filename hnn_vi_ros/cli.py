@@ -100,7 +100,7 @@ def _answer_at_once(name: str, argv: Sequence[str]) -> None:
     asked = [word for word in argv if word in ('-h', '--help', '--version')]
     if asked:
         parser_of(name).parse_args(asked[:1])
-    if not module_of(name, argv).startswith('hnn_vi_ros.ros.'):
+    if not module_of(name).startswith('hnn_vi_ros.ros.'):
         check_names(parser_of(name), argv)
 
 
@@ -125,7 +125,7 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
         sys.exit(f'{shown}: the working directory was removed; change to one that exists')
     try:
         _answer_at_once(name, argv)
-        status = run_module(module_of(name, argv), argv, shown)
+        status = run_module(module_of(name), argv, shown)
     except SystemExit as end:
         # From argparse, which has printed the help or an error.
         status = end.code

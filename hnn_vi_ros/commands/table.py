@@ -30,11 +30,8 @@ _WITHOUT_ROS = ('run', 'list', 'cost', 'doctor', 'completion')
 EXECUTABLES = [name for name in (*COMMANDS, *ALIASES) if name not in _WITHOUT_ROS]
 
 
-def module_of(name: str, argv: Sequence[str]) -> str:
+def module_of(name: str) -> str:
     """Return the name of the module that runs a command."""
-    if name == 'sweep' and {'mcap', '--episodes=mcap'} & {*argv}:
-        # Bags consist of ROS messages, which other sweeps do not need.
-        return 'hnn_vi_ros.ros.replay.episode_bags'
     return f'hnn_vi_ros.{COMMANDS[name]}'
 
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.sweeps.episodes import Episode
     from hnn_vi_ros.sweeps.plan import SweepPlan
     from hnn_vi_ros.sweeps.running import sweep
 

@@ -19,8 +19,7 @@ def sweep() -> Parser:
         'Simulate many parameters and initial states. The result is a Parquet dataset.'), [
             'hnn sweep pendulum_energies',
             'hnn sweep my_sweep.yaml --out results --jobs 8',
-            'hnn sweep my_sweep.yaml --out results --ray local',
-            'hnn sweep my_sweep.yaml --episodes mcap --select 0:1000:50'],
+            'hnn sweep my_sweep.yaml --out results --ray local'],
         _DETAILS)
     what = parser.add_mutually_exclusive_group(required=True)
     complete_by(what.add_argument('sweep', nargs='?', metavar='SWEEP', help=(
@@ -28,7 +27,7 @@ def sweep() -> Parser:
     what.add_argument('--schema', action='store_true', help=(
         'print the JSON schema with which editors complete and check sweeps'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
-        'folder of the results (default: sweeps/NAME, or episodes/NAME with --episodes)'))
+        'folder of the results (default: sweeps/NAME)'))
     where = parser.add_mutually_exclusive_group()
     where.add_argument('--jobs', type=int, metavar='N', help=(
         'number of processes on this machine (default: one per processor)'))
@@ -38,9 +37,4 @@ def sweep() -> Parser:
     parser.add_argument('--device', metavar='DEVICE', help=(
         'compute the steps with torch on cuda, cuda:N or cpu, thousands of trajectories together; '
         'for models that are networks, without effects (default: compiled loops on the CPU)'))
-    parser.add_argument('--episodes', choices=('mcap',), help=(
-        'write single trajectories instead of shards: bags like those of the simulator'))
-    parser.add_argument('--select', metavar='INDICES', help=(
-        'with --episodes: indices as N, FIRST:END or FIRST:END:STEP, separated by commas '
-        '(default: all)'))
     return parser

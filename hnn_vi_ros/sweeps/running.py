@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a sweep from the command line or from Python."""
 
-from argparse import Namespace
 from collections.abc import Iterator, Mapping
 import os
 from pathlib import Path
@@ -16,33 +15,18 @@ from hnn_vi_ros.files import is_path, json_schema, ProgressLine
 from hnn_vi_ros.simulation import check_count, usable_processors
 from hnn_vi_ros.sweeps import arguments
 from hnn_vi_ros.sweeps.definition import Sweep
-from hnn_vi_ros.sweeps.episodes import episodes, EpisodeWriter, selected, without_ros
 from hnn_vi_ros.sweeps.folder import Survey, SweepFolder
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
 from hnn_vi_ros.sweeps.workers import make_here, make_in_processes, ShardJob
 
 
-def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
-    """
-    Make the shards or the episodes requested by the command line, and report the outcome.
-
-    Parameters
-    ----------
-    argv : list of str
-        The command line.
-    write_bags : callable, optional
-        Function that writes episodes as bags.
-
-    """
+def main(argv: list[str]) -> int:
+    """Make the shards requested by the command line, and report the outcome."""
     options = arguments.sweep().parse_args(argv)
     if options.schema:
         print(json_schema(Sweep, 'A sweep of hnn_vi_ros'))
         return 0
-    if options.episodes:
-        return _write_episodes(options, write_bags)
-    if options.select is not None:
-        raise ParameterError('--select needs --episodes mcap')
     out = options.out or Path('sweeps') / Path(options.sweep).stem
     begin = time.monotonic()
     jobs = _processes(options.device) if options.jobs is None else options.jobs
@@ -61,20 +45,6 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
 def _processes(device: str | None) -> int:
     """Return the default number of processes."""
     return 1 if device is not None and device.startswith('cuda') else usable_processors()
-
-
-def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
-    """Write the trajectories selected by the command line, and print their number."""
-    if options.ray or options.jobs is not None or options.device:
-        raise ParameterError('--episodes runs in one process: remove --jobs, --ray and --device; '
-                             'give each of several processes a --select and an --out')
-    out = options.out or Path('episodes') / Path(options.sweep).stem
-    plan, failed = make_plan(options.sweep), dict[int, str]()
-    indices = selected(options.select or '', plan.count)
-    write_bags(plan, episodes(plan, indices, failed), out)
-    why = ''.join(f'; {index} not: {reason}' for index, reason in list(failed.items())[:3])
-    print(f'{out}: {len(indices) - len(failed)} of {len(indices)} episodes{why}')
-    return int(len(failed) == len(indices))
 
 
 def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, jobs: int = 1,

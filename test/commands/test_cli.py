@@ -142,17 +142,6 @@ def test_missing_ray_is_one_line_before_anything_is_written(tmp_path, monkeypatc
     assert not (tmp_path / 'out').exists()
 
 
-@pytest.mark.long
-def test_bags_of_a_sweep_take_ros_and_their_help_does_not(tmp_path):
-    arguments = 'pendulum_lengths', '--episodes', 'mcap', '--out', str(tmp_path / 'out')
-    result = run('sweep', 'rclpy', *arguments)
-    assert result.returncode == 1 and result.stderr.count('\n') == 1
-    assert '-m pip install "ros-jazzy-rclpy[fastrtps]"' in result.stderr
-    assert not (tmp_path / 'out').exists()
-    result = run('sweep', 'rclpy', *arguments, '--help')
-    assert result.returncode == 0 and '--episodes {mcap}' in result.stdout
-
-
 def test_missing_viewer_is_one_line_with_the_pip_command(tmp_path):
     result = run('simulator', 'rerun', '--ros-args', '-p', f'rerun_path:={tmp_path}/a.rrd',
                  '-p', f'record_path:={tmp_path}/bag')

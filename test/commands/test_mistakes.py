@@ -126,7 +126,7 @@ def answer(words: list[str], capsys: pytest.CaptureFixture) -> str:
     """Return the line with which a command ends that `hnn` runs."""
     name, *argv = words
     try:
-        said = run_module(module_of(name, argv), argv, f'hnn {name}')
+        said = run_module(module_of(name), argv, f'hnn {name}')
     except SystemExit as end:
         said = end.code
     printed = capsys.readouterr().err

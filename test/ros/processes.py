@@ -68,7 +68,7 @@ def refusal(name: str, *words: object) -> str:
     interval = sys.getswitchinterval()
     try:
         with warnings.catch_warnings(), redirect_stderr(error):
-            status = run_module(module_of(name, argv), argv, f'hnn {name}')
+            status = run_module(module_of(name), argv, f'hnn {name}')
     except SystemExit as end:
         # From argparse.
         assert end.code == 2

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bag_content import content_of
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.recording.bags.cdr import serialize
 from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
@@ -15,8 +16,8 @@ from hnn_vi_ros.ros.recording import BagOutput, Beginning
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import INPUTS
-from hnn_vi_ros.ros.topics.messages import describe_topic
-from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED, SCENE, TICKS
+from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
+from hnn_vi_ros.ros.topics.outputs import OUTPUTS, SCENE, TICKS
 from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
@@ -33,10 +34,18 @@ TICK_TYPES = {
     '/hnn_simulator/state': JointState, '/hnn_simulator/q': Float64MultiArray,
     '/hnn_simulator/p': Float64MultiArray, '/hnn_simulator/energy': Float64,
     '/joint_states': JointState}
+# Topics of each tick that any run has.
+SAMPLED = tuple(output for output in OUTPUTS if output.encoder is not None)
 # Of samples that nobody may miss: a machine may stall for more than ten messages.
 QUEUE = QoSProfile(depth=10_000)
 # Wall time at which another recorder began [ns].
 EPOCH = 1_700_000_000 * 10**9
+
+
+def encode_sample(coordinates: Sequence[Coordinate]) -> Encode:
+    """Return an encoder that makes one message of a sample for each of SAMPLED."""
+    encoders = [output.encoder(coordinates) for output in SAMPLED]
+    return lambda sample: [payload for encode in encoders for payload in encode(sample)]
 
 
 def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,

@@ -10,7 +10,6 @@ from hnn_vi_ros.phase_space import Coordinate, Follower
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.ros.topics import messages
 from hnn_vi_ros.ros.topics.inputs import places_of
-from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
 from messages import refused
 import numpy as np
 from peer import nodes_of
@@ -18,6 +17,7 @@ import pytest
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from recorded import encode_sample, SAMPLED
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64

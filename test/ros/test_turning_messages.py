@@ -14,14 +14,13 @@ from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.topics.inputs import body_of, command_of
-from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
 from hnn_vi_ros.ros.topics.poses import OdometryEncoder
 from messages import refused
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
-from recorded import assert_agrees, record_run
+from recorded import assert_agrees, encode_sample, record_run, SAMPLED
 from rerun_reader import read
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState

@@ -93,7 +93,7 @@ class Output(NamedTuple):
         messages are sent with ``Topics.send``.
     encoder : callable, optional
         ``encoder(coordinates)`` returns the encoder, unless `make` does, from the coordinates
-        alone; bags of sweeps also contain these topics.
+        alone.
     recorded : str
         ``'tick'``: a message in each sample of a bag, in the order of the rows; ``'apart'``: a
         message with its own stamp; empty: not recorded.
@@ -179,11 +179,3 @@ OUTPUTS = (
            lambda run, publisher: _spread(run).encode, 'apart'),
     PREDICTION_ERROR, EVENTS, DIAGNOSTICS, SCENE, STATE_SET, ROBOT,
 )
-# Topics that bags of sweeps contain.
-SAMPLED = tuple(output for output in OUTPUTS if output.encoder is not None)
-
-
-def encode_sample(coordinates: Sequence[Coordinate]) -> Encode:
-    """Return an encoder that makes one message of a sample for each of SAMPLED."""
-    encoders = [output.encoder(coordinates) for output in SAMPLED if output.encoder is not None]
-    return lambda sample: [payload for encode in encoders for payload in encode(sample)]
