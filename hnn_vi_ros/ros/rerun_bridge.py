@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.files import expand_user, numbered
 from hnn_vi_ros.hamiltonians import MECHANISMS, momentum
-from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.recording import decode_state, RerunSink, Sample, StateMessage, Target
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
@@ -80,15 +79,10 @@ class BridgePicture:
             conservative=simulation.conservative, modified=self._modified)
 
     def show(self, state: StateMessage) -> None:
-        """Display a sample; without ~/state its energy is computed with the scene's H."""
+        """Display a sample."""
         simulation, hamiltonian = self._simulation, self._hamiltonian
         h, energy0 = simulation.step_size, self._energy0
-        dH_dq, dH_dp = map(np.asarray, hamiltonian.gradient(state.q, state.p))
-        if math.isnan(state.energy):
-            state = state._replace(
-                dp_dt=momentum_rates(hamiltonian.rotations, state.q, state.p, dH_dq, dH_dp),
-                energy=float(hamiltonian.energy(state.q, state.p)),
-                work=0.0 if simulation.conservative else math.nan)
+        dH_dp = np.asarray(hamiltonian.gradient(state.q, state.p)[1])
         modified: Any = math.nan
         if self._modified:
             modified = simulation.integrator.modified_energy(
@@ -235,7 +229,7 @@ class RerunBridge(RobustNode):
         picture = BridgePicture(run.scene, self.target, bag.resolve().name)
         self._picture = picture
         told = {number for number, name in run.names.items() if name in ('diagnostics', 'events')}
-        for message, state in run.in_order({*run.states, *told}):
+        for message, state in run.in_order({run.states, *told}):
             if state is not None:
                 self._show(BridgePicture.show, state)
             elif message.channel in told:

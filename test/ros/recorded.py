@@ -51,15 +51,15 @@ def encode_sample(coordinates: Sequence[Coordinate]) -> Encode:
 def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
                change: Callable[[Sample], Sample] = lambda sample: sample, close: bool = True,
                commands: Mapping[int, Sequence[object]] | None = None, begin: int | None = None,
-               state: bool = True, qos: QoSProfile = TICKS, limited: bool = True,
-               refuse: bool = False, **described: object) -> Path:
+               qos: QoSProfile = TICKS, limited: bool = True, refuse: bool = False,
+               **described: object) -> Path:
     """
     Record a run; `change` returns what is recorded in place of a sample.
 
     Of each step, `commands` are what is heard before it, numbers or messages. The bag begins with
-    the run, or is asked for later: at the step `begin`, once what comes before that was heard. It
-    is one of before ~/state without `state`. Replay offers its samples by `qos`. Without
-    `limited`, commands beyond limits act; with `refuse` those are recorded that do not.
+    the run, or is asked for later: at the step `begin`, once what comes before that was heard.
+    Replay offers its samples by `qos`. Without `limited`, commands beyond limits act; with
+    `refuse` those are recorded that do not.
     """
     simulation = build(scene)
     simulation.restart(simulation.q.copy(), simulation.p.copy(),
@@ -67,10 +67,9 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
     sampler = Sampler(simulation, rate)
     encode = encode_sample(simulation.hamiltonian.coordinates)
     report = scene_report(scene, simulation) | described
-    topics = SAMPLED if state else SAMPLED[1:]
     sink = BagOutput(
         Settings(record=begin is None, record_path=str(bag), publish_rate=rate),
-        BagTopics([_topic(*topic[:2], qos) for topic in topics], _topic(*SCENE[:3])),
+        BagTopics([_topic(*topic[:2], qos) for topic in SAMPLED], _topic(*SCENE[:3])),
         RunFiles())
     recording, first = sink.open(Beginning(scene, simulation, report, sampler)), simulation.steps
     for step in range(first, first + ticks * sampler.every):
@@ -93,7 +92,7 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
         simulation.advance(1)
         if simulation.steps % sampler.every == 0 and recording:
             sample = change(sampler.sample())
-            sink.write(sample, encode(sample)[0 if state else 1:])
+            sink.write(sample, encode(sample))
     sink.close() if close else sink.flush()
     return bag
 

@@ -101,10 +101,6 @@ def test_bridge_shows_and_replay_leaves_out_what_was_remapped(tmp_path, driven, 
         assert '/robot/joints' in topics and '/forces' not in topics
 
 
-def test_bag_of_before_the_state_is_shown_by_its_q_and_p_alone(tmp_path, driven, calling):
-    assert shown(record_run(tmp_path / 'bag', driven, 5, state=False), tmp_path) == 5
-
-
 SCENES = {'left': 'exact_pendulum', 'right': 'exact_harmonic_oscillator'}
 
 

@@ -38,12 +38,11 @@ def start_bridge(*words: object) -> Executable:
     return start_executable('rerun_bridge', *words)
 
 
-@pytest.mark.parametrize('kind', ['own', 'before ~/state', 'of another recorder'])
+@pytest.mark.parametrize('kind', ['own', 'of another recorder'])
 def test_bridge_shows_the_very_samples_of_a_bag(tmp_path, kind):
     samples = {}
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 300,
-                     change=lambda sample: samples.setdefault(sample.step, sample),
-                     state=kind != 'before ~/state')
+                     change=lambda sample: samples.setdefault(sample.step, sample))
     if kind == 'of another recorder':
         bag = as_received(bag, tmp_path / 'a.mcap')
     status, _, log = finish(start_bridge(bag, *to_file(tmp_path / 'a.rrd')))

@@ -21,8 +21,9 @@ from hnn_vi_ros.scene import described_scene, ONE_RUN, only_scene, Scene
 import numpy as np
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import String
 
+_STATE_TYPE = 'sensor_msgs/msg/JointState'
 # Upper bound on the time between two stamps [ns].
 _MAX_SPACING = 2**63
 # The last state is searched for in the last part of the bag; increasing lengths of it [ns].
@@ -81,6 +82,8 @@ class RecordedRun:
         Full name of the simulator.
     scene : Scene
         Simulated scene, in which the integrator auto is replaced by the chosen method.
+    states : int
+        Channel of ~/state.
     described : dict
         Recorded scene as a mapping, including the provenance of the model.
     origin, first_step : int
@@ -97,8 +100,8 @@ class RecordedRun:
     def __init__(self, bag: Path, trust_code: bool = False, node: str = ''):
         self.reader = BagReader(bag)
         self._topics = own_topics(self.reader)
-        nodes, self._names = simulators(self.reader, self._topics)
-        self.node = _chosen(nodes, node, str(self.reader.path))
+        self.node = _chosen(simulators(self.reader, self._topics), node, str(self.reader.path))
+        self.states = self._topics[f'{self.node}/state']
         self._where = f'{self.reader.path}: its scene'
         kept = self.reader.attachment('scene.yaml')
         self.scene, self.described = described_scene(
@@ -114,31 +117,15 @@ class RecordedRun:
         return {number: topic.rpartition('/')[2] for topic, number in self._topics.items()}
 
     def reported(self, first: int = 0) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-        """
-        Yield the stamp [ns] of each sample from a log time on, and its values by name.
-
-        The values are q and p and, from ~/state, dp/dt and the arrays [H] and [work].
-        """
-        # Only channels of samples are read.
-        for state in (sample for _, sample in self.in_order(self.states, first) if sample):
-            yield state.stamp, {'q': state.q, 'p': state.p} | ({
-                'dp/dt': state.dp_dt, 'H': np.array([state.energy]),
-                'work': np.array([state.work])} if self.whole else {})
+        """Yield the stamp [ns] of each sample from a log time on, and arrays of its values."""
+        for state in (sample for _, sample in self.in_order([self.states], first) if sample):
+            yield state.stamp, {'q': state.q, 'p': state.p, 'dp/dt': state.dp_dt,
+                                'H': np.array([state.energy]), 'work': np.array([state.work])}
 
     def samples(self, first: int = 0) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield the stamp [ns], q and p of each sample from a log time on."""
         for stamp, values in self.reported(first):
             yield stamp, values['q'], values['p']
-
-    @property
-    def whole(self) -> bool:
-        """Return True if the bag holds ~/state; older bags have ~/q and ~/p instead."""
-        return 'state' in self._names
-
-    @cached_property
-    def states(self) -> dict[int, str]:
-        """Return the channels of the samples, with the last parts of their topics."""
-        return {self._topics[f'{self.node}/{name}']: name for name in self._names}
 
     def state(self, message: Recorded) -> StateMessage:
         """Decode a message of ~/state to a sample; RecordingError if it is invalid."""
@@ -160,15 +147,14 @@ class RecordedRun:
     def in_order(self, channels: Collection[int], first: int = 0
                  ) -> Iterator[tuple[Recorded, StateMessage | None]]:
         """
-        Yield messages from a log time on, each with the sample that it holds or completes.
+        Yield messages from a log time on, each with the sample that it holds.
 
-        Without ~/state, q and p of one log time form a sample, whose rates, H and work are NaN.
         RecordingError if the time of samples goes back: the bag then holds several runs.
         """
-        stamp, parts = -2**63, dict[str, Recorded]()
+        stamp = -2**63
         for message in self.reader.messages(channels, first):
             state = None
-            if message.channel in self.states and self.whole:
+            if message.channel == self.states:
                 state = self.state(message)
                 if state.stamp < stamp:
                     raise RecordingError(
@@ -176,20 +162,13 @@ class RecordedRun:
                         f'{stamp * 1e-9:.9g} s to {state.stamp * 1e-9:.9g} s, at log time '
                         f'{message.time} ns: {ONE_RUN}')
                 stamp = state.stamp
-            elif message.channel in self.states:
-                parts = {} if message.time != stamp else parts
-                stamp, parts[self.states[message.channel]] = message.time, message
-                if len(parts) == 2:
-                    q, p = (np.array(self.decoded(parts[name], Float64MultiArray).data)
-                            for name in 'qp')
-                    state = StateMessage(stamp, q, p, np.full(len(p), np.nan), np.nan, np.nan)
             yield message, state
 
     @property
     def stamped(self) -> bool:
         """Return True if log times are stamps of the simulator, as in its own bags."""
-        return not self.whole or all(self.state(message).stamp == message.time
-                                     for message in self.reader.messages(self.states))
+        return all(self.state(message).stamp == message.time
+                   for message in self.reader.messages([self.states]))
 
     def joint_states(self) -> Iterator[JointState]:
         """Yield the messages of joint_states; nothing if the bag holds none."""
@@ -278,18 +257,13 @@ class RecordedRun:
         """Return the text of ~/scene, used for bags without an attached scene."""
         name = f'{self.node}/scene'
         channels = [self._topics[name]] if name in self._topics else []
-        text = only_scene(((self.decoded(message, String).data, message.time) for message
+        return only_scene(((self.decoded(message, String).data, message.time) for message
                            in self.reader.messages(channels)), name, self.reader.path)
-        if not self.whole:
-            raise RecordingError(
-                f'{self.reader.path}: contains no {self.node}/state, and q and p have no stamps, '
-                'so they cannot be paired; record that topic too')
-        return text
 
 
-def simulators(reader: BagReader, topics: dict[str, int]) -> tuple[list[str], tuple[str, ...]]:
+def simulators(reader: BagReader, topics: dict[str, int]) -> list[str]:
     """
-    Return the simulators of a bag, and the names of the topics that hold their state.
+    Return the full names of the simulators of a bag.
 
     Parameters
     ----------
@@ -304,19 +278,16 @@ def simulators(reader: BagReader, topics: dict[str, int]) -> tuple[list[str], tu
         The bag holds no simulator.
 
     """
-    schemas = {name: reader.schemas.get(reader.channels[number].schema_id)
-               for name, number in topics.items()}
-    kinds = {name: '' if schema is None else schema.name for name, schema in schemas.items()}
-    for names, kind in ((('state',), 'sensor_msgs/msg/JointState'),
-                        (('q', 'p'), 'std_msgs/msg/Float64MultiArray')):
-        nodes = sorted(node for node, _, last in (topic.rpartition('/') for topic in kinds)
-                       if last == names[0] and all(
-                           kinds.get(f'{node}/{name}') == kind for name in names))
-        if nodes:
-            # Other nodes may have a topic of that name, but no scene.
-            return [node for node in nodes if f'{node}/scene' in kinds] or nodes[:1], names
-    raise RecordingError(f'{reader.path}: contains neither a topic state of a simulator nor q '
-                         f'and p; topics: {listed(sorted(kinds)) or "none"}')
+    nodes = []
+    for topic, number in topics.items():
+        schema = reader.schemas.get(reader.channels[number].schema_id)
+        if topic.endswith('/state') and schema is not None and schema.name == _STATE_TYPE:
+            nodes.append(topic.removesuffix('/state'))
+    if not nodes:
+        raise RecordingError(f'{reader.path}: contains no topic state of a simulator; topics: '
+                             f'{listed(sorted(topics)) or "none"}')
+    # Other nodes may have a topic of that name, but no scene.
+    return sorted(node for node in nodes if f'{node}/scene' in topics) or nodes[:1]
 
 
 def _chosen(nodes: Sequence[str], name: str, where: str) -> str:

@@ -75,7 +75,7 @@ def check_replays(bag: Path, trust_code: bool = False, node: str = '') -> Iterat
 
     """
     reader = BagReader(bag)
-    nodes, _ = simulators(reader, own_topics(reader))
+    nodes = simulators(reader, own_topics(reader))
     if node or len(nodes) == 1:
         yield check_replay(bag, trust_code, node)
         return
@@ -91,8 +91,6 @@ def check_replays(bag: Path, trust_code: bool = False, node: str = '') -> Iterat
 def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict:
     """
     Simulate the run of a bag again from its scene and first state, and compare each sample.
-
-    A sample is compared in all values of ~/state, or in q and p for older bags without ~/state.
 
     Unreadable parts of the bag and samples missing from the even grid of stamps are reported, and
     the log is then not confirmed.
@@ -129,8 +127,8 @@ def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict
     missing = _missing(run, begin)
     if difference is None and not samples:
         return Verdict(f'{run.reader.path}: contains no samples to compare{missing}', False)
-    agreed = f'{run.reader.path}: {"q, p, dp/dt, H and work" if run.whole else "q and p"} of ' \
-        f'{samples} samples are bit-identical, {where}'
+    agreed = f'{run.reader.path}: q, p, dp/dt, H and work of {samples} samples are ' \
+        f'bit-identical, {where}'
     if difference is None:
         missing = readings.report() + missing
         return Verdict(f'{agreed}{missing}', not missing)
