@@ -38,7 +38,6 @@ INTERFACES = {
     'ResetSimulation': (
         'SIMULATION_RESET', 'SIMULATION_RESET_TIME', 'SIMULATION_RESET_STATE'),
     'StepSimulation': ('STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE'),
-    'GetSpawnables': ('SPAWNABLES',),
     'GetAvailableWorlds': ('AVAILABLE_WORLDS', 'WORLD_TAGS'),
     'GetCurrentWorld': ('WORLD_INFO_GETTING',),
     'LoadWorld': ('WORLD_LOADING',),
@@ -130,7 +129,7 @@ class SimulationServices:
         """Return the supported features."""
         response.features.features = self._features
         response.features.custom_info = (
-            f'hnn_vi_ros {__version__}: worlds and spawnables are scenes, one at a time')
+            f'hnn_vi_ros {__version__}: worlds are scenes, one at a time')
 
     def get_simulation_state(self, request: Any, response: Any) -> None:
         """Return the state: playing, paused, stopped, or without a world."""
@@ -171,13 +170,6 @@ class SimulationServices:
     async def step_simulation(self, request: Any, response: Any) -> None:
         """Take a number of steps in a pause."""
         _done(await self._control(_FAILED).request_steps(int(request.steps)))
-
-    async def get_spawnables(self, request: Any, response: Any) -> str:
-        """List the scenes as spawnables; they are loaded one at a time, with load_world."""
-        found, problems = await self._simulator.in_thread(
-            lambda: find_worlds(request.sources, True))
-        response.spawnables = [self._spawnable(world) for world in found]
-        return '; '.join(problems)
 
     async def get_available_worlds(self, request: Any, response: Any) -> str:
         """List the scenes with matching tags; all of them are on this machine."""
@@ -303,11 +295,6 @@ class SimulationServices:
         control.set_paused(True)
         await simulator.change_state(Transition.TRANSITION_ACTIVATE)
         control.stopped = True
-
-    def _spawnable(self, world: World) -> Any:
-        spawnable = self._messages.Spawnable(description=world.description)
-        getattr(spawnable, 'entity_resource', spawnable).uri = world.uri
-        return spawnable
 
     def _resource(self, world: World) -> Any:
         resource = self._messages.WorldResource(

@@ -94,8 +94,6 @@ def _add_messages(msg: ModuleType, worlds: bool, resource: bool) -> None:
     msg.TagsFilter = message({'FILTER_MODE_ANY': 0, 'FILTER_MODE_ALL': 1}, tags=[], filter_mode=0)
     msg.Resource = message(uri='', resource_string='')
     uri = {'uri': ''}
-    msg.Spawnable = message(
-        description='', **{'entity_resource': msg.Resource()} if resource else uri)
     msg.WorldResource = message(name='', description='', tags=[], **(
         {'world_resource': msg.Resource()} if resource else uri))
 
@@ -112,8 +110,6 @@ def _add_services(srv: ModuleType, msg: ModuleType) -> None:
         {'SCOPE_DEFAULT': 0, 'SCOPE_TIME': 1, 'SCOPE_STATE': 2, 'SCOPE_SPAWNED': 4,
          'SCOPE_ALL': 255}, scope=0), answer)
     srv.StepSimulation = service(message(steps=1), answer)
-    srv.GetSpawnables = service(
-        message(sources=[]), message(result=msg.Result(), spawnables=[]))
     # There, and not served.
     srv.SpawnEntity = srv.GetEntityState = service(empty, answer)
 

@@ -133,7 +133,6 @@ def test_world_is_listed_loaded_and_played(folder):
     with serving(folder) as (other, client):
         worlds = client.call('GetAvailableWorlds', additional_sources=[str(folder)]).worlds
         assert [world.name for world in worlds[-2:]] == ['oscillator', 'other']
-        assert len(client.call('GetSpawnables').spawnables) == len(worlds) - 2
         assert client.code('GetAvailableWorlds', additional_sources=['/no/where']) == (
             RESULT.RESULT_NOT_FOUND)
         assert client.load('world.sdf').result.result == srv.LoadWorld.Response.UNSUPPORTED_FORMAT

@@ -154,15 +154,12 @@ def resource(simulator: Simulator, uri: str, text: str = ''):
     return found
 
 
-def test_spawnables_and_worlds_are_the_scenes_that_can_be_loaded(simulator):
+def test_worlds_are_the_scenes_that_can_be_loaded(simulator):
     worlds = {world.name: world for world in simulator.call('get_available_worlds').worlds}
     assert worlds['exact_pendulum'].world_resource.uri == SHIPPED
     assert worlds['exact_pendulum'].tags[0] == 'pendulum' and worlds['exact_pendulum'].description
     # Its model is not shipped.
     assert 'air_track' not in worlds
-    uris = [world.world_resource.uri for world in worlds.values()]
-    spawnables = simulator.call('get_spawnables').spawnables
-    assert [found.entity_resource.uri for found in spawnables] == uris
 
 
 def test_worlds_are_filtered_by_any_or_all_tags(simulator):
@@ -188,9 +185,6 @@ def test_worlds_of_a_folder_are_found_and_one_that_is_not_there_is_told(simulato
         'get_available_worlds', additional_sources=sources, continue_on_error=True)
     assert answer.result.result == OK and 'example.com' in answer.result.error_message
     assert [world.name for world in answer.worlds[-2:]] == ['own', 'own']
-    # Sources that are not recognised do not hinder success, by the definition.
-    answer = simulator.call('get_spawnables', sources=sources)
-    assert answer.result.result == OK and 'example.com' in answer.result.error_message
 
 
 @pytest.mark.parametrize('uri, text, code', [
@@ -249,7 +243,6 @@ def test_world_that_goes_on_from_a_bag_has_no_uri(simulator):
 def test_uri_stands_in_the_message_itself_in_the_first_versions(monkeypatch):
     node = active_simulator(monkeypatch, interfaces(resource=False))
     assert SHIPPED in {world.uri for world in node.call('get_available_worlds').worlds}
-    assert SHIPPED in {found.uri for found in node.call('get_spawnables').spawnables}
     assert node.code('load_world', uri=SHIPPED) == OK
     assert node.call('get_current_world').world.uri == SHIPPED
 
