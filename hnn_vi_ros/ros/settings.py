@@ -162,9 +162,6 @@ class Settings:
     energy_change_limit: float = parameter(
         0.02, 'minimum lasting change of the energy minus work, relative to the energy scale, at '
         'which energy counts as lost or gained', '1', 1e-15, 1e6, changes=ALWAYS)
-    explain: bool = parameter(
-        False, 'measure the contribution of each effect before the first step; compiles one '
-        'kernel per effect')
     frame_id: str = parameter('world', 'frame of `~/markers`')
 
 

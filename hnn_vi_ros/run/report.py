@@ -115,7 +115,7 @@ def _place(file: Path) -> str:
 
 
 def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
-                 explain: bool = False, chosen: Chosen | None = None) -> dict[str, Any]:
+                 chosen: Chosen | None = None) -> dict[str, Any]:
     """
     Return the contents of ~/scene and of the log: the scene with all defaults, and its start.
 
@@ -130,9 +130,6 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
         reproduction of the run needs it.
     origin : int
         Stamp of step 0 [ns].
-    explain : bool
-        True to measure the wall time of a step and of each effect, which compiles a kernel for
-        each. False makes the reports of equal runs equal.
     chosen : Chosen or None
         The choice of the integrator auto, if it made one.
 
@@ -141,17 +138,6 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
         'tolerance': asdict(chosen.tolerance), 'choice': asdict(chosen.choice)}
     loops = getattr(simulation.system.constraints, 'report', '')
     said = {'loops': loops} if loops else {}
-    report = (scene.model_dump() | choice | said | simulation.hamiltonian.provenance | {
+    return (scene.model_dump() | choice | said | simulation.hamiltonian.provenance | {
         'model_files': scene.model_digests, 'source': _place(scene.source), 'origin': origin,
         'first_step': simulation.steps, 'conservative': simulation.conservative})
-    if explain:
-        costs = measure_effects(scene.parts())
-        report['microseconds_per_step'] = _microseconds(costs.total)
-        report['added_microseconds'] = {
-            label: _microseconds(seconds) for label, seconds in costs.added.items()}
-    return report
-
-
-def _microseconds(seconds: float) -> float | None:
-    """Round a time to nanoseconds, below which all is noise; None if it was not measured."""
-    return None if math.isnan(seconds) else round(1e6 * seconds, 3)

@@ -198,9 +198,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     with announced(tell):
         box = simulation.hamiltonian.box or look_ahead(
             simulation, min(seconds, settings.duration or seconds))
-    if settings.explain:
-        tell('measuring the contribution of each effect to a step')
-    report = scene_report(scene, simulation, origin, settings.explain, chosen)
+    report = scene_report(scene, simulation, origin, chosen)
     if topics.remapped:
         report[KEY] = dict(topics.remapped)
     if settings.autostart:
