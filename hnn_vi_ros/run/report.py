@@ -4,11 +4,11 @@
 
 from dataclasses import asdict, dataclass
 import math
-from pathlib import Path
 import time
 from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.run.run_folder import working_folder
 from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation import build, Chosen, Simulation
 import numpy as np
@@ -106,14 +106,6 @@ def _run(simulation: Simulation, scene: Scene, steps: int) -> float:
     return time.perf_counter() - start
 
 
-def _place(file: Path) -> str:
-    """Return the absolute path of a file; its name if the working directory was removed."""
-    try:
-        return str(file.absolute())
-    except FileNotFoundError:
-        return str(file)
-
-
 def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
                  chosen: Chosen | None = None) -> dict[str, Any]:
     """
@@ -139,5 +131,5 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
     loops = getattr(simulation.system.constraints, 'report', '')
     said = {'loops': loops} if loops else {}
     return (scene.model_dump() | choice | said | simulation.hamiltonian.provenance | {
-        'model_files': scene.model_digests, 'source': _place(scene.source), 'origin': origin,
-        'first_step': simulation.steps, 'conservative': simulation.conservative})
+        'model_files': scene.model_digests, 'source': str(working_folder() / scene.source),
+        'origin': origin, 'first_step': simulation.steps, 'conservative': simulation.conservative})

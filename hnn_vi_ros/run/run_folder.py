@@ -45,24 +45,14 @@ def report_files(lines: Sequence[str]) -> None:
 
 def _from_here(path: Path) -> Path:
     """Return a path relative to the working directory if it is inside, else unchanged."""
-    try:
-        return path.relative_to(Path.cwd())
-    except (ValueError, FileNotFoundError):
-        # The path is elsewhere, or the working directory was removed.
-        return path
+    home = working_folder()
+    return path.relative_to(home) if path.is_relative_to(home) else path
 
 
 def _rerun() -> Path | str:
     """Return the viewer installed with this interpreter, or its name on the PATH."""
     beside = Path(sys.prefix) / 'bin' / 'rerun'
-    if not beside.exists():
-        return 'rerun'
-    try:
-        here = os.path.relpath(beside)
-    except FileNotFoundError:
-        # The working directory was removed.
-        return beside
-    return beside if here.startswith('..') else here
+    return _from_here(beside) if beside.exists() else 'rerun'
 
 
 def _command(*words: object) -> str:
@@ -103,7 +93,7 @@ class RunFiles:
     """
 
     def __init__(self) -> None:
-        self._home = _working_folder()
+        self._home = working_folder()
         self._folder: Path | None = None
         self._used: set[Path] = set()
 
@@ -137,7 +127,7 @@ class RunFiles:
         return path
 
 
-def _working_folder() -> Path:
+def working_folder() -> Path:
     """Return the working directory, an empty path if it was removed."""
     try:
         return Path.cwd()
