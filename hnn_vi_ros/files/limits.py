@@ -14,10 +14,7 @@ from hashlib import file_digest
 import json
 import math
 from pathlib import Path
-import pickletools
-import re
-from typing import Any, BinaryIO, IO
-import zipfile
+from typing import Any, BinaryIO
 
 from hnn_vi_ros.files.regular_file import in_bytes, limited
 import numpy as np
@@ -28,11 +25,6 @@ LONGEST_LINE = 1 << 20
 MOST_VALUES = 1_200_000
 # Maximum header of safetensors [bytes]: the card of an ensemble of 1000 members takes 3 MiB.
 LONGEST_HEADER = 4 << 20
-# Opcodes of a pickle that refer to names; and the names in pickles of tensors.
-_NAMING_OPCODES = frozenset({'GLOBAL', 'STACK_GLOBAL', 'INST', 'EXT1', 'EXT2', 'EXT4'})
-_TENSOR_NAMES = re.compile(
-    r'collections OrderedDict|torch\._utils _rebuild_\w+|torch (?!Tensor\b)\w+|torch\.storage \w+|'
-    r'torch\.serialization _get_layout|torch\.nn\.parameter Parameter')
 
 
 def sha256_of(path: Path, most: int) -> str:
@@ -164,31 +156,3 @@ def _archive(path: Path, most: int) -> Iterator[Any]:
         except Exception as problem:  # damaged archives raise exceptions without a common class
             # Not numpy's message, which recommends unpickling untrusted files.
             raise ValueError('not an .npz file of plain arrays') from problem
-
-
-def check_pickles(path: Path) -> None:
-    """
-    Raise ValueError if a torch.save file refers to anything but parts of tensors.
-
-    ``weights_only`` runs no foreign code, but creates a bytearray or an empty tensor of any
-    requested size.
-    """
-    with path.open('rb') as stream:
-        if not zipfile.is_zipfile(stream):
-            stream.seek(0)
-            # Legacy format: magic number, version, system, object, storage names.
-            for _ in range(5):
-                _check_pickle(stream)
-            return
-        with zipfile.ZipFile(stream) as archive:
-            for member in archive.infolist():
-                if member.filename.endswith('data.pkl'):
-                    with archive.open(member) as content:
-                        _check_pickle(content)
-
-
-def _check_pickle(stream: IO[bytes]) -> None:
-    for code, argument, _ in pickletools.genops(stream):
-        if code.name in _NAMING_OPCODES and not (
-                code.name == 'GLOBAL' and _TENSOR_NAMES.fullmatch(str(argument))):
-            raise ValueError(f'it refers to {str(argument)[:80]}')

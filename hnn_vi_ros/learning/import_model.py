@@ -35,7 +35,7 @@ from typing import Any
 import zipfile
 
 from hnn_vi_ros.errors import listed, ModelError, ParameterError
-from hnn_vi_ros.files import check_pickles, in_plain_words, no_file, one_line, refuse_pointer
+from hnn_vi_ros.files import in_plain_words, no_file, one_line, refuse_pointer
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.export_module import export
 from hnn_vi_ros.models import (
@@ -88,15 +88,13 @@ def read_state(path: Path) -> tuple[dict[str, torch.Tensor], str]:
             refuse_pointer(stream.read(32), path, ModelError)
         if max(path.stat().st_size, _unpacked_size(path)) > MAX_BYTES:
             raise ModelError(f'{path}: larger than {MAX_BYTES >> 20} MiB, the limit for networks')
-        check_pickles(path)
         state = torch.load(path, map_location='cpu', weights_only=True)
     except ModelError:
         raise
     except Exception as problem:  # damaged pickles raise exceptions without a common base class
-        first = str(problem).strip().split('\n')[0]
-        raise ModelError(f'{path}: not a file of torch.save that contains only tensors '
-                         f'({type(problem).__name__}: {first[:200]}); nothing in it was executed; '
-                         'ask its author to save the state_dict') from problem
+        # Not torch's message, which recommends unpickling untrusted files.
+        raise ModelError(f'{path}: not a file of torch.save that contains only tensors; nothing '
+                         'in it was executed; ask its author to save the state_dict') from problem
     key = ''
     if isinstance(state, Mapping) and not _is_state(state):
         # A checkpoint: the one entry that is a state_dict, beside that of an optimizer.

@@ -8,7 +8,6 @@ import json
 from pathlib import Path
 import re
 import struct
-from typing import Any
 import zipfile
 
 from hnn_vi_ros.files.limits import (
@@ -63,8 +62,6 @@ READERS = {
     'model': ('from hnn_vi_ros.models.checkpoint import load_checkpoint', 'load_checkpoint(path)'),
     'state': (STATE, "restore_state(simulation, path.read_bytes()[:2**26], 'bag')"),
     'scene': ('from hnn_vi_ros.scene import load_scene', 'load_scene(path)'),
-    'network': ('from hnn_vi_ros.learning.import_model import read_state',
-                'read_state(path)'),
 }
 
 
@@ -118,17 +115,6 @@ def tensors(size: int, names: int = 0, shape: str = '[1]', data: int = 8
     return write
 
 
-def foreign_pickle(path: Path) -> None:
-    """Write what torch.save writes of a dict whose value takes 3 GB where it is unpickled."""
-    torch = pytest.importorskip('torch', reason='torch is not installed')
-
-    class Large:
-
-        def __reduce__(self) -> tuple[Any, ...]:
-            return bytearray, (3 * 10**9,)
-    torch.save({'linear1.weight': torch.zeros(2, 2), 'x': Large()}, path)
-
-
 ATTACKS: dict[str, tuple[str, str, Callable[[Path], None], str]] = {
     'claims 10^13 numbers': ('arrays', 'a.npz', lambda path: archive(path, (
         'q.npy', header('(10000000000000,)') + bytes(8))), 'not an .npz file of plain'),
@@ -148,7 +134,6 @@ ATTACKS: dict[str, tuple[str, str, Callable[[Path], None], str]] = {
     'a state of a million arrays': ('state', 'a.bin', tensors(0, 10**6),
                                     'state.safetensors is damaged'),
     'a scene of 1 GB': ('scene', 'a.yaml', sparse(10**9), 'larger than 1 MiB'),
-    'a network that makes 3 GB': ('network', 'a.pt', foreign_pickle, 'not a file of torch.save'),
 }
 
 

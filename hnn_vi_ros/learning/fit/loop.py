@@ -19,7 +19,7 @@ import zipfile
 
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, Interrupted, ModelError, ParameterError, RecordingError)
-from hnn_vi_ros.files import check_pickles, in_plain_words, one_line, ProgressLine, replacing
+from hnn_vi_ros.files import in_plain_words, one_line, ProgressLine, replacing
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.models import Checkpoint, save_checkpoint
 import numpy as np
@@ -407,7 +407,6 @@ class Keeper:
 
         """
         try:
-            check_pickles(self.path)
             saved = torch.load(self.path, weights_only=True)
             of_this = saved['digest'] == self._digest
         except FileNotFoundError as problem:
