@@ -188,6 +188,43 @@ class StateGuard(Guard):
         """Check the next sample; return an alarm when a violation begins, None otherwise."""
 
 
+class LimitGuard(StateGuard):
+    """
+    Base class of guards of a number that must not exceed a limit, reported once.
+
+    Attributes
+    ----------
+    limit : float
+        Limit of the number.
+    message : str
+        Message of the alarm, with a placeholder for the number.
+
+    """
+
+    limit: float
+    message: str
+    _raised = False
+
+    def update(self, sample: Observed) -> Alarm | None:
+        if self._raised or self.value(sample) <= self.limit:
+            return None
+        self._raised = True
+        return self.renew(sample)
+
+    def renew(self, sample: Observed) -> Alarm:
+        value = self.value(sample)
+        return Alarm(self.kind, self.step(sample), value, self.limit, self.message.format(value),
+                     '1')
+
+    def step(self, sample: Observed) -> int:
+        """Return the step of the alarm."""
+        return sample.step
+
+    @abstractmethod
+    def value(self, sample: Observed) -> float:
+        """Return the number."""
+
+
 class BlockGuard(Guard):
     """A guard that checks samples in blocks of any length, vectorised."""
 

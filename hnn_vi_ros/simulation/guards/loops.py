@@ -2,54 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards of the loops of a robot: they stay closed, and keep away from singular positions."""
 
-from abc import abstractmethod
-from typing import ClassVar
-
 from hnn_vi_ros.effects import LoopManifold
-from hnn_vi_ros.simulation.guards.base import Alarm, Observed, StateGuard
+from hnn_vi_ros.simulation.guards.base import LimitGuard, Observed
 import numpy as np
 
 
-class LoopGuard(StateGuard):
-    """
-    Base class of guards of loops.
-
-    Parameters
-    ----------
-    loops : LoopManifold
-        The loops of the simulation.
-
-    Attributes
-    ----------
-    limit : float
-        Limit of the value that is watched.
-    message : str
-        Message of the alarm, with a placeholder for the value.
-
-    """
-
-    limit: ClassVar[float]
-    message: ClassVar[str]
+class _LoopGuard(LimitGuard):
+    """Base class of guards of the loops of a simulation."""
 
     def __init__(self, loops: LoopManifold):
-        self._loops, self._raised = loops, False
-
-    def update(self, sample: Observed) -> Alarm | None:
-        if self._raised or self.value(sample) <= self.limit:
-            return None
-        self._raised = True
-        return self.renew(sample)
-
-    def renew(self, sample: Observed) -> Alarm:
-        value = self.value(sample)
-        return Alarm(self.kind, sample.step, value, self.limit, self.message.format(value), '1')
-
-    @abstractmethod
-    def value(self, sample: Observed) -> float:
-        """Return the value that is watched."""
+        self._loops = loops
 
 
-class ClosureGuard(LoopGuard):
+class ClosureGuard(_LoopGuard):
     """Loops: they stay closed, also in the equations that depend on others and were dropped."""
 
     kind, limit = 'loop open', 1e-10
@@ -62,7 +27,7 @@ class ClosureGuard(LoopGuard):
         return float(np.abs(self._loops.errors(sample.q)).max())
 
 
-class SingularGuard(LoopGuard):
+class SingularGuard(_LoopGuard):
     """Singular positions: no step moves by more than half of the distance to one."""
 
     kind, limit = 'singular position', 0.5

@@ -4,7 +4,7 @@
 
 from typing import ClassVar
 
-from hnn_vi_ros.simulation.guards.base import Alarm, Observed, StateGuard
+from hnn_vi_ros.simulation.guards.base import LimitGuard, Observed
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
@@ -12,7 +12,7 @@ import numpy as np
 _MAX_GRADIENT_RATIO = 5
 
 
-class CostGuard(StateGuard):
+class CostGuard(LimitGuard):
     """
     Cost of steps: at most five times the usual maximum of gradients of the method.
 
@@ -32,24 +32,22 @@ class CostGuard(StateGuard):
     remedy = 'use a smaller step_size, or `time_transformed` for close encounters'
 
     def __init__(self, simulation: Simulation):
-        self._simulation, self._raised = simulation, False
-        self._usual = simulation.usual_gradients * np.atleast_2d(simulation.q).shape[0]
-        self._limit = _MAX_GRADIENT_RATIO * self._usual
+        self._simulation = simulation
+        usual = simulation.usual_gradients * np.atleast_2d(simulation.q).shape[0]
+        self.limit = _MAX_GRADIENT_RATIO * usual
+        self.message = ('a step took {} evaluations of the gradient; the usual number is '
+                        f'{usual}; use a smaller step_size or another integrator')
 
-    def update(self, sample: Observed) -> Alarm | None:
-        if self._raised or self._simulation.costliest[0] <= self._limit:
-            return None
-        self._raised = True
-        return self.renew(sample)
+    def value(self, sample: Observed) -> float:
+        """Return the gradients of the costliest step."""
+        return self._simulation.costliest[0]
 
-    def renew(self, sample: Observed) -> Alarm:
-        gradients, step = self._simulation.costliest
-        return Alarm(self.kind, step, gradients, self._limit,
-                     f'a step took {gradients} evaluations of the gradient; the usual number '
-                     f'is {self._usual}; use a smaller step_size or another integrator', '1')
+    def step(self, sample: Observed) -> int:
+        """Return the costliest step."""
+        return self._simulation.costliest[1]
 
 
-class StiffnessGuard(StateGuard):
+class StiffnessGuard(LimitGuard):
     """
     Bristles of friction and elastic gears: h omega at most 1, with their fastest rate omega.
 
@@ -64,24 +62,18 @@ class StiffnessGuard(StateGuard):
 
     kind = 'stiffness not resolved'
     remedy = 'use a smaller step_size, or a lower stiffness'
+    limit = 1.0
+    message = f'h omega = {{:.3g}} of small motions on bristles or gears, limit 1; {remedy}'
 
     def __init__(self, reach: float):
         self._reach = reach
-        self._raised = reach <= 1.0
 
-    def update(self, sample: Observed) -> Alarm | None:
-        if self._raised:
-            return None
-        self._raised = True
-        return self.renew(sample)
-
-    def renew(self, sample: Observed) -> Alarm:
-        return Alarm(self.kind, sample.step, self._reach, 1.0,
-                     f'h omega = {self._reach:.3g} of small motions on bristles or gears, limit '
-                     f'1; {self.remedy}', '1')
+    def value(self, sample: Observed) -> float:
+        """Return h omega."""
+        return self._reach
 
 
-class CountGuard(StateGuard):
+class CountGuard(LimitGuard):
     """
     Base class of guards of a counter of the simulation that must stay zero.
 
@@ -94,25 +86,23 @@ class CountGuard(StateGuard):
     ----------
     counted : str
         Attribute of the simulation that holds the counter.
-    message : str
-        Message of the alarm, with a placeholder for the count.
 
     """
 
+    limit = 0.0
     counted: ClassVar[str]
-    message: ClassVar[str]
 
     def __init__(self, simulation: Simulation):
-        self._simulation, self._seen = simulation, 0
+        self._simulation = simulation
 
-    def update(self, sample: Observed) -> Alarm | None:
-        before, self._seen = self._seen, getattr(self._simulation, self.counted)
-        return self.renew(sample) if before == 0 < self._seen else None
+    def value(self, sample: Observed) -> float:
+        """Return the count."""
+        count: int = getattr(self._simulation, self.counted)
+        return count
 
-    def renew(self, sample: Observed) -> Alarm:
-        count = getattr(self._simulation, self.counted)
-        # The alarms of a finished path report the counts at its end.
-        return Alarm(self.kind, self._simulation.steps, count, 0, self.message.format(count), '1')
+    def step(self, sample: Observed) -> int:
+        """Return the newest step: the alarms of a finished path report the counts at its end."""
+        return self._simulation.steps
 
 
 class SolutionGuard(CountGuard):
