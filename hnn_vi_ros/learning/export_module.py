@@ -181,5 +181,7 @@ def _check(graph: GraphHamiltonian, function: Callable[[torch.Tensor], torch.Ten
             ('values', 'slopes'), own, (np.array(values), np.array(slopes)), strict=True):
         apart = np.abs(one - other).max()
         if not apart <= _TOLERANCE * max(np.abs(other).max(), 1e-300):
-            _refuse(kind, f'has other {what} than its graph, by {apart:.3g}: its operations '
-                    'change from state to state, or it detaches a part of its input')
+            _refuse(kind, f'has other {what} than its graph, by {apart:.3g}: ' + (
+                'its operations change from state to state, or it detaches a part of its input'
+                if np.isfinite(one).all() else 'solve linear systems with positive definite '
+                'matrices, because rows are not exchanged'))

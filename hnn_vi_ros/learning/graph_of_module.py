@@ -16,6 +16,7 @@ import traceback
 from typing import Any, NoReturn
 
 from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.learning.linear_systems import LINEAR_SYSTEMS
 from hnn_vi_ros.models import Builder
 import numpy as np
 import torch
@@ -106,7 +107,7 @@ def graph_of(function: Callable[[torch.Tensor], torch.Tensor], states: torch.Ten
 def _trace(function: Callable[[torch.Tensor], torch.Tensor], state: torch.Tensor
            ) -> torch.fx.GraphModule:
     table = {op: way for op, way in core_aten_decompositions().items()
-             if op._overloadpacket not in _WHOLE} | get_decompositions(_FURTHER)
+             if op._overloadpacket not in _WHOLE} | get_decompositions(_FURTHER) | LINEAR_SYSTEMS
 
     def copied(z: torch.Tensor) -> torch.Tensor:
         # The function may change its argument.

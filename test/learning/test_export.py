@@ -181,6 +181,29 @@ MODULES |= {name: (2, lambda f=f: Written(f)) for name, f in {
     'derivative inside': derivative_inside,
     'derivative of a function inside': slow_derivative_inside,
 }.items()}
+
+
+def masses(x, n=2):
+    """Return positive definite matrices M(q), and p as columns."""
+    a = torch.outer(torch.arange(1.0, n + 1.0), torch.arange(2.0, n + 2.0)).to(x) * x[:, :1, None]
+    return torch.sin(a) @ torch.sin(a).mT + torch.eye(n, dtype=x.dtype), x[:, 2:, None]
+
+
+MODULES |= {name: (2, lambda f=f: Written(lambda x: f(*masses(x)))) for name, f in {
+    'linear systems': lambda m, p: (p.mT @ torch.linalg.solve(m, p)).sum((1, 2))
+    + torch.linalg.solve(m, p[..., 0]).sum(-1)
+    + torch.linalg.solve(m, p.mT, left=False).sum((1, 2)),
+    'inverses': lambda m, p: (p.mT @ torch.linalg.inv(m) @ p).sum((1, 2)),
+    'Cholesky factors': lambda m, p: torch.cholesky_solve(p, torch.linalg.cholesky(m)).sum((1, 2))
+    + torch.cholesky_solve(p, torch.linalg.cholesky(m, upper=True), upper=True).prod(1)[:, 0],
+    'triangular systems': lambda m, p: torch.linalg.solve_triangular(m, p, upper=True).sum((1, 2))
+    + torch.linalg.solve_triangular(m, p, upper=False, unitriangular=True).prod(1)[:, 0],
+    'determinants': lambda m, p: torch.linalg.det(m) * torch.logdet(m) + p.prod(1)[:, 0],
+    'products of three': lambda m, p: functional.bilinear(
+        m[:, 0], p[..., 0], torch.arange(4.0).reshape(1, 2, 2).to(p))[:, 0] + p.prod(1)[:, 0],
+    'slopes of linear systems': lambda m, p: (torch.func.grad(lambda v: (
+        v.mT @ torch.linalg.solve(m, v)).sum())(p)**2).sum((1, 2)),
+}.items()}
 MODULES['scripted'] = (1, lambda: torch.jit.script(net(2, 8, 1)))
 
 
@@ -309,7 +332,9 @@ REFUSED = {name: function if isinstance(function, nn.Module) else Written(functi
     'numpy': lambda x: torch.tensor(x.detach().numpy().sum()),
     'a constant': lambda x: torch.ones(1, dtype=x.dtype),
     'a detached part': lambda x: (x * x.detach()).sum(),
-    'an inverse': lambda x: torch.linalg.inv(torch.eye(2, dtype=x.dtype) + x.T @ x).sum(),
+    'eigenvalues': lambda x: torch.linalg.eigvalsh(torch.eye(2, dtype=x.dtype) + x.T @ x)[:1],
+    'rows to exchange': lambda x: torch.linalg.solve(
+        torch.eye(2, dtype=x.dtype).flip(0), x[0]).prod(),
     'rounding to decimals': lambda x: (x.round(decimals=1) * x).sum(),
     'a transform': lambda x: torch.fft.rfft(x).abs().sum(),
     'a transposed convolution': lambda x: functional.conv_transpose1d(

@@ -27,8 +27,9 @@ FLOORS = (
     'learning', 'identify', 'sweeps', 'envs', 'ros', 'commands', 'cli', '__main__', '__init__')
 # The same inside two rooms.
 INNER_FLOORS = {
-    'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'graph_of_module',
-                 'export_module', 'import_model', 'tasks', 'train', 'evaluate'),
+    'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'linear_systems',
+                 'graph_of_module', 'export_module', 'import_model', 'tasks', 'train',
+                 'evaluate'),
     'ros': ('worlds', 'plumbing', 'settings', 'node_parameters', 'arguments', 'recording',
             'topics', 'replay', 'run', 'rerun_bridge', 'services', 'initial_state',
             'controller_node', 'listener_node', 'launching', 'simulator_node')}
