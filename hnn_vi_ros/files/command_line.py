@@ -106,6 +106,10 @@ class Parser(argparse.ArgumentParser):
         message = re.sub(r"invalid choice: '(.*)' \(choose from (.*)\)", lambda found: (
             f'unknown {found[1]!r}{offered(found[1], found[2].replace(chr(39), "").split(", "))}'
             ), message)
+        if message.startswith('the following arguments are required'):
+            message = '; '.join([message, *(
+                f'{action.metavar or action.dest} is one of {", ".join(action.choices)}' for action
+                in self._actions if action.choices and action.required)])
         line = f'{self.prog}: {message}; see {self.prog} --help'
         write_problem(line)
         self.exit(_USAGE_STATUS)

@@ -99,9 +99,10 @@ def test_list_has_a_line_with_a_description_for_every_name(what, known, capsys):
 
 
 def test_list_of_something_else_is_one_line(capsys):
-    with pytest.raises(SystemExit):
-        names.main(['scene'])
-    assert_message(capsys.readouterr().err.removesuffix('\n'))
+    for argv in (['scene'], []):
+        with pytest.raises(SystemExit):
+            names.main(argv)
+        assert_message(capsys.readouterr().err.removesuffix('\n'))
 
 
 def test_schema_that_is_shipped_is_that_of_the_code(capsys):
