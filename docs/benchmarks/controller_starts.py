@@ -6,8 +6,9 @@ A control task from random starts: separate processes of simulator and controlle
 Each start has a bag, which is simulated again without the controller and compared bit by bit. A
 start is a success where both angles stay upright through the last two seconds. The latency is
 simulated time, at the pace of the clock, from the state that a command answers to when it acts.
-With --lockstep, simulated time waits for commands, and a digest of all messages of a start but
-diagnostics, which hold wall times, tells whether two machines had the same run.
+With --lockstep, simulated time waits for commands, and a digest tells whether two machines had the
+same run: of all messages and their log times, except diagnostics, which hold wall times, and the
+scene, which names its folder.
 
     PYTHONPATH=docs .venv/bin/python -m benchmarks.controller_starts acrobot --starts 20
 """
@@ -110,7 +111,7 @@ def in_lockstep(task: str, count: int, duration: float, seed: int, folder: Path
         reader, content = BagReader(folder / f'bag-{k}'), sha256()
         for message in reader.messages():
             topic = reader.channels[message.channel].topic
-            if topic != '/diagnostics':
+            if topic.rpartition('/')[2] not in ('diagnostics', 'scene'):
                 content.update(f'{topic} {message.time} '.encode() + message.data)
         found.append(evaluate(folder / f'bag-{k}', names) | {'digest': content.hexdigest()[:12]})
     return found, []
