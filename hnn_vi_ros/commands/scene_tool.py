@@ -56,7 +56,7 @@ def main(argv: list[str]) -> int:
 
 def check(names: Sequence[str]) -> int:
     """Print one line per scene: a summary, or on standard error the problem."""
-    from hnn_vi_ros.run import ensemble_card
+    from hnn_vi_ros.run import ensemble_card, joint_sensor
     from hnn_vi_ros.simulation import build, resolve, watched
     status = 0
     for name in names:
@@ -65,7 +65,10 @@ def check(names: Sequence[str]) -> int:
             parts = scene.parts()
             if scene.uncertainty is not None:
                 ensemble_card(parts)
-            print(_in_a_line(scene, watched(build(parts), scene).conservative))
+            simulation = watched(build(parts), scene)
+            # Samples are at least a step apart, so a rate that does not fit steps fits no samples.
+            joint_sensor(scene, simulation, 1)
+            print(_in_a_line(scene, simulation.conservative))
         except HnnViRosError as problem:
             for line in problem.lines:
                 print(f'hnn scene: {line}', file=sys.stderr)

@@ -221,8 +221,12 @@ class UncertaintyChoice(StrictModel):
         'which an alarm is raised [1]'))
 
 
+# Limits of errors and resolutions, beyond which readings are not numbers or need no rounding.
+_LARGEST, _FINEST = 1e9, 1e-15
+_Size = Annotated[float, Field(ge=0.0, le=_LARGEST)]
+_Bias = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
 # One number for all joints, or one for each.
-_OfJoints = Annotated[float, Field(ge=0.0)] | list[Annotated[float, Field(ge=0.0)]]
+_OfJoints = _Size | list[_Size]
 
 
 class JointSensorChoice(StrictModel):
@@ -230,7 +234,7 @@ class JointSensorChoice(StrictModel):
 
     noise: _OfJoints = Field(0.0, description=(
         'standard deviation of a position, of all joints or as a list [q]'))
-    bias: float | list[float] = Field(0.0, description='constant error of a position [q]')
+    bias: _Bias | list[_Bias] = Field(0.0, description='constant error of a position [q]')
     quantisation: _OfJoints = Field(0.0, description=(
         'resolution of an encoder: positions are rounded to its multiples [q]'))
     velocity: Literal['sensor', 'encoder', 'none'] = Field('sensor', description=(
@@ -249,7 +253,10 @@ class JointSensorChoice(StrictModel):
     seed: int = Field(0, ge=0, lt=2**63, description='seed of the random numbers')
 
     def check(self, joints: int) -> None:
-        """Raise ValueError if a list does not have one entry for each joint."""
+        """Raise ValueError unless lists have one entry for each joint, and encoders a step."""
+        if ((0.0 < np.array(self.quantisation)) & (np.array(self.quantisation) < _FINEST)).any():
+            raise ValueError(f'quantisation = {self.quantisation}: expected 0, or at least '
+                             f'{_FINEST:g}')
         for name, value in self:
             if isinstance(value, list) and len(value) != joints:
                 raise ValueError(f'{name} has {len(value)} values, expected 1, or one for each of '

@@ -68,6 +68,21 @@ def test_check_places_an_effect_that_the_method_cannot_take(tmp_path, capsys):
     assert_message(capsys.readouterr().err.removesuffix('\n'))
 
 
+@pytest.mark.parametrize(('sensor', 'said'), [
+    ('noise: [0.1, 0.2]', 'noise has 2 values, expected 1'),
+    ('noise: 1.0e+308', 'less than or equal to 1000000000'),
+    ('bias: [-1.0e+10]', 'equal to -1000000000'),
+    ('quantisation: 1.0e-300', 'quantisation = 1e-300: expected 0, or at least 1e-15'),
+    ('rate: 33.0', 'rate = 33 Hz: expected the rate of the samples')])
+def test_check_refuses_a_sensor_that_no_run_can_have(sensor: str, said: str, tmp_path, capsys):
+    text = shipped_file('scene', 'exact_pendulum').read_text(encoding='utf-8')
+    wrong = tmp_path / 'wrong.yaml'
+    wrong.write_text(f'{text}measurements: {{joint_states: {{{sensor}}}}}\n')
+    assert main(['--check', str(wrong)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert 'measurements.joint_states' in line and said in line
+
+
 @pytest.mark.parametrize('arguments', [
     [], ['--check'], ['--new', '--schema'], ['--new'], ['--schema', '--out', 'a.yaml'],
     ['--explain'], ['--explain', 'a', 'b'], ['kepler'], ['--schema', '--robot', 'a.urdf'],
