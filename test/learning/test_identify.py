@@ -19,7 +19,8 @@ from hnn_vi_ros.learning import evaluate
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed, steps_between
 from hnn_vi_ros.learning.fit.noise import processes
 from hnn_vi_ros.learning.fit.shooting import _INNER, fit_numbers, FitProblem
-from hnn_vi_ros.learning.fit.windows import cut_windows, DELAY, Prediction, Windows
+from hnn_vi_ros.learning.fit.windows import (
+    CannotFollow, cut_windows, DELAY, ModelParts, Prediction, Windows)
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.gradients.dependences import difference
@@ -177,6 +178,29 @@ def test_number_that_has_all_but_vanished_has_the_slope_of_zero(start, pendulum,
     tiny, zero = (Prediction(free, np.array([value]), windows).by_numbers(starts)
                   for value in (1e-21, 0.0))
     np.testing.assert_allclose(tiny, zero, atol=1e-9 * np.abs(zero).max())
+
+
+@pytest.mark.parametrize('refuses', [-1.0, 1.0, 0.0])
+def test_slope_beside_values_that_a_model_refuses_is_that_of_the_other_side(
+        refuses, pendulum, tmp_path, monkeypatch):
+    free = freed(pendulum, tmp_path, length=1.0)
+    windows = cut_windows([swing(pendulum, 0.2, 4)], 0.2)
+    starts = np.tile([0.5, 0.1], (len(windows.run), 1))
+    whole, usual = Prediction(free, np.ones(1), windows).by_numbers(starts), FreeScene.parts_at
+
+    def parts_at(model: FreeScene, values: np.ndarray) -> ModelParts:
+        beside = values[0] - 1.0
+        if refuses * beside > 0.0 or (not refuses and beside):
+            raise ModelError('the mass matrix is not positive definite')
+        return usual(model, values)
+    monkeypatch.setattr(FreeScene, 'parts_at', parts_at)
+    edge = Prediction(free, np.ones(1), windows)
+    if not refuses:
+        with refused(CannotFollow):
+            edge.by_numbers(starts)
+        return
+    # Differences of order 2 with a spacing of 6e-6: 4e-11, and rounding of 1e-16 over it.
+    np.testing.assert_allclose(edge.by_numbers(starts), whole, atol=1e-9 * np.abs(whole).max())
 
 
 def test_one_window_that_fails_leaves_the_others(pendulum, tmp_path):

@@ -30,9 +30,10 @@ from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, mean_forces, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.noise import covariances
 from hnn_vi_ros.learning.fit.shooting import (
-    CannotFollow, cost_at_start, fit_numbers, Fitted, projected, refitted, units_of)
+    cost_at_start, fit_numbers, Fitted, projected, refitted, units_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.learning.fit.windows import FOREVER, KnownModel, ModelParts, Number
+from hnn_vi_ros.learning.fit.windows import (
+    CannotFollow, FOREVER, KnownModel, ModelParts, Number)
 from hnn_vi_ros.models import (
     chain_angles, Checkpoint, MechanicalCard, ModelCard, PLANAR_CHAIN, prior_kernel)
 from hnn_vi_ros.phase_space import Coordinate

@@ -22,7 +22,7 @@ from hnn_vi_ros.hamiltonians import momentum
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.noise import covariances, likeliest, Process
 from hnn_vi_ros.learning.fit.windows import (
-    cut_windows, ParametricModel, Prediction, Seen, Windows)
+    CannotFollow, cut_windows, ParametricModel, Prediction, Seen, Windows)
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -314,10 +314,6 @@ def told_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     """
     _, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
     return sizes, rows, sizes > _RANK * max(1.0, sizes.max(initial=0.0))
-
-
-class CannotFollow(DataError):
-    """A model that cannot be simulated through the windows from its initial values."""
 
 
 class Fitted(NamedTuple):

@@ -3,13 +3,15 @@
 """Measured motions cut into windows, and the prediction of a parametric model in each window."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 import math
 from typing import NamedTuple, Protocol
 
 from hnn_vi_ros.effects import Effect, ExternalForce, PeriodicDrive, Place
-from hnn_vi_ros.errors import DataError, HnnViRosError, StateError, UnsupportedSystem
+from hnn_vi_ros.errors import (
+    DataError, HnnViRosError, ModelError, StateError, UnsupportedSystem)
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
@@ -18,6 +20,10 @@ from hnn_vi_ros.simulation import (
     Change, Dependence, difference, DifferentiableRun, flow_rates, OnNumber, Simulation, sum_of,
     System)
 import numpy as np
+
+
+class CannotFollow(DataError):
+    """A model that cannot be simulated through the windows from its initial values."""
 
 
 # Place of the delay of the input [s], which belongs to no part of a model.
@@ -568,10 +574,16 @@ class Prediction:
         # A step relative to a value close to zero would be lost in rounding.
         usual = self._windows.spacing if number.place == DELAY else \
             number.size or abs(number.start) or 1.0
-        return [(weight, Prediction(self._model, np.where(
-            np.arange(len(self._values)) == k, other, self._values), self._windows))
-            for other, weight in difference(
-                value, _SPACING * max(abs(value), usual), number.low, number.high)]
+        sides = (number.low, number.high), (value, number.high), (number.low, value)
+        for low, high in sides:
+            # The values beside may be invalid on one side, such as those of a singular mass.
+            with suppress(ModelError):
+                return [(weight, Prediction(self._model, np.where(
+                    np.arange(len(self._values)) == k, other, self._values), self._windows))
+                    for other, weight in difference(
+                        value, _SPACING * max(abs(value), usual), low, high)]
+        raise CannotFollow(f'{self._model.name} is invalid on both sides of {number.name} = '
+                           f'{value:g}')
 
 
 class _OnNumber(OnNumber):
