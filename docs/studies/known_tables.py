@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import json
 from pathlib import Path
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.command_line import Parser
@@ -43,19 +43,19 @@ class Row:
 
 # Own generators, and published data sets.
 OWN = (
-    Row('energy_drift', 'DART, chain of ten links: energy band by Euler, variational', (
+    Row('energy_drift', 'DART, ten links: energy bands', (
         ('chain', 'variational_euler', 0.39), ('chain', 'gauss4', 0.011))),
-    Row('energy_drift', 'Gymnasium, Acrobot: drift at 0.2, 0.05, 0.01 s', (
+    Row('energy_drift', 'Gymnasium, Acrobot: drifts at 0.2, 0.05, 0.01 s', (
         ('acrobot 0.2', 'gauss8', 3.554e-3), ('acrobot 0.05', 'gauss8', 4.189e-6),
         ('acrobot 0.01', 'gauss8', 1.519e-8))),
-    Row('two_masses', 'OE-pHNN, two masses: NRMS at 0.1, 0.05 s', (
+    Row('two_masses', 'OE-pHNN: NRMS at 0.1, 0.05 s', (
         ('0.1', 'gauss4', 0.0190), ('0.05', 'gauss4', 0.0192))),
-    Row('two_masses', 'OE-pHNN by Euler, ours by `variational_euler`', (
+    Row('two_masses', 'the same by Euler; by `variational_euler`', (
         ('0.1', 'variational_euler', 0.823), ('0.05', 'variational_euler', 0.0548))),
-    Row('symoden', 'SymODEN, tasks 1 to 4: prediction error', (
+    Row('symoden', 'SymODEN, tasks 1 to 4', (
         ('pendulum (q, p)', 'formula', 4.31), ('pendulum (cos, sin)', 'formula', 0.0948),
         ('cart-pole', 'formula', 4.16), ('acrobot', 'formula', 0.809))),
-    Row('chnn', 'CHNN, chains of 1, 2, 3, 5 links: relative error', tuple(
+    Row('chnn', 'CHNN, 1, 2, 3, 5 links', tuple(
         (f'{links} links', 'rigid bodies', published)
         for links, published in ((1, 5.2e-5), (2, 1.1e-4), (3, 3.3e-4), (5, 9.3e-4)))),
     Row('chnn', 'CHNN, gyroscope, rotor, magnet pendulum', (
@@ -106,17 +106,23 @@ def as_page(folder: Path, results: Sequence[Result] | None = None) -> str:
     """Return the page, from the results of all studies."""
     found = ResultTable(read_results(folder, CSV) if results is None else results)
     rows = [_cells(found, row) for row in (*OWN, SAME)]
-    others = list(_other_pages(folder))
-    counts = [count for count, _ in rows] + [(int(met), 1) for met, _ in others]
-    reached, every = (sum(part) for part in zip(*counts, strict=True))
-    own, same = [cells for _, cells in rows[:-1]], [rows[-1][1], *(cells for _, cells in others)]
-    return render(PAGE, own=own, same=same, reached=reached, all=every,
-                  gymnasium=_gymnasium(found), double=_mean(found, 'two_masses', '0.2', 'gauss4'),
+    rows += _other_pages(folder)
+    own, same = ([row.texts for row in part] for part in (rows[:len(OWN)], rows[len(OWN):]))
+    return render(PAGE, own=own, same=same, reached=sum(row.reached for row in rows),
+                  all=sum(row.count for row in rows), gymnasium=_gymnasium(found),
+                  double=_mean(found, 'two_masses', '0.2', 'gauss4'),
                   machine=found.names('machine'), commit=found.names('commit'))
 
 
-def _cells(found: ResultTable, row: Row) -> tuple[tuple[int, int], list[str]]:
-    """Return how many figures of a row are reached and there, and its cells."""
+class Cells(NamedTuple):
+    """Cells of a row, and how many of its published figures are reached."""
+
+    reached: int
+    count: int
+    texts: list[str]
+
+
+def _cells(found: ResultTable, row: Row) -> Cells:
     cells, reached, seeds = [], 0, 0
     for system, measure, published in row.claims:
         values = found.values(row.table, system, measure)
@@ -127,8 +133,8 @@ def _cells(found: ResultTable, row: Row) -> tuple[tuple[int, int], list[str]]:
         cells.append(f'{values.mean():.2g}' if met else f'**{values.mean():.3g}**')
         reached, seeds = reached + met, len(values)
     published = ', '.join(f'{one:.3g}' for _, _, one in row.claims)
-    return (reached, len(cells)), [row.text, published, ', '.join(cells), str(seeds),
-                                   _minutes(found, row.table)]
+    return Cells(reached, len(cells), [
+        row.text, published, ', '.join(cells), str(seeds), _minutes(found, row.table)])
 
 
 def _gymnasium(found: ResultTable) -> str:
@@ -148,30 +154,31 @@ def _minutes(found: ResultTable, table: str) -> str:
     return f'{seconds.sum() / 60.0:.2g}' if len(seconds) else ''
 
 
-def _other_pages(folder: Path) -> Iterator[tuple[bool, list[str]]]:
-    """Yield the rows of published data sets on other pages, and whether they are reached."""
-    for row in _json(folder / FOLDER / MACHINES):
-        text = _MACHINES.get((row['case'], row['measure'], row['model']))
-        if text is not None:
-            yield row['met'], [text, _numbers(row['reference']), _numbers(row['ours']),
-                               str(len(row['seeds'])), '']
-    losses = _json(folder / FOLDER / BODIES)['test_loss']
-    for name, text in _BODIES.items():
-        loss = losses[name]
-        yield loss['met'], [text, f'{loss["published"]:.1e}', f'{loss["ours"]:.1e}', '1', '']
+def _other_pages(folder: Path) -> Iterator[Cells]:
+    """Yield the rows of published data sets that other pages describe."""
+    rows = {(row['case'], row['measure'], row['model']): row
+            for row in _json(folder / FOLDER / MACHINES)}
+    for text, keys in _MACHINES.items():
+        there = [rows[key] for key in keys]
+        yield Cells(sum(row['met'] for row in there), len(there), [
+            text, *('; '.join(_numbers(row[name]) for row in there)
+                    for name in ('reference', 'ours')), str(len(there[0]['seeds'])), ''])
+    losses = [_json(folder / FOLDER / BODIES)['test_loss'][name] for name in _BODIES]
+    yield Cells(sum(loss['met'] for loss in losses), len(losses), [
+        'LieGroupHamDL, pendulum, quadrotor',
+        *(', '.join(f'{loss[name]:.1e}' for loss in losses) for name in ('published', 'ours')),
+        '1', ''])
     # The results are those of docs/tutorials/emps_drive.md, which no file has.
-    yield False, ['EMPS [mm]', '2.64', '**2.77**', '1', '2']
+    yield Cells(0, 1, ['EMPS [mm]', '2.64', '**2.77**', '1', '2'])
 
 
 _MACHINES = {
-    ('two-link arm that writes letters', 'valid prediction time [s], e and v', 'networks'):
-        'letters [s], larger is better',
-    ('real actuated double pendulum', 'RMS error [rad] after 0.1 s, test', 'default'):
-        'C.1 after 0.1 s [rad]',
-    ('real actuated double pendulum', 'RMS error [rad] after 0.5 s, test', 'default'):
-        'C.1 after 0.5 s [rad]'}
-_BODIES = {'turning_pendulum': 'LieGroupHamDL, pendulum',
-           'flying_quadrotor': 'LieGroupHamDL, quadrotor'}
+    'letters [s], larger is better': [
+        ('two-link arm that writes letters', 'valid prediction time [s], e and v', 'networks')],
+    'C.1 after 0.1, 0.5 s [rad]': [
+        ('real actuated double pendulum', f'RMS error [rad] after {horizon} s, test', 'default')
+        for horizon in ('0.1', '0.5')]}
+_BODIES = 'turning_pendulum', 'flying_quadrotor'
 
 
 def _json(path: Path) -> Any:
