@@ -61,11 +61,13 @@ def simulated(scene: Scene, test: dict[str, np.ndarray]) -> np.ndarray:
 
     The initial state is fitted to the samples before those that are judged.
     """
-    simulation = build(scene)
-    every = round((test['t'][1] - test['t'][0]) / simulation.step_size)
+    spacing = float(test['t'][-1] - test['t'][0]) / (len(test['t']) - 1)
+    every = round(spacing / scene.known_step_size)
+    # The spacing of the record to all its digits: its phase is that of 35 s.
+    simulation = build(scene.changed({'step_size': spacing / every}))
 
     def run(state: np.ndarray, samples: int) -> np.ndarray:
-        simulation.restart(state[:1], state[1:] / test['t'][1])
+        simulation.restart(state[:1], state[1:] / spacing)
         steps = driven(simulation, test['t'][:samples], test['u'][:samples])
         return np.array([state[0], *(simulation.q[0] for _ in steps)])[::every]
 
