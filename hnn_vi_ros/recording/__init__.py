@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from hnn_vi_ros.recording.sample import Sample
     from hnn_vi_ros.recording.viewer.phase_portrait import (
         Bounds, box_of, contours, ends_of, Frame, reach_of)
-    from hnn_vi_ros.recording.viewer.rerun_diagram import (
-        PredictedRun, write_curves, write_predictions)
     from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
     from hnn_vi_ros.recording.viewer.rerun_stream import Target
 

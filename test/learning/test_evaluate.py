@@ -5,8 +5,6 @@
 from dataclasses import replace
 import json
 from pathlib import Path
-import subprocess
-import sys
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ParameterError
@@ -25,7 +23,6 @@ from machines import driven, from_file
 from messages import refused
 import numpy as np
 import pytest
-from rerun.chunk import RrdReader
 from trainings import trained, Training
 
 # Not the installed file, whose folder depends on the machine.
@@ -117,34 +114,13 @@ def test_model_is_judged_in_a_second_command(made, tmp_path, capsys):
         evaluate.main([str(out), '--data', f'{data}:a,b', '--config', made.config, '--held-out'])
 
 
-def check_report(folder: Path, motions: list[EvenMotion]) -> None:
-    """Check the files of an evaluation of what made the motions, of the horizon 0.5 s."""
+def check_report(folder: Path) -> None:
+    """Check the files of an evaluation."""
     page = (folder / 'report.md').read_text()
     for words in ('| model |', 'The model follows the machine for at least 2 s',
-                  '(predictions.png)', 'rerun predictions.rrd'):
+                  '(predictions.png)'):
         assert words in page
     assert (folder / 'predictions.png').read_bytes().startswith(b'\x89PNG')
-    check = subprocess.run([sys.executable, '-m', 'rerun_cli', 'rrd', 'verify',
-                            str(folder / 'predictions.rrd')], capture_output=True, text=True)
-    assert check.returncode == 0, check.stderr
-    lines = {}
-    for chunk in RrdReader(folder / 'predictions.rrd').stream():
-        if not chunk.is_static:
-            rows = chunk.to_record_batch()
-            t = np.array(rows['time'].cast('int64')) * 1e-9
-            lines[chunk.entity_path] = t, np.array(rows['Scalars:scalars'].to_pylist())[:, 0]
-    for number, motion in enumerate(motions):
-        t, q = lines.pop(f'/run{number}/angle/measured')
-        np.testing.assert_allclose(t, motion.t, atol=1e-9)
-        np.testing.assert_array_equal(q, motion.q[:, 0])
-        predicted = [lines.pop(path) for path in [*lines] if path.startswith(f'/run{number}/')]
-        # Four in each half second, of those that have half of one second before them.
-        assert len(predicted) >= 4 * (motion.t[-1] - 0.5) / 0.5 - 4
-        for t, q in predicted:
-            # As above: what made the motions follows them.
-            assert np.abs(q - np.interp(t, motion.t, motion.q[:, 0])).max() < 0.1
-            assert t[-1] - t[0] < 0.5 + 1e-6
-    assert not lines
 
 
 def test_shown_predictions_end_where_a_simulation_failed():
@@ -167,7 +143,7 @@ def test_scene_that_made_the_motions_follows_them_to_their_end(made, drawn, tmp_
     report = tmp_path / 'new' / 'report'
     evaluate.main([str(tmp_path / 'scene.yaml'), '--data', data, '--json',
                    str(tmp_path / 'scene.json'), '--out', str(report)])
-    check_report(report, from_file(Path(data), ArraysData(), 1)[0])
+    check_report(report)
     written = json.loads((tmp_path / 'scene.json').read_text())
     # What is left is what the filter at 40 Hz does to the first states, near the ends of runs.
     assert max(written['horizons']['0.1']) < 1e-2 and max(written['horizons']['0.5']) < 3e-2

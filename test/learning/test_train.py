@@ -150,7 +150,7 @@ def test_reference_sets_the_zero_of_the_energy_and_the_box_is_that_of_the_data(t
 
 def test_existing_files_are_never_overwritten(tmp_path):
     config = str(tiny(tmp_path))
-    for name in ('m.safetensors', 'm.loss.png', 'm.loss.rrd', 'm.field.png', 'm.report.md'):
+    for name in ('m.safetensors', 'm.loss.png', 'm.field.png', 'm.report.md'):
         existing = tmp_path / name
         existing.write_text('precious')
         with refused(ParameterError):
@@ -380,11 +380,10 @@ def test_early_stopping_ends_with_the_weights_of_the_least_validation_loss(tmp_p
     assert history.validation[history.validation_step.index(history.best_step)] == loss
 
 
-def test_run_leaves_a_report_with_pictures_and_curves_beside_its_model(drawn, tmp_path):
+def test_run_leaves_a_report_with_pictures_beside_its_model(drawn, tmp_path):
     main(['--config', str(tiny(tmp_path, PENDULUM)), '--out', str(tmp_path / 'm.safetensors')])
     for name in ('m.loss.png', 'm.field.png'):
         assert (tmp_path / name).read_bytes().startswith(b'\x89PNG')
-    assert (tmp_path / 'm.loss.rrd').read_bytes().startswith(b'RRF')
     checkpoint = load_checkpoint(tmp_path / 'm.safetensors')
     page, card = (tmp_path / 'm.report.md').read_text(), checkpoint.card
     for words in ('# m\n', '| seed | 0 |', 'm.loss.png', 'm.field.png', 'hidden:', 's on cpu',

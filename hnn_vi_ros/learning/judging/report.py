@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reports of training and evaluation: a Markdown page, pictures, and recordings for rerun."""
+"""Reports of training and evaluation: a Markdown page and pictures."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,7 +13,6 @@ from hnn_vi_ros.learning.fit.loop import LossHistory
 from hnn_vi_ros.learning.judging.evaluation import Fan
 from hnn_vi_ros.models import Checkpoint, interval_text, ModelCard
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.recording import PredictedRun, write_curves, write_predictions
 from matplotlib.figure import Figure
 import numpy as np
 import torch
@@ -21,10 +20,10 @@ import torch
 # Limits of the field picture: rows of coordinates, arrows, points.
 _MOST_ROWS, _MOST_ARROWS, _MOST_POINTS = 4, 150, 2000
 # File names of an evaluation.
-REPORT, PICTURE, RECORDING = 'report.md', 'predictions.png', 'predictions.rrd'
+REPORT, PICTURE = 'report.md', 'predictions.png'
 # Number of predictions that start during one prediction; more would hide one another.
 _OVERLAP = 4
-# Maximum number of predictions per run in a recording; width of the picture in predictions.
+# Maximum number of predictions per run in the picture; width of the picture in predictions.
 _MOST, _WINDOW = 80, 12.0
 # Colours distinguishable with colour blindness (Okabe, Ito).
 _COLORS = '#d55e00', '#0072b2', '#009e73', '#cc79a7'
@@ -38,7 +37,6 @@ class Outputs(NamedTuple):
 
     model: Path
     losses: Path
-    curves: Path
     picture: Path
     report: Path
 
@@ -46,7 +44,30 @@ class Outputs(NamedTuple):
     def beside(cls, model: Path, picture: str) -> 'Outputs':
         """Return the output paths of a model, with this name of the picture."""
         return cls(model, *(model.with_suffix(suffix) for suffix in (
-            '.loss.png', '.loss.rrd', f'.{picture}.png', '.report.md')))
+            '.loss.png', f'.{picture}.png', '.report.md')))
+
+
+class PredictedRun(NamedTuple):
+    """
+    A measured run with its predictions.
+
+    Parameters
+    ----------
+    name : str
+        Name of the run.
+    t : np.ndarray, shape (N,)
+        Times of the measurement [s].
+    q : np.ndarray, shape (N, d)
+        Measured coordinates.
+    predicted : sequence of (np.ndarray, np.ndarray)
+        Times and coordinates of each prediction.
+
+    """
+
+    name: str
+    t: np.ndarray
+    q: np.ndarray
+    predicted: Sequence[tuple[np.ndarray, np.ndarray]]
 
 
 class Judged(NamedTuple):
@@ -80,7 +101,7 @@ def page(title: str, *parts: str) -> str:
 def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, history: LossHistory,
                  seconds: float, device: str) -> None:
     """
-    Write the pictures, the loss curves and the page of a training run.
+    Write the pictures and the page of a training run.
 
     Parameters
     ----------
@@ -104,11 +125,7 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
         pictures += [f'![{outputs.picture.name}]({outputs.picture.name})']
     if history.train:
         plot_history(history, card.name, outputs.losses)
-        write_curves(outputs.curves, card.name, {
-            'training': (history.train_step, history.train),
-            'validation': (history.validation_step, history.validation)})
-        pictures += [f'![Losses]({outputs.losses.name})',
-                     f'To view the losses as curves: `rerun {outputs.curves.name}`.']
+        pictures += [f'![Losses]({outputs.losses.name})']
     facts: dict[str, Any] = {
         'family': card.family, 'data': card.dataset, 'seed': card.seed,
         'steps': history.train_step[-1] if history.train else 0, 'best step': history.best_step,
@@ -229,7 +246,7 @@ def _draw_residuals(axes: Any, comparison: Comparison, card: ModelCard, i: int) 
 def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], horizon: float,
                      coordinates: Sequence[Coordinate]) -> None:
     """
-    Write the page, the picture and the recording of an evaluation.
+    Write the page and the picture of an evaluation.
 
     Parameters
     ----------
@@ -249,10 +266,8 @@ def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], ho
     """
     runs = shown(fans, horizon)
     draw_predictions(folder / PICTURE, name, coordinates, runs)
-    write_predictions(folder / RECORDING, name, coordinates, runs)
     write_text(folder / REPORT, page(
-        name, text, f'![Predictions over the measurement]({PICTURE})',
-        f'To view all runs: `rerun {RECORDING}`.'))
+        name, text, f'![Predictions over the measurement]({PICTURE})'))
 
 
 def shown(fans: Sequence[Fan], horizon: float) -> list[PredictedRun]:
