@@ -229,7 +229,7 @@ class RerunBridge(RobustNode):
         picture = BridgePicture(run.scene, self.target, bag.resolve().name)
         self._picture = picture
         told = {number for number, name in run.names.items() if name in ('diagnostics', 'events')}
-        for message, state in run.in_order({run.states, *told}):
+        for message, state in run.in_order({run.channel, *told}):
             if state is not None:
                 self._show(BridgePicture.show, state)
             elif message.channel in told:

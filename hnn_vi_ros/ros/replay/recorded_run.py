@@ -82,7 +82,7 @@ class RecordedRun:
         Full name of the simulator.
     scene : Scene
         Simulated scene, in which the integrator auto is replaced by the chosen method.
-    states : int
+    channel : int
         Channel of ~/state.
     described : dict
         Recorded scene as a mapping, including the provenance of the model.
@@ -101,7 +101,7 @@ class RecordedRun:
         self.reader = BagReader(bag)
         self._topics = own_topics(self.reader)
         self.node = _chosen(simulators(self.reader, self._topics), node, str(self.reader.path))
-        self.states = self._topics[f'{self.node}/state']
+        self.channel = self._topics[f'{self.node}/state']
         self._where = f'{self.reader.path}: its scene'
         kept = self.reader.attachment('scene.yaml')
         self.scene, self.described = described_scene(
@@ -118,7 +118,7 @@ class RecordedRun:
 
     def reported(self, first: int = 0) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
         """Yield the stamp [ns] of each sample from a log time on, and arrays of its values."""
-        for state in (sample for _, sample in self.in_order([self.states], first) if sample):
+        for state in (sample for _, sample in self.in_order([self.channel], first) if sample):
             yield state.stamp, {'q': state.q, 'p': state.p, 'dp/dt': state.dp_dt,
                                 'H': np.array([state.energy]), 'work': np.array([state.work])}
 
@@ -154,7 +154,7 @@ class RecordedRun:
         stamp = -2**63
         for message in self.reader.messages(channels, first):
             state = None
-            if message.channel == self.states:
+            if message.channel == self.channel:
                 state = self.state(message)
                 if state.stamp < stamp:
                     raise RecordingError(
@@ -168,7 +168,7 @@ class RecordedRun:
     def stamped(self) -> bool:
         """Return True if log times are stamps of the simulator, as in its own bags."""
         return all(self.state(message).stamp == message.time
-                   for message in self.reader.messages([self.states]))
+                   for message in self.reader.messages([self.channel]))
 
     def joint_states(self) -> Iterator[JointState]:
         """Yield the messages of joint_states; nothing if the bag holds none."""
