@@ -20,6 +20,7 @@ _COLUMNS = {
 }
 # Pattern of column units and names in degrees; angles are in radians.
 IN_DEGREES = re.compile(r'(?<![a-z])deg(rees?)?(?![a-z])|°', re.IGNORECASE)
+_SUPERSCRIPTS = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
 # Tolerance of a quaternion's norm: a larger error is not due to truncated digits.
 _NORM_ERROR = 1e-6
 
@@ -106,6 +107,11 @@ def column_units(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str
             units[0][-4:] = ['1'] * 4
             units[1][-3:] = ['kg m2/s' if own == ('m', 'kg m/s') else f'({own[1]}) {own[0]}'] * 3
     return units
+
+
+def raised(unit: str) -> str:
+    """Return a unit with exponents as superscripts, for example kg m²/s for kg m2/s."""
+    return re.sub('(?<=[A-Za-z])-?[0-9]+', lambda power: power[0].translate(_SUPERSCRIPTS), unit)
 
 
 def scalar_columns(coordinates: Sequence[Coordinate]) -> dict[str, int]:

@@ -5,11 +5,10 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-import re
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import Ball, Hamiltonian, Line, Part, Trail
-from hnn_vi_ros.phase_space import column_units, columns, Coordinate, momentum_name
+from hnn_vi_ros.phase_space import column_units, columns, Coordinate, momentum_name, raised
 from hnn_vi_ros.recording.viewer.phase_portrait import contours, Frame, ticks
 import numpy as np
 import rerun as rr
@@ -23,13 +22,7 @@ TIMING = {'/timing/microseconds_per_step': ['p50 [µs]', 'p99 [µs]'],
           '/timing/real_time_factor': ['real-time factor']}
 # Bands around coordinates and momenta.
 BANDS = '/state/q_band', '/state/p_band'
-_SUPERSCRIPTS = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
 LOW, HIGH = np.array([38, 62, 104]), np.array([92, 138, 190])
-
-
-def raised(unit: str) -> str:
-    """Return a unit with exponents as superscripts, for example kg m²/s for kg m2/s."""
-    return re.sub('(?<=[A-Za-z])-?[0-9]+', lambda power: power[0].translate(_SUPERSCRIPTS), unit)
 
 
 def phase_path(coordinate: Coordinate) -> str:

@@ -4,12 +4,11 @@
 
 from collections.abc import Sequence
 import math
-import re
 from textwrap import fill
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import optional
-from hnn_vi_ros.phase_space import Coordinate, momentum_name
+from hnn_vi_ros.phase_space import Coordinate, momentum_name, raised
 from hnn_vi_ros.recording import contours as level_sets, Frame
 from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np
@@ -25,7 +24,6 @@ DASHES = ('-', (0, (5, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.2)))
 EVENT, ALARM, CONTOUR = '0.55', '#bb5566', '0.82'
 # More curves than this in one panel are shaded by number instead of named one by one.
 MOST_NAMED = 8
-_SUPERSCRIPTS = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
 
 
 def new_figure(width: float, height: float) -> 'Figure':
@@ -45,10 +43,7 @@ def new_figure(width: float, height: float) -> 'Figure':
 
 def label(name: str, unit: str) -> str:
     """Return a name with its unit, with powers as superscripts; the unit '1' is omitted."""
-    if unit == '1':
-        return name
-    raised = re.sub(r'(?<=[A-Za-z])-?\d+', lambda power: power[0].translate(_SUPERSCRIPTS), unit)
-    return f'{name} [{raised}]'
+    return name if unit == '1' else f'{name} [{raised(unit)}]'
 
 
 def draw_curves(axes: 'Axes', curves: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> None:
