@@ -4,7 +4,6 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from html import escape
 import json
 from pathlib import Path
 from typing import Any, final, Self, TextIO, TYPE_CHECKING
@@ -526,16 +525,3 @@ class Trajectory:
     def __repr__(self) -> str:
         alarms = [f'alarms: {", ".join(self.alarm_kinds())}'] if self.alarm_kinds() else []
         return f'Trajectory({"; ".join([self.title, ", ".join(self.facts()), *alarms])})'
-
-    def _repr_html_(self) -> str:
-        """Return an HTML table for notebooks."""
-        (q, p), units = self.names, self.units
-        shown = [f'{name} [{units[name]}]' for name in (*q[:8], *p[:8])]
-        rows = {'scene': self.title, 'samples': ', '.join(self.facts()),
-                'coordinates and momenta': ', '.join(shown) + ' ...' * (len(q) > 8),
-                'events': ', '.join(map(str, self.events[:5])) + ' ...' * (len(self.events) > 5),
-                'alarms': ', '.join(self.alarm_kinds()) or 'none'}
-        cells = ''.join(f'<tr><th style="text-align:left">{escape(name)}</th>'
-                        f'<td style="text-align:left">{escape(text)}</td></tr>'
-                        for name, text in rows.items() if text)
-        return f'<table>{cells}</table>'

@@ -55,12 +55,6 @@ def test_trajectory_knows_its_names_units_and_scene(run):
     text = repr(run)
     assert text.startswith(f'Trajectory({run.title}; 41 samples, t = 0 to 2 s, H = ')
     assert '\n' not in text and len(text) < 160
-    assert 'angle [rad]' in run._repr_html_() and 'event' in run._repr_html_()
-
-
-def test_names_in_html_are_text():
-    odd = replace(PLAIN, coordinates=(Coordinate('<b>', 'm'), *COORDINATES[1:]))
-    assert '<b>' not in odd._repr_html_() and '&lt;b&gt;' in odd._repr_html_()
 
 
 def test_units_of_a_pose_are_those_of_its_parts():
