@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write shards as Parquet; equal trajectories give equal bytes."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from hashlib import sha256
 from io import BytesIO
 import json
@@ -63,8 +63,7 @@ def _plain(value: Any, kind: pa.DataType) -> Any:
     return json.dumps(value) if kind == pa.string() and not isinstance(value, str) else value
 
 
-def write_shard(plan: SweepPlan, shard: int, blocks: Iterable[list[Rows]],
-                on_block: Callable[[int], None] = lambda count: None) -> bytes:
+def write_shard(plan: SweepPlan, shard: int, blocks: Iterable[list[Rows]]) -> bytes:
     """
     Return the file of a shard: one row group with at most the planned number of rows.
 
@@ -76,14 +75,9 @@ def write_shard(plan: SweepPlan, shard: int, blocks: Iterable[list[Rows]],
         Number of the shard.
     blocks : iterable of list of Rows
         Blocks of its trajectories.
-    on_block : callable, optional
-        Callback after each block, with the number of trajectories made.
 
     """
-    parts: list[Rows] = []
-    for block in blocks:
-        parts += block
-        on_block(sum(len(part.indices) for part in block))
+    parts = [rows for block in blocks for rows in block]
     schema = schema_of(plan)
     table = pa.table(_columns(parts, schema, plan.keys), schema=schema)
     stream = BytesIO()

@@ -125,7 +125,7 @@ def _make(definition: str | Path | Mapping[str, Any], out: Path, jobs: int, ray:
     elif min(jobs, len(shards)) > 1:
         made = make_in_processes(job, folder, shards, jobs)
     else:
-        made = make_here(plan, folder, shards, line.block if line else lambda count: None)
+        made = make_here(plan, folder, shards)
     try:
         for shard_made in made:
             if line:
@@ -149,25 +149,16 @@ class _Progress:
 
     def __init__(self, plan: SweepPlan, shards: list[int]):
         self._left, self._total = sum(len(plan.indices(shard)) for shard in shards), plan.count
-        self._line, self._made, self._ahead = ProgressLine(), 0, 0
-        self._start = time.monotonic()
-
-    def block(self, count: int) -> None:
-        """Count trajectories of a shard that is being made."""
-        self._ahead += count
-        self._show()
+        self._line, self._made, self._start = ProgressLine(), 0, time.monotonic()
 
     def shard(self, count: int) -> None:
         """Count the trajectories of a finished shard."""
-        self._made, self._ahead = self._made + count, 0
-        self._show()
-
-    def _show(self) -> None:
-        if made := self._made + self._ahead:
-            pace, done = made / (time.monotonic() - self._start), self._total - self._left + made
-            self._line.show(done / self._total, (
-                f'{done} of {self._total} trajectories, {pace:.3g} per second, '
-                f'{(self._left - made) / pace:.0f} s left'))
+        self._made += count
+        pace, done = self._made / (time.monotonic() - self._start), (
+            self._total - self._left + self._made)
+        self._line.show(done / self._total, (
+            f'{done} of {self._total} trajectories, {pace:.3g} per second, '
+            f'{(self._left - self._made) / pace:.0f} s left'))
 
     def close(self) -> None:
         """Clear the line."""

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make shards in this process or in several on this machine; any of them may be killed."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -65,12 +65,11 @@ class ShardJob:
         return shard, write_shard(plan, shard, runner.shard(shard))
 
 
-def make_here(plan: SweepPlan, folder: SweepFolder, shards: Sequence[int],
-              on_block: Callable[[int], None]) -> Iterator[int]:
+def make_here(plan: SweepPlan, folder: SweepFolder, shards: Sequence[int]) -> Iterator[int]:
     """Make shards in this process, and yield the number of each one written."""
     runner = Runner(plan)
     for shard in shards:
-        folder.put(shard, write_shard(plan, shard, runner.shard(shard), on_block))
+        folder.put(shard, write_shard(plan, shard, runner.shard(shard)))
         yield shard
 
 
