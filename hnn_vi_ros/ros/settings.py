@@ -198,9 +198,6 @@ class ReplaySettings:
         'that a simulator received')
     publish_clock: bool = parameter(False, 'publish the time of the bag on `/clock`, every 10 ms')
     start_paused: bool = parameter(False, 'start paused')
-    longest_pause: float = parameter(
-        0.0, 'maximum wait in a gap without messages, whose rest is skipped; 0: skip nothing', 's',
-        0.0, 1e9)
     discovery_time: float = parameter(
         2.0, 'maximum wait of the first message for the discovery of existing subscribers, so '
         'that they miss none', 's', 0.0, 60.0)

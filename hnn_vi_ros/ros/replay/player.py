@@ -80,10 +80,8 @@ class Player(threading.Thread):
         True to begin again at the end.
     paused : bool
         True to begin paused.
-    longest_pause : float
-        Longest pause between two messages [s]; any excess is skipped; 0 skips nothing.
     tell : callable or None
-        Logs a line about a long pause that is waited for or skipped.
+        Logs a line about a long pause that is waited for.
 
     Attributes
     ----------
@@ -97,11 +95,11 @@ class Player(threading.Thread):
     def __init__(self, read: Callable[[], Iterator[Recorded]], publish: Callable[[Recorded], None],
                  tell_time: Callable[[int], None] | None, first: int, last: int,
                  rate: float = 1.0, loop: bool = False, paused: bool = False,
-                 longest_pause: float = 0.0, tell: Callable[[str], None] | None = None):
+                 tell: Callable[[str], None] | None = None):
         super().__init__(name='player', daemon=True)
         self._read, self._publish, self._tell_time = read, publish, tell_time
         self._first, self._last, self._rate, self._loop = first, last, rate, loop
-        self._longest_pause, self._tell = round(longest_pause * 1e9), tell
+        self._tell = tell
         self._changed = threading.Condition()
         self._paused, self._stopped, self._stepping = paused, False, False
         # Time of the bag, and the time of the steady clock at which it was reached [ns].
@@ -184,7 +182,7 @@ class Player(threading.Thread):
                 if step is not None:
                     self._end_step(step)
                 step = None
-                self._shorten(before, message.time)
+                self._tell_pause((message.time - before) * 1e-9)
                 before = message.time
                 if not self._wait(message.time):
                     return False
@@ -202,19 +200,11 @@ class Player(threading.Thread):
             self._end_step(self._last)
         return going
 
-    def _shorten(self, before: int, after: int) -> None:
-        """Skip the excess of a pause between two messages, and report a long one."""
-        pause, line = (after - before) * 1e-9, ''
-        if 0 < self._longest_pause < after - before:
-            skipped = after - before - self._longest_pause
-            with self._changed:
-                self._position += skipped
-            self._clock_due = max(self._clock_due, before + skipped)
-            line = f'skipping {skipped * 1e-9:.6g} s'
-        elif pause / self._rate > _MAX_SILENCE:
-            line = f'waiting {pause / self._rate:.6g} s; set longest_pause to skip this'
-        if line and self._tell is not None:
-            self._tell(f'no message in the bag for {pause:.6g} s: {line}')
+    def _tell_pause(self, pause: float) -> None:
+        """Report a long pause between two messages [s]."""
+        if pause / self._rate > _MAX_SILENCE and self._tell is not None:
+            self._tell(f'no message in the bag for {pause:.6g} s: waiting '
+                       f'{pause / self._rate:.6g} s; set start_offset to begin after it')
 
     def _end_step(self, stamp: int) -> None:
         self._show_clock(stamp)

@@ -146,7 +146,7 @@ class ReplayNode(RobustNode):
             lambda message: self.publishers_of[message.channel].publish(message.data),
             None if clock is None else lambda stamp: clock.publish(clock_message(stamp)),
             first, last, settings.rate, settings.loop, settings.start_paused,
-            settings.longest_pause, self.get_logger().info)
+            self.get_logger().info)
         self.get_logger().info(
             f'{self.reader.path}: {(last - first) * 1e-9:.6g} s, at rate {settings.rate:g}')
         self.create_service(SetBool, '~/set_pause', self._on_set_pause)
