@@ -10,9 +10,8 @@ from itertools import count
 import os
 from pathlib import Path
 import stat
-from typing import BinaryIO
 
-from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError, SceneError
+from hnn_vi_ros.errors import HnnViRosError, ParameterError, SceneError
 
 _LFS_POINTER = b'version https://git-lfs'
 
@@ -195,30 +194,3 @@ def in_bytes(count: int) -> str:
     unit, shift = next(((unit, shift) for unit, shift in (('GiB', 30), ('MiB', 20), ('KiB', 10))
                         if count >> shift), ('bytes', 0))
     return f'{count / (1 << shift):.4g} {unit}'
-
-
-def open_file(path: Path, name: Path) -> BinaryIO:
-    """
-    Return a stream of a regular file; a FIFO without a writer does not block.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : Path
-        Name of the file for messages to the user.
-
-    Raises
-    ------
-    RecordingError
-        It is a folder, a device, a FIFO or a socket.
-    OSError
-        The file cannot be opened.
-
-    """
-    # Check this first: opening a device may have side effects.
-    if not stat.S_ISREG(os.stat(path).st_mode):
-        raise RecordingError(f'{name}: is not a regular file; give the folder of a bag, or its '
-                             'file')
-    stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), 'rb')
-    return stream

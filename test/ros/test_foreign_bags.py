@@ -171,7 +171,7 @@ def damaged(bag: Path, target: Path, part: float) -> Path:
     shutil.copytree(bag, target)
     path = target / 'bag_0.mcap'
     content = bytearray(path.read_bytes())
-    chunk = next(piece for piece in McapFile(path, path).pieces
+    chunk = next(piece for piece in McapFile(path).pieces
                  if piece.start + piece.length > part * len(content))
     content[chunk.start + chunk.length // 2] ^= 1
     path.write_bytes(content)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, final
 
 from hnn_vi_ros.errors import optional, RecordingError
-from hnn_vi_ros.files import dump_yaml, open_file
+from hnn_vi_ros.files import dump_yaml, regular
 from hnn_vi_ros.recording.bags.bag_metadata import read_bag_metadata
 from hnn_vi_ros.recording.bags.mcap_file import McapFile, Piece
 from mcap.records import Channel, Message, Schema
@@ -44,12 +44,12 @@ class ForeignBag:
     def __init__(self, bag: Path, files: list[Path]):
         with optional('rosbags', f'{bag}: a bag in SQLite or with compressed files'):
             from rosbags.rosbag2 import Reader
-        self.name = files[0] if len(files) == 1 else bag
+        self.path = files[0] if len(files) == 1 else bag
         self.unread: dict[int, int] = {}
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         for path in files:
-            open_file(path, path).close()
+            regular(path)
         try:
             # Closed at exit: until then, compressed files lie decompressed in a temporary folder.
             described = (bag / 'metadata.yaml').exists()
@@ -72,7 +72,7 @@ class ForeignBag:
             self.counted = self._reader.message_count
         except Exception as problem:
             # The parsers of rosbags may raise any exception.
-            raise _unreadable(self.name, problem) from problem
+            raise _unreadable(self.path, problem) from problem
         parts = -(-self.message_count // _REQUESTED_MESSAGES)
         length = -(-(last + 1 - first) // parts) if parts else 0
         self.pieces = [Piece(begin, min(begin + length - 1, last), begin, length)
@@ -88,7 +88,7 @@ class ForeignBag:
                 yield Message(channel_id=numbers[one.topic, one.msgtype], log_time=time,
                               data=bytes(data or b''), publish_time=time, sequence=0)
         except Exception as problem:
-            raise _unreadable(self.name, problem) from problem
+            raise _unreadable(self.path, problem) from problem
 
     def attachment(self, name: str) -> bytes | None:
         """Return None: there are no attachments."""
@@ -168,5 +168,5 @@ def open_sources(bag: Path, files: list[Path]) -> list[McapFile | ForeignBag]:
     """
     if all(path.suffix == '.mcap' for path in files) or not any(
             path.name.endswith(_SUFFIXES) for path in files):
-        return [McapFile(path, path) for path in files]
+        return [McapFile(path) for path in files]
     return [ForeignBag(bag, files)]

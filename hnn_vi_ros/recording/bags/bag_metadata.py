@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import dump_yaml, open_file, parse_mapping, parse_yaml
+from hnn_vi_ros.files import dump_yaml, parse_mapping, parse_yaml, regular
 
 METADATA_VERSION = 9
 # Start time that rosbag2 gives to a bag without messages: the latest possible time.
@@ -152,7 +152,7 @@ def read_bag_metadata(folder: Path) -> dict[str, Any]:
     """Return the content of ``metadata.yaml`` in a bag's folder; empty if the file is missing."""
     path = folder / 'metadata.yaml'
     try:
-        with open_file(path, path) as stream:
+        with regular(path).open('rb') as stream:
             content = read_description(stream.read(_MAX_METADATA_SIZE))
     except OSError:
         return {}

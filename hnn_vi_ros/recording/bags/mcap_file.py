@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, final, NamedTuple
 import zlib
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import open_file, refuse_pointer
+from hnn_vi_ros.files import refuse_pointer, regular
 import lz4.frame
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -181,8 +181,8 @@ class McapFile:
 
     Parameters
     ----------
-    path, name : Path
-        Path of the file, and its name for messages to the user.
+    path : Path
+        The file.
     thorough : bool
         True to open every chunk now, as for an unfinished file.
 
@@ -217,8 +217,8 @@ class McapFile:
 
     """
 
-    def __init__(self, path: Path, name: Path, thorough: bool = False):
-        self.path, self.name = path, name
+    def __init__(self, path: Path, thorough: bool = False):
+        self.path = path
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
         self.pieces: list[Piece] = []
@@ -232,12 +232,12 @@ class McapFile:
         self._chunks: set[tuple[_ChunkHead, int]] = set()
         # After the data: definitions, counts and the footer, confirmed only by its CRC.
         self._summary: list[McapRecord] = []
-        with open_file(path, name) as stream:
+        with regular(path).open('rb') as stream:
             size = os.fstat(stream.fileno()).st_size
             if (begin := _read_at(stream, 0, len(MAGIC))) != MAGIC:
-                refuse_pointer(_read_at(stream, 0, 32), name, RecordingError)
+                refuse_pointer(_read_at(stream, 0, 32), path, RecordingError)
                 reason = 'its first bytes are wrong' if begin else 'it is empty'
-                raise RecordingError(f'{name}: is not an MCAP file: {reason}; give a bag or its '
+                raise RecordingError(f'{path}: is not an MCAP file: {reason}; give a bag or its '
                                      'file')
             end = self._scan(stream, size)
             if self.unread or self.incomplete:
@@ -320,8 +320,8 @@ class McapFile:
         for place in _found(stream, re.compile(re.escape(begin)), 1, size, len(begin)):
             if not any(start <= place < start + length for start, length in self._attachments):
                 raise RecordingError(
-                    f'{self.name}: a second file begins inside it: extract it with `tail -c '
-                    f'+{place + 1} {self.name}`, and the first with `head -c {place}`')
+                    f'{self.path}: a second file begins inside it: extract it with `tail -c '
+                    f'+{place + 1} {self.path}`, and the first with `head -c {place}`')
 
     def _finish(self, stream: BinaryIO, end: int, size: int, thorough: bool) -> None:
         """Use the summary if it is intact; otherwise open all chunks for their definitions."""
@@ -392,7 +392,7 @@ class McapFile:
 
     def read(self, piece: Piece) -> Iterator[Message]:
         """Yield the readable messages of a piece that belong to known channels."""
-        with open_file(self.path, self.name) as stream:
+        with regular(self.path).open('rb') as stream:
             found = self._records(stream, piece)
         for record in found:
             if isinstance(record, Message) and record.channel_id in self.channels:
@@ -407,7 +407,7 @@ class McapFile:
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the attachments."""
-        with open_file(self.path, self.name) as stream:
+        with regular(self.path).open('rb') as stream:
             for start, length in self._attachments:
                 record = _decode(Opcode.ATTACHMENT, _read_at(stream, start, length))
                 if isinstance(record, Attachment):

@@ -106,9 +106,9 @@ class BagReader:
                       for start in sorted(source.unread)]:
             size = sum(source.unread[start] for source, start in places)
             source, start = places[0]
-            found.append(f'{source.name}: {len(places)} damaged parts, {size} bytes, cannot be '
+            found.append(f'{source.path}: {len(places)} damaged parts, {size} bytes, cannot be '
                          f'read, the first at byte {start}: their content is missing')
-        found += [f'{source.name}: contains {source.message_count} messages, but its summary or '
+        found += [f'{source.path}: contains {source.message_count} messages, but its summary or '
                   f'indexes count {source.counted}' for source in self._sources
                   if source.counted not in (None, source.message_count)]
         message_count = sum(source.message_count for source in self._sources)

@@ -14,7 +14,7 @@ import tempfile
 from typing import BinaryIO
 
 from hnn_vi_ros.errors import listed, RecordingError
-from hnn_vi_ros.files import dump_yaml, numbered, open_file
+from hnn_vi_ros.files import dump_yaml, numbered, regular
 from hnn_vi_ros.recording.bags.bag_files import bag_files
 from hnn_vi_ros.recording.bags.bag_metadata import (
     bag_metadata, counted_messages, Extent, NEVER, read_description, Topic, write_bag_metadata)
@@ -107,8 +107,8 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
         raise RecordingError(f'{bag}: expected one .mcap file, found '
                              f'{listed(file.name for file in files)}; give one, unpacked')
     try:
-        with open_file(path, path) as stream, _not_being_recorded(stream, path):
-            file = McapFile(path, path, thorough=True)
+        with regular(path).open('rb') as stream, _not_being_recorded(stream, path):
+            file = McapFile(path, thorough=True)
             content = _Content(file)
             recovery = _compared(file, content, stream)
             if recovery.changed:
@@ -133,7 +133,7 @@ class _Content:
         for message in file.messages():
             self.counts[message.channel_id] += 1
             first, last = min(first, message.log_time), max(last, message.log_time)
-        self.extent = Extent(file.name.name, self.counts.total(), first, last)
+        self.extent = Extent(file.path.name, self.counts.total(), first, last)
         topics = []
         for channel in file.channels.values():
             schema, about = file.schemas.get(channel.schema_id), channel.metadata
@@ -181,7 +181,7 @@ def _compared(file: McapFile, content: _Content, stream: BinaryIO) -> Recovery:
     recovery.changed = not file.finished or file.counted != messages or recovery.lost
     if not messages and (recovery.lost or not file.all_metadata):
         raise RecordingError(
-            f'{file.name}: nothing can be recovered: no message in {file.path.stat().st_size} '
+            f'{file.path}: nothing can be recovered: no message in {file.path.stat().st_size} '
             'bytes can be read; it is unchanged')
     return recovery
 
@@ -233,8 +233,8 @@ def copy_messages(file: McapFile, content: _Content, target: BinaryIO) -> None:
 
 def _read_back(path: Path, messages: int) -> None:
     """Read a written file back; raise RecordingError unless all messages are in it."""
-    copy = McapFile(path, path, thorough=True)
-    with open_file(path, path) as stream:
+    copy = McapFile(path, thorough=True)
+    with regular(path).open('rb') as stream:
         found = _compared(copy, _Content(copy), stream)
     if found.messages != messages or found.changed:
         raise RecordingError(f'{path}: the repaired file reads back with {found.messages} of '
