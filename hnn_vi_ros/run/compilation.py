@@ -66,7 +66,8 @@ def help_out() -> None:
     scene = pickle.load(sys.stdin.buffer)
 
     def end() -> None:
-        sys.stdin.buffer.read()
+        # Past the buffer, whose lock must be free when the process ends.
+        os.read(sys.stdin.fileno(), 1)
         os._exit(1)
     Thread(target=end, daemon=True).start()
     compile_loop(scene.parts())
