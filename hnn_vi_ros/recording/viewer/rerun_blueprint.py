@@ -209,10 +209,11 @@ _LEGEND_ROOM, _END_ROOM = 0.25, 0.04
 # line of its legend, which fills 0.78 of it, and of the axis below, and minimum height of a view.
 _PLOT_WIDTH, _LETTER_WIDTH, _LEGEND_EDGES = 775.0, 7.6, 42.0
 _LEGEND_LINE, _AXIS, _MIN_HEIGHT = 29.6, 29.0, 112.0
+_EVENTS_HEIGHT = 0.75 * _MIN_HEIGHT
 # Minimum share of a run with known duration that a trail shows.
 _TRAIL_SHARE = 0.2
-# Maximum number of gaps between ticks over the height of a plot.
-_MAX_TICK_GAPS = 5.0
+# Distance of ticks with labels, in points, and their number over the lowest plot.
+_TICK_GAP, _TICK_GAPS = 26.0, 5.0
 # Values below the first are rounding of zero; the range of a plot that shows them.
 _ROUNDING, _ROUNDING_RANGE = 1e-12, (-1.3e-9, 1.3e-9)
 
@@ -332,16 +333,21 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     names = [names_of(paths, labels)[0] for _, paths in plots]
     # All time axes end together, after the longest legend.
     room = max(map(room_after, names))
-    panes: list[rrb.View] = [
-        _series_view(title, paths, labels, extent, room) for title, paths in plots]
     shares = [*map(height_for, names)]
-    if left is not None and left is world:
-        # A mechanism alone leaves room below.
+    # A mechanism alone leaves room below.
+    below = left is not None and left is world
+    total = sum(shares) + (0.0 if below else _EVENTS_HEIGHT)
+    gaps = [max((COLUMN[1] * share / total - BAR - _AXIS) / _TICK_GAP, _TICK_GAPS)
+            for share in shares]
+    panes: list[rrb.View] = [
+        _series_view(title, paths, labels, extent, room, gaps=most)
+        for (title, paths), most in zip(plots, gaps, strict=True)]
+    if below:
         share = arrangement.world_share
         left = rrb.Vertical(world, _events_view(), row_shares=[share, 1.0 - share])
     else:
         panes.append(_events_view())
-        shares.append(0.75 * _MIN_HEIGHT)
+        shares.append(_EVENTS_HEIGHT)
     motion = rrb.Vertical(*panes, row_shares=shares, name='Motion')
     right = rrb.Tabs(motion, _timing_views(pace, extent))
     return rrb.Blueprint(
@@ -367,7 +373,8 @@ def _left_column(world: rrb.View | None, views: Sequence[rrb.View], arrangement:
 
 def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence[str]],
                  extent: SeriesExtent | None, room: float,
-                 least: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
+                 least: tuple[float, float] | None = None, gaps: float = _TICK_GAPS
+                 ) -> rrb.TimeSeriesView:
     """Plot some series; a single one is named in the title, where no legend hides data."""
     axis_y = None if least is None else rrb.ScalarAxis(range=least)
     names, unit = names_of(paths, labels)
@@ -384,7 +391,7 @@ def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence
         ranges = [extent.values[path] for path in paths if path in extent.values]
         if ranges and least is None:
             axis_y = rrb.ScalarAxis(range=with_ticks(
-                min(low for low, _ in ranges), max(high for _, high in ranges)))
+                min(low for low, _ in ranges), max(high for _, high in ranges), gaps))
     return rrb.TimeSeriesView(
         name=title, origin='/', contents=paths, axis_x=axis_x, axis_y=axis_y,
         plot_legend=rrb.PlotLegend(corner='RightTop', visible=many))
@@ -409,13 +416,13 @@ def height_for(names: Sequence[str]) -> float:
     return max(_MIN_HEIGHT, BAR + _AXIS + _LEGEND_LINE * min(len(names), len(PALETTE)))
 
 
-def with_ticks(low: float, high: float) -> tuple[float, float]:
+def with_ticks(low: float, high: float, gaps: float = _TICK_GAPS) -> tuple[float, float]:
     """
     Return a range with the values, a margin, and two ticks with their labels.
 
-    The viewer labels multiples of a power of ten that are at least some 25 points apart: in a plot
-    of 130 points, multiples of the smallest power of ten that fits at most _MAX_TICK_GAPS times
-    into the range. It writes no labels of about 1e-13 and below.
+    The viewer labels multiples of a power of ten that are at least some 25 points apart: of the
+    smallest one that fits at most ``gaps`` times into the range. It writes no labels of about
+    1e-13 and below.
     """
     if 0.0 < max(abs(low), abs(high)) < _ROUNDING:
         return _ROUNDING_RANGE
@@ -427,7 +434,7 @@ def with_ticks(low: float, high: float) -> tuple[float, float]:
     width = 1.12 * (high - low)
     middle = 0.5 * (low + high)
     low, high = middle - 0.5 * width, middle + 0.5 * width
-    gap = 10.0 ** np.ceil(np.log10(width / _MAX_TICK_GAPS) - 1e-9)
+    gap = 10.0 ** np.ceil(np.log10(width / gaps) - 1e-9)
     first, last = np.ceil(low / gap), np.floor(high / gap)
     # Extend the range to the nearest ticks until there are two, with room for their labels.
     while last - first < 1.0:

@@ -175,7 +175,7 @@ def bounds_of_path(places: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def trails_of(robot: Robot, places: Mapping[str, np.ndarray]) -> dict[str, Part]:
     """Return the trails of the ends of links without joints, from the bones of a path."""
-    radius = 0.004 * _reach_of(robot)
+    radius = 0.006 * float(np.ptp([*places.values()], axis=(0, 1, 2)).max()) if places else 0.0
     return {f'path of {name}': Trail(places[end][:, 1], radius, AMBER)
             for name, link in robot.links.items()
             if not link.joints and (end := f'end of {name}') in places}

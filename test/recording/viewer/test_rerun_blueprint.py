@@ -114,6 +114,11 @@ def test_axis_has_two_ticks_with_labels_and_holds_the_values(low: float, high: f
     assert high - low == 0.0 or max(-low, high) < 1e-12 or end - begin < 4.0 * (high - low)
 
 
+def test_higher_plot_has_more_ticks_instead_of_a_wider_axis():
+    assert np.ptp(with_ticks(-2.5, 2.5)) > 10.0
+    assert np.ptp(with_ticks(-2.5, 2.5, 6.0)) < 6.0
+
+
 @pytest.mark.parametrize('unit, expected', [
     ('kg m2/s', 'kg m²/s'), ('m', 'm'), ('1', '1'), ('kg m2/s2', 'kg m²/s²'), ('s-1', 's⁻¹')])
 def test_exponents_of_units_are_superscripts(unit: str, expected: str):
