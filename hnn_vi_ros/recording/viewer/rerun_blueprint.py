@@ -335,16 +335,16 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     room = max(map(room_after, names))
     shares = [*map(height_for, names)]
     # A mechanism alone leaves room below.
-    below = left is not None and left is world
-    total = sum(shares) + (0.0 if below else _EVENTS_HEIGHT)
+    alone = world if left is world else None
+    total = sum(shares) + (_EVENTS_HEIGHT if alone is None else 0.0)
     gaps = [max((COLUMN[1] * share / total - BAR - _AXIS) / _TICK_GAP, _TICK_GAPS)
             for share in shares]
     panes: list[rrb.View] = [
         _series_view(title, paths, labels, extent, room, gaps=most)
         for (title, paths), most in zip(plots, gaps, strict=True)]
-    if below:
+    if alone is not None:
         share = arrangement.world_share
-        left = rrb.Vertical(world, _events_view(), row_shares=[share, 1.0 - share])
+        left = rrb.Vertical(alone, _events_view(), row_shares=[share, 1.0 - share])
     else:
         panes.append(_events_view())
         shares.append(_EVENTS_HEIGHT)
