@@ -110,7 +110,8 @@ class RerunStream:
             self.recording.flush(timeout_sec=FLUSH)
         except RuntimeError as problem:
             self._hang_up(HANG_UP)
-            why = 'the viewer was closed' if self.live else 'the disk is full'
+            why = 'the viewer was closed' if self.live else (
+                'the disk is full, or the machine is too busy')
             raise RecordingError(f'{self._target}: the end of the rerun recording is lost '
                                  f'({_reason(problem)}): perhaps {why}') from problem
         self._hang_up(HANG_UP if isinstance(self._target, str) else FINISH)
