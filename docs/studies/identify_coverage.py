@@ -10,7 +10,7 @@ these are linear, and take a tenth of the time.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 import tempfile
@@ -73,7 +73,8 @@ class Case:
     A scene, which of its numbers are free, the length of a log [s] and steps per sample.
 
     A case with effects of its own, instead of those of the scene, is named after the first one.
-    One with gears, from a start q, is named drives; its rotors are not measured.
+    One with gears, from a start q, is named drives; its rotors are not measured. With a push, a
+    force [N], [N m] whose sign changes every 0.6 s is commanded.
     """
 
     scene: str
@@ -83,6 +84,7 @@ class Case:
     effects: tuple[dict[str, Any], ...] = ()
     hamiltonian: dict[str, Any] = field(default_factory=dict)
     q: tuple[float, ...] = ()
+    push: float = 0.0
 
     @property
     def name(self) -> str:
@@ -119,6 +121,10 @@ CASES = (
                             'lugre_friction.stribeck', 'lugre_friction.damping'), 3.0, 2, (
         {'kind': 'lugre_friction', 'coordinate': 'angle', 'stiffness': 60.0, 'friction': 0.6,
          'stribeck': 0.3, 'speed': 0.5, 'damping': 0.15},)),
+    Case('exact_pendulum', ('motor.time_constant', 'motor.torque_limit', 'motor.no_load_speed'),
+         3.0, 2, ({'kind': 'motor', 'coordinate': 'angle', 'time_constant': 0.1,
+                   'torque_limit': 4.0, 'no_load_speed': 8.0},
+                  {'kind': 'external_force', 'coordinates': ['angle']}), push=5.0),
     Case('two_joint_arm', tuple(f'drives.elbow.{name}' for name in (
         'stiffness', 'damping', 'rotor_inertia', 'backlash')), 1.5, 2, (), {
             'locked': {'shoulder': 0.0}, 'drives': {'elbow': {
@@ -142,14 +148,19 @@ def synthetic_log(case: Case, kind: str, random: np.random.Generator
     """Return a log of a scene from an initial state that chance chooses, and that state."""
     scene = case.load()
     q, p = np.array(scene.initial_state.q), scene.initial_state.p
+    t = case.every * scene.known_step_size * np.arange(
+        round(case.duration / (case.every * scene.known_step_size)) + 1)
+    commands = case.push * (1.0 - 2.0 * (t // 0.6 % 2.0))[:, None]
     motion = simulate(scene, case.duration, every=case.every, initial_state=(
-        (q + _SPREAD * random.normal(size=q.size)).tolist(), p))
+        (q + _SPREAD * random.normal(size=q.size)).tolist(), p),
+        commands=commands[:-1] if case.push else None)
     velocity = scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
     seen = case.seen()
     columns = slice(None) if seen is None else seen.columns
     q, v = (measured(kind, part[:, columns], noise, random)
             for part, noise in zip((motion.q, velocity), NOISE, strict=True))
-    return (smoothed('log', motion.t, q, v, np.zeros_like(q), 40.0),
+    log = smoothed('log', motion.t, q, v, commands if case.push else np.zeros_like(q), 40.0)
+    return (replace(log, inputs='held'),
             np.concatenate([motion.q[0], motion.p[0]]))
 
 
