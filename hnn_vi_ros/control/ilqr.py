@@ -102,8 +102,6 @@ class Ilqr(Planner):
         super().__init__(steps, running, final, horizon, limits, seed)
         self._regulator, self._budget, self._clock = regulator, budget, clock
         self._iterations, self._restarts, self._refined = iterations, restarts, refined
-        # Other plans of the last call that iterations still improve.
-        self._others: list[Plan] = []
 
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:
         """Return the command from t on, shape (c,)."""

@@ -69,11 +69,17 @@ class Planner(ABC):
             raise ValueError(f'limits {self._low.tolist()} and {self._high.tolist()} must allow a '
                              'range of commands, and the scene must accept commands with an '
                              'external_force')
-        self._horizon, self._rng = int(horizon), np.random.default_rng(seed)
-        self.mode, self.cost = 'plan', np.inf
+        self._horizon, self._seed, self.interval = int(horizon), seed, steps.duration
+        self.reset()
+
+    def reset(self) -> None:
+        """Discard all plans, so that the next call does as the first one."""
+        self._rng = np.random.default_rng(self._seed)
+        self.mode, self.cost, self._time = 'plan', np.inf, 0.0
         self.plan: np.ndarray | None = None
         self._last: Plan | None = None
-        self._time, self.interval = 0.0, steps.duration
+        # Other plans of the last call that iterations still improve.
+        self._others: list[Plan] = []
 
     @abstractmethod
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:

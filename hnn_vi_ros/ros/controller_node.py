@@ -213,6 +213,9 @@ class ControllerNode(ManagedNode):
     def _forget(self) -> None:
         """Discard what is known of earlier states, so that the next one is answered."""
         self._assigned.prediction.reset()
+        # The number of warm-up calls depends on the computer.
+        if isinstance(self._assigned.controller, Planner):
+            self._assigned.controller.reset()
         self._due = -1
         self._next: tuple[int, np.ndarray, np.ndarray] | None = None
         self._lags: deque[float] = deque(maxlen=_LAGS)

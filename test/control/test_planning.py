@@ -156,6 +156,21 @@ def test_mppi_swings_a_pendulum_up(pendulum):
     assert np.cos(z[0]) < -0.95 and set(modes) == {'plan'}
 
 
+@pytest.mark.parametrize(('kind', 'options'), [
+    (Ilqr, {}), (Mppi, {'spread': [3.0], 'temperature': 0.5, 'samples': 16})])
+def test_a_planner_that_was_reset_plans_as_a_new_one(pendulum, kind, options):
+    new, used = (planner(kind, pendulum, 5.0, regulated=False, **options) for _ in range(2))
+    for k in range(3):
+        used([0.5 * k], [0.1], 0.06 * k)
+    before = used([0.2], [0.0], 0.18)
+    used.reset()
+    assert used.plan is None and np.isinf(used.cost)
+    for k in range(2):
+        expected = new([0.2], [0.0], 0.06 * k)
+        assert (used([0.2], [0.0], 0.06 * k) == expected).all() and used.cost == new.cost
+        assert k or not np.array_equal(before, expected)
+
+
 def test_what_cannot_plan_is_one_line(pendulum):
     with refused(ValueError):
         planner(Ilqr, pendulum, 0.0)
