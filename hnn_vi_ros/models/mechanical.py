@@ -8,7 +8,6 @@ A learned Hamiltonian of a mechanism: H = p . M(q)^-1 p / 2 + V(q), with network
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians import tree_kernel
 from hnn_vi_ros.kernels import factorise, Kernel, part, solve_cholesky
 from hnn_vi_ros.models.features import (
     add_covector, add_covector_change, even_layers, Features, pack_features, see, see_change)
@@ -19,8 +18,8 @@ from hnn_vi_ros.models.networks.perceptron_memory import pack, PackedPerceptron
 from hnn_vi_ros.models.outputs import (
     output_tangents, pack_layers, PackedOutputs, part_gradient, weigh)
 from hnn_vi_ros.models.priors import (
-    add_mass, add_prior_slope, add_prior_slope_change, Prior, prior_of, prior_potential,
-    subtract_turned_mass)
+    add_mass, add_prior_slope, add_prior_slope_change, Prior, prior_kernel, prior_of,
+    prior_potential, subtract_turned_mass)
 from hnn_vi_ros.models.roots import (
     evaluate_root, transposed_product, turn_root, weigh_entries, weigh_entry_changes)
 import numpy as np
@@ -140,7 +139,7 @@ class MechanicalHamiltonian(LearnedHamiltonian):
     def _kernel(self) -> Kernel:
         prior = self._mechanical.prior
         if prior is not None and prior.alone:
-            return tree_kernel(prior.bodies)
+            return prior_kernel(prior, self._mechanical.angles)
         return self._kernel_of(energy, gradient, hessian_vector, self.parameters())
 
     def parameters(self) -> MechanicalParameters:

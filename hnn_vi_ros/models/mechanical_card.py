@@ -98,7 +98,7 @@ class PriorCard(StrictModel):
         'coordinates; zeros for a cart'))
     tree: TreeCard | None = Field(None, description='tree of a rigid_body')
     alone: bool = Field(False, description=(
-        'whether a rigid_body is all of M and V, without networks'))
+        'whether it is all of M and V, without networks'))
     identification: Identification | None = Field(None, description='fit of a rigid_body')
 
     @model_validator(mode='after')
@@ -108,8 +108,8 @@ class PriorCard(StrictModel):
         if (self.kind == PLANAR_CHAIN) != (self.angles is not None):
             raise ValueError(f'prior: give angles for {PLANAR_CHAIN} only')
         if self.tree is None:
-            if self.alone or self.identification is not None:
-                raise ValueError(f'prior: give alone and identification for {RIGID_BODY} only')
+            if self.identification is not None:
+                raise ValueError(f'prior: give identification for {RIGID_BODY} only')
             return self
         if self.parameters.keys() != self.tree.units.keys():
             raise ValueError('prior: parameters must be those of the bodies of its tree')

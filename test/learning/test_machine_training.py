@@ -52,7 +52,7 @@ LONG = pytest.mark.long
 KINDS = ['prismatic', 'revolute', 'continuous']
 
 
-# Networks alone, links with networks, and another system; then what else there is.
+# Networks alone, links with networks, another system, and links alone; then what else there is.
 @pytest.mark.parametrize('structure', [
     Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[-1.0, 1.0]],
               friction=FrictionChoice(stribeck=1)),
@@ -61,14 +61,14 @@ KINDS = ['prismatic', 'revolute', 'continuous']
               friction_features=[[0.0, 1.0, 0.0]]),
     Structure(['prismatic', 'prismatic'], [[1.0, 0.0], [1.0, -1.0]], [[0.0, 1.0]],
               prior='kepler'),
+    Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[0.0, 1.0]],
+              prior='planar_chain', angles=[[1.0, 0.0], [1.0, 1.0]], residual=False),
     *(pytest.param(structure, marks=LONG) for structure in (
         Structure(KINDS, [[1.0, -0.5, 0.0], [0.0, 0.0, 2.0]], [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
                   diagonal_mass=True),
         Structure(['revolute'], [[1.0]], [], friction=FrictionChoice(coulomb=0)),
         Structure(['continuous', 'revolute'], [[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0]],
                   prior='planar_chain', angles=[[1.0, 0.0], [0.0, 1.0]]),
-        Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[0.0, 1.0]],
-                  prior='planar_chain', angles=[[1.0, 0.0], [1.0, 1.0]], residual=False),
         Structure(['revolute'], [[1.0]], [[1.0]], prior='tao', residual=False),
         Structure(KINDS, [[1.0, 0.0, 0.0]], [],
                   friction=FrictionChoice(viscous=False, coulomb=0),

@@ -700,7 +700,7 @@ class MechanicalNetwork(torch.nn.Module):
         return PriorCard(
             kind=structure.prior, parameters=self.prior.quantities(p_unit), tree=structure.tree,
             angles=structure.angles, identification=self.prior.identification,
-            alone=structure.tree is not None and not structure.residual)
+            alone=not structure.residual)
 
 
 def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | RigidTree | None:
