@@ -75,7 +75,7 @@ def parser_of(name: str, text: str | None, more: str = '') -> Parser:
 
 def keep(out: Path, table: str, values: Iterable[tuple[str, int, str, float]]) -> Path:
     """
-    Replace the results of one table, then write the page; return it.
+    Replace the results of the measured systems of a table, then write the page; return it.
 
     Parameters
     ----------
@@ -84,18 +84,20 @@ def keep(out: Path, table: str, values: Iterable[tuple[str, int, str, float]]) -
     table : str
         Name of the table.
     values : iterable of (str, int, str, float)
-        System, seed, measure and value. The processor time of the table is added.
+        System, seed, measure and value. The processor time that each took is added.
 
     """
     (out / FOLDER).mkdir(parents=True, exist_ok=True)
-    start, origin = time.process_time(), (commit(), machine())
-    rows = []
-    for row in values:
-        print(table, *row, flush=True)
-        rows.append(Result(table, *row, *origin))
-    rows.append(Result(table, '', 0, SECONDS, time.process_time() - start, *origin))
+    start, origin, rows = time.process_time(), (commit(), machine()), []
+    for system, seed, measure, value in values:
+        print(table, system, seed, measure, value, flush=True)
+        now = time.process_time()
+        rows += [Result(table, system, seed, measure, value, *origin),
+                 Result(table, system, seed, f'{measure}, {SECONDS}', now - start, *origin)]
+        start = now
+    measured = {row.system for row in rows}
     known = read_results(out, CSV) if (out / FOLDER / CSV).is_file() else []
-    results = [*(row for row in known if row.table != table), *rows]
+    results = [*(row for row in known if row.table != table or row.system not in measured), *rows]
     write_results(out, results, CSV)
     path = out / PAGE
     path.write_text(as_page(out, results), encoding='utf-8')
@@ -104,8 +106,9 @@ def keep(out: Path, table: str, values: Iterable[tuple[str, int, str, float]]) -
 
 def as_page(folder: Path, results: Sequence[Result] | None = None) -> str:
     """Return the page, from the results of all studies."""
-    found = ResultTable(read_results(folder, CSV) if results is None else results)
-    rows = [_cells(found, row) for row in (*OWN, SAME)]
+    results = read_results(folder, CSV) if results is None else results
+    found = ResultTable(results)
+    rows = [_cells(found, row, _minutes(results, row.table)) for row in (*OWN, SAME)]
     rows += _other_pages(folder)
     own, same = ([row.texts for row in part] for part in (rows[:len(OWN)], rows[len(OWN):]))
     return render(PAGE, own=own, same=same, reached=sum(row.reached for row in rows),
@@ -122,8 +125,8 @@ class Cells(NamedTuple):
     texts: list[str]
 
 
-def _cells(found: ResultTable, row: Row) -> Cells:
-    cells, reached, seeds = [], 0, 0
+def _cells(found: ResultTable, row: Row, minutes: str) -> Cells:
+    cells, reached, seeds = [], 0, []
     for system, measure, published in row.claims:
         values = found.values(row.table, system, measure)
         if not len(values):
@@ -131,10 +134,12 @@ def _cells(found: ResultTable, row: Row) -> Cells:
             continue
         met = float(f'{values.mean():.2e}') <= published
         cells.append(f'{values.mean():.2g}' if met else f'**{values.mean():.3g}**')
-        reached, seeds = reached + met, len(values)
+        reached += met
+        seeds.append(str(len(values)))
     published = ', '.join(f'{one:.3g}' for _, _, one in row.claims)
     return Cells(reached, len(cells), [
-        row.text, published, ', '.join(cells), str(seeds), _minutes(found, row.table)])
+        row.text, published, ', '.join(cells), ', '.join(
+            seeds if len(set(seeds)) > 1 else seeds[:1]), minutes])
 
 
 def _gymnasium(found: ResultTable) -> str:
@@ -149,9 +154,10 @@ def _mean(found: ResultTable, table: str, system: str, measure: str) -> str:
     return f'{values.mean():.3g}' if len(values) else 'not measured'
 
 
-def _minutes(found: ResultTable, table: str) -> str:
-    seconds = found.values(table, '', SECONDS)
-    return f'{seconds.sum() / 60.0:.2g}' if len(seconds) else ''
+def _minutes(results: Sequence[Result], table: str) -> str:
+    seconds = sum(row.value for row in results
+                  if row.table == table and row.measure.endswith(SECONDS))
+    return f'{seconds / 60.0:.2g}' if seconds else ''
 
 
 def _other_pages(folder: Path) -> Iterator[Cells]:

@@ -68,7 +68,7 @@ def simulated(scene: Scene, test: dict[str, np.ndarray]) -> np.ndarray:
 
     def run(state: np.ndarray, samples: int) -> np.ndarray:
         simulation.restart(state[:1], state[1:] / spacing)
-        steps = driven(simulation, test['t'][:samples], test['u'][:samples])
+        steps = driven(simulation, test['t'][:samples], test['u'][:samples], True)
         return np.array([state[0], *(simulation.q[0] for _ in steps)])[::every]
 
     first = test['y'][:SKIPPED]
