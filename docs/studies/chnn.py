@@ -71,7 +71,7 @@ class System:
     interval, known : float
         Between the samples of the test, and of the training [s].
     step_size : float
-        Of our method [s].
+        Step size of our method [s].
 
     """
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Energy over long runs, beside DART and Gymnasium: a chain of ten links, and the Acrobot.
+Energy over long runs, next to DART and Gymnasium: a chain of ten links, and the Acrobot.
 
 The chain is that of DART's test of its variational integrator (pull request 2764): 0.7 kg and
 0.02 kg m2 at each joint, 0.3 m apart, released from 0.4 rad. The Acrobot is released at rest from
@@ -28,8 +28,8 @@ TABLE = 'energy_drift'
 LINKS, CHAIN_STEPS, CHAIN_STEP = 10, 100_000, 1e-3
 CHAIN_METHODS = 'variational_euler', 'implicit_midpoint', 'gauss4'
 END, SEEDS = 100.0, 5
-# Steps of Gymnasium's rk4, and those of ours beside them [s]: the last pair costs as many
-# gradients, the others as much processor time.
+# Step sizes of Gymnasium's rk4 and of our method [s]. The last pair costs equal numbers of
+# gradients; in each pair ours takes less processor time.
 PAIRS = {0.2: 0.1, 0.05: 0.1, 0.01: 0.05}
 METHOD = 'gauss8'
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page docs/evidence/published-tables.md: published figures beside those of the studies."""
+"""The page docs/evidence/published-tables.md: published figures next to those of the studies."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -174,7 +174,7 @@ def _other_pages(folder: Path) -> Iterator[Cells]:
         'LieGroupHamDL, pendulum, quadrotor',
         *(', '.join(f'{loss[name]:.1e}' for loss in losses) for name in ('published', 'ours')),
         '1', ''])
-    # The results are those of docs/tutorials/emps_drive.md, which no file has.
+    # From the table of docs/tutorials/emps_drive.md.
     yield Cells(0, 1, ['EMPS [mm]', '2.64', '**2.77**', '1', '2'])
 
 

@@ -143,7 +143,7 @@ def test_silverbox_of_its_own_formula_is_found_by_the_command_of_the_guide(tmp_p
             u += 0.01 * np.sin(2.0 * np.pi * (frequency * t + rng.random()))
         (tmp_path / 'scene.yaml').write_text(silverbox.documented()[0])
         simulation = silverbox.build(silverbox.load_scene(tmp_path / 'scene.yaml'))
-        steps = silverbox.driven(simulation, t, u)
+        steps = silverbox.driven(simulation, t, u, positions=True)
         y = np.array([0.0, *(simulation.q[0] for _ in steps)])[::2]
         data |= {f'multisine_{name}/{key}': part
                  for key, part in zip('tuy', (t, u, y), strict=True)}
