@@ -180,6 +180,22 @@ def test_number_that_has_all_but_vanished_has_the_slope_of_zero(start, pendulum,
     np.testing.assert_allclose(tiny, zero, atol=1e-9 * np.abs(zero).max())
 
 
+@pytest.mark.parametrize('inputs', ['held', 'linear'])
+def test_each_step_of_a_long_window_gets_the_force_of_its_time(inputs, pendulum, tmp_path):
+    # Sums of intervals are off by 1e-8 of one after some thousands of them.
+    spacing, u = 0.0016384043, np.random.default_rng(0).normal(size=(30000, 1))
+    t = spacing * np.arange(len(u))
+    scene = pendulum.changed({'step_size': spacing, 'effects': [
+        {'kind': 'external_force', 'coordinates': ['angle']}]})
+    windows = cut_windows([replace(smoothed('log', t, np.sin(t)[:, None], None, u, 40.0),
+                                   inputs=inputs)], 60.0)
+    forces = Prediction(freed(scene, tmp_path, length=1.0), np.ones(1), windows)._forces[0]
+    means = u[:-1] if inputs == 'held' else 0.5 * (u[1:] + u[:-1])
+    # Of a linear force, the slopes at both ends are added: h / 12 times their difference.
+    bound = 0.0 if inputs == 'held' else np.abs(np.diff(u, 2, axis=0)).max() / 6.0
+    assert np.abs(forces - means).max() <= bound
+
+
 @pytest.mark.parametrize('refuses', [-1.0, 1.0, 0.0])
 def test_slope_beside_values_that_a_model_refuses_is_that_of_the_other_side(
         refuses, pendulum, tmp_path, monkeypatch):

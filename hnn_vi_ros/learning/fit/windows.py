@@ -161,6 +161,8 @@ def check_times(effects: Sequence[Effect], motions: Sequence[EvenMotion], h: flo
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 # Tolerance in steps: a step is split only if forces jump further from its ends than this.
 _ALIGNED = 1e-9
+# Share of a step by which rounding may move the start of a force, in a million of them.
+_ROUNDED = 1e-6
 # Time-out of the external force, which gets a value at every step [s]; an effect that has it is
 # taken as it is.
 FOREVER = 1e9
@@ -417,12 +419,14 @@ class Prediction:
     @cached_property
     def _forces(self) -> np.ndarray:
         """Return the measured forces at the steps of each window, shape (W, S, m)."""
-        sizes = np.tile(np.concatenate([np.full(steps, h) for h, steps in self._parts]),
-                        self._samples)
-        forces = np.zeros((len(self._first), len(sizes), 0))
+        sizes = np.concatenate([np.full(steps, h) for h, steps in self._parts])
+        # Sums over thousands of steps would round to the force before.
+        since = np.add.outer(self._windows.spacing * np.arange(self._samples),
+                             np.cumsum(sizes) - sizes).ravel()
+        forces = np.zeros((len(self._first), len(since), 0))
         if not self._driven:
             return forces
-        since, tables, found = np.cumsum(sizes) - sizes, dict[int, np.ndarray](), []
+        tables, found = dict[int, np.ndarray](), []
         for run, first in zip(self._windows.run.tolist(), self._first, strict=True):
             motion = self._windows.motions[run]
             t = since + (first - round(float(motion.t[0]) / self._h)) * self._h
@@ -440,7 +444,7 @@ class Prediction:
                     tables[run] = np.diff(total, axis=0) / self._h
                 table, duration = tables[run], self._h
             # Steps start at a force's start or well after it; the margin allows for rounding.
-            row = np.floor(t / duration + 1e-9).astype(int)
+            row = np.floor(t / duration + _ROUNDED).astype(int)
             acts = (row >= 0) | (not (motion.held and motion.idle))
             found.append(np.where(acts[:, None], table[np.clip(row, 0, len(table) - 1)], 0.0))
         return np.array(found)
