@@ -148,6 +148,22 @@ def test_noise_of_positions_biases_neither_gravity_nor_friction():
     assert 'of the noise in windows of up to 12 s' in noise_text(residuals)
 
 
+def test_what_a_rigid_body_misses_is_not_taken_for_noise():
+    # On a spring, of which a slide knows nothing: 1 px of 100, seen 30 times a second.
+    t = np.arange(600) / 30.0
+    x = 100.0 * np.cos(2.5 * t) + np.random.default_rng(0).normal(size=len(t))
+    motion = smoothed('track', t, x[:, None], None, np.zeros((len(t), 1)), 4.0)
+    slide = MachineConfig.model_validate({
+        'coordinates': [{'name': 'x', 'q_unit': 'm', 'kind': 'prismatic'}],
+        'data': {'kind': 'arrays'}, 'hidden': [8],
+        'family': {'kind': 'mechanical', 'prior': 'planar_chain', 'residual': False,
+                   'friction': {'coulomb': 0}}})
+    problem = problem_of(slide, [motion])
+    # Residuals of the shortest windows are 34 px; polynomials leave a few of their motion.
+    assert 0.9 < problem.noise.item() < 3.0
+    assert not is_noise(residuals_of(problem.known(), [motion], problem.noise))
+
+
 @pytest.mark.long
 def test_force_that_is_missing_is_named_with_what_it_goes_with():
     motion = swing(0.02)

@@ -61,6 +61,8 @@ _SOFT = 2.0
 # Maximum of steps for the initial states, and gain in cost at which they stop, relative to the
 # tolerance of the numbers.
 _INNER, _GAIN = 30, 1e-2
+# Size of normal residuals after the weights of the robust loss, (E[x^2 / (1 + (x / 2)^2)])^(1/2).
+_WEIGHTED = 0.793
 # Residual assigned to a window that cannot be simulated, in standard deviations.
 _FAILED = 1e6
 # Tolerances of the search at the end and before, and maximum number of evaluations.
@@ -347,8 +349,17 @@ class Fitted(NamedTuple):
 
     @property
     def noise(self) -> np.ndarray:
-        """Return the noise in the shortest windows, in which errors of the model show least."""
-        return self.fits[0][1].noise
+        """
+        Return the noise of the sensors, shape (C,).
+
+        The smaller of two upper bounds: errors of the model add to the residuals of the shortest
+        windows, and smooth ones look like a process of large variance.
+        """
+        shortest = self.fits[0][1]
+        sizes = np.sqrt([one.autocovariances(1)[0] for one in self.sensor]) / (
+            _WEIGHTED if self.problem.robust else 1.0)
+        least = least_noise(shortest.windows.measured[shortest.windows.there])
+        return np.maximum(np.minimum(sizes, shortest.noise), least)
 
     @property
     def size(self) -> float:
