@@ -131,8 +131,8 @@ def peer(name: str, method: str, steps: int) -> Drift:
             closures.append(float(np.abs(loops.errors(data.qpos[places])).max()))
             energies.append(data.energy.sum())
             kinetic.append(data.energy[1])
-    return Drift.of((name, f'MuJoCo {mujoco.__version__}', method), _EVERY * len(energies), closures,
-                    np.array(energies), np.array(kinetic))
+    return Drift.of((name, f'MuJoCo {mujoco.__version__}', method), _EVERY * len(energies),
+                    closures, np.array(energies), np.array(kinetic))
 
 
 def runs(steps: int) -> Iterator[Drift]:
