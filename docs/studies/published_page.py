@@ -154,10 +154,7 @@ def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str
         summary=_summary(table), hnn_published=_published_rows(table, 'hnn'),
         hnn_noise=list(_noise_rows(table)),
         dgnet_published=_published_rows(table, 'dgnet'),
-        physics=[['' if k else f'`{name}`', *row] for name in ('hnn', 'dgnet')
-                 for k, row in enumerate(_physics_rows(table, name))],
         dissipative_published=_published_rows(table, 'dissipative_hnn'),
-        real_physics=list(_real_rows(table)),
         machines=_once(machine_rows(folder / FOLDER / MACHINES)),
         robots=_once(robot_rows(folder / FOLDER / ROBOTS), shared=(3,)))
 
@@ -214,25 +211,6 @@ def _noise_rows(results: ResultTable) -> Iterator[list[str]]:
             'test loss of the true H', 'least test loss')]
         if all(len(values) for values in rows):
             yield [SYSTEMS[system], *map(spread, rows)]
-
-
-def _physics_rows(results: ResultTable, table: str) -> Iterator[list[str]]:
-    """Yield the errors of simulations and the training times."""
-    for system in results.systems(table):
-        if system != REAL:
-            yield [SYSTEMS[system], spread(np.sqrt(results.values(table, system, 'field error'))),
-                   spread(np.sqrt(results.values(table, system, 'true energy MSE'))),
-                   spread(results.values(table, system, 'path error')),
-                   f'{np.mean(results.values(table, system, "seconds")):.0f}']
-
-
-def _real_rows(results: ResultTable) -> Iterator[list[str]]:
-    """Yield the errors of the real pendulum and the noise of their measure."""
-    for table in ('dgnet', 'dissipative_hnn'):
-        least, path = (results.values(table, REAL, measure)
-                       for measure in ('least energy MSE', 'path error'))
-        if len(least):
-            yield [table, f'{least[0]:.2e}', spread(path)]
 
 
 def machine_rows(path: Path) -> Iterator[list[str]]:
