@@ -107,7 +107,8 @@ def graph_of(function: Callable[[torch.Tensor], torch.Tensor], states: torch.Ten
 def _trace(function: Callable[[torch.Tensor], torch.Tensor], state: torch.Tensor
            ) -> torch.fx.GraphModule:
     table = {op: way for op, way in core_aten_decompositions().items()
-             if op._overloadpacket not in _WHOLE} | get_decompositions(_FURTHER) | LINEAR_SYSTEMS
+             if op._overloadpacket not in _WHOLE} | get_decompositions(_FURTHER) | {
+                 getattr(_aten, name).default: way for name, way in LINEAR_SYSTEMS.items()}
 
     def copied(z: torch.Tensor) -> torch.Tensor:
         # The function may change its argument.

@@ -12,8 +12,6 @@ from typing import Any
 
 import torch
 
-_aten = torch.ops.aten
-
 
 def _eliminated(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the inverse of a times b, and the pivots, shape (..., n)."""
@@ -102,11 +100,10 @@ def _unchecked(*arguments: Any, **keywords: Any) -> None:
     """Report no failure of a factorisation: H would not be finite."""
 
 
-LINEAR_SYSTEMS: dict[Any, Callable[..., Any]] = {
-    _aten.linalg_inv_ex.default: _inverse, _aten._linalg_solve_ex.default: _solve,
-    _aten.linalg_solve_triangular.default: _triangular,
-    _aten.linalg_cholesky_ex.default: _cholesky,
-    _aten._cholesky_solve_helper.default: _cholesky_solve,
-    _aten.cholesky_solve.default: _cholesky_solve,
-    _aten._linalg_det.default: _determinant, _aten._linalg_slogdet.default: _log_determinant,
-    _aten._trilinear.default: _trilinear, _aten._linalg_check_errors.default: _unchecked}
+# By the name of the operation of torch.
+LINEAR_SYSTEMS: dict[str, Callable[..., Any]] = {
+    'linalg_inv_ex': _inverse, '_linalg_solve_ex': _solve, 'linalg_solve_triangular': _triangular,
+    'linalg_cholesky_ex': _cholesky, '_cholesky_solve_helper': _cholesky_solve,
+    'cholesky_solve': _cholesky_solve, '_linalg_det': _determinant,
+    '_linalg_slogdet': _log_determinant, '_trilinear': _trilinear,
+    '_linalg_check_errors': _unchecked}

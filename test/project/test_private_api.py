@@ -30,7 +30,7 @@ PRIVATE = {
         '_finalize_dynamic_globals', '_get_module_for_linking', '_index_name', '_index_path',
         '_linking_libraries', '_loopvect', '_module_pass_manager', '_open_for_write',
         '_opt_level', '_py_func', '_raise_if_finalized', '_reload_init', '_set_uuid',
-        '_source_stamp', 'numba._dynfunc'}),
+        '_source_stamp', '_tm_features', 'numba._dynfunc'}),
     'learning/graph_of_module.py': ('torch', {
         '_adaptive_avg_pool2d', '_native_batch_norm_legit',
         '_native_batch_norm_legit_no_training', '_overloadpacket', '_pytree',
@@ -123,6 +123,7 @@ def test_numba_keeps_in_libraries_and_functions_what_is_read_of_them():
     library = result.library
     assert {'_linking_libraries', '_reload_init', '_final_module', '_codegen',
             '_finalized'} <= vars(library).keys()
+    assert isinstance(library._codegen._tm_features, str)
     assert library._finalized and isinstance(library._reload_init, set)
     codegen = library._codegen
     passes, _ = codegen._module_pass_manager(
