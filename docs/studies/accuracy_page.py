@@ -115,15 +115,14 @@ def scene_page(name: str, results: Results) -> str:
 def as_page(results: _Results) -> str:
     """Return the page, from the results of each scene."""
     parts: dict[str, Callable[[_Results], Any]] = {
-        'answers': _answers, 'own_errors': _own_errors, 'choices': _choices, 'slower': _slower,
-        'left_out': _left_out, 'first_order': _first_order, 'drifting': _drifting,
-        'scenes': _scenes}
+        'own_errors': _own_errors, 'choices': _choices, 'slower': _slower, 'left_out': _left_out,
+        'first_order': _first_order, 'drifting': _drifting, 'scenes': _scenes}
     name = _example(results)
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
     made = {name: part(results) for name, part in parts.items()}
     first = results[name].shown[0]
-    return render(PAGE, us=microseconds, machine=' and '.join(machines), example=name,
-                  picture=PICTURE, horizon=first, own_error=_own_error(results[name], first),
+    return render(PAGE, machine=' and '.join(machines), example=name, picture=PICTURE,
+                  horizon=first, own_error=_own_error(results[name], first),
                   choice_errors=_CHOICES, **{
         name: list(part) if isinstance(part, Iterator) else part for name, part in made.items()})
 
