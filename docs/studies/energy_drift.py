@@ -14,7 +14,6 @@ from tempfile import TemporaryDirectory
 import time
 from typing import NamedTuple
 
-from gymnasium.envs.classic_control.acrobot import AcrobotEnv, rk4
 from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.scene import load_scene
@@ -102,6 +101,8 @@ def acrobot(step_size: float, angles: np.ndarray, end: float) -> Course:
 
 def gymnasium(dt: float, angles: np.ndarray, end: float) -> Course:
     """Return the run of Gymnasium's Acrobot without torque, stepped as in ``step``."""
+    # Installed with the tests, or by pip.
+    from gymnasium.envs.classic_control.acrobot import AcrobotEnv, rk4
     rates, states = AcrobotEnv()._dsdt, [np.array([*angles, 0.0, 0.0])]
     start = time.process_time()
     for _ in range(round(end / dt)):

@@ -5,6 +5,7 @@
 from pathlib import Path
 from shutil import copytree
 
+from gymnasium.envs.classic_control.acrobot import AcrobotEnv
 from hnn_vi_ros.errors import DataError
 import numpy as np
 import pytest
@@ -86,7 +87,7 @@ def test_acrobot_of_symoden_is_that_of_gymnasium_with_torque():
     rng = np.random.default_rng(0)
     q, v, u = rng.normal(size=(3, 4, 2)) * [[[1.0]], [[1.0]], [[0.0]]]
     u[:, 1] = 0.7
-    rates = energy_drift.AcrobotEnv()._dsdt
+    rates = AcrobotEnv()._dsdt
     wanted = [rates(np.array([*a, *b, 0.7]))[2:4] for a, b in zip(q, v, strict=True)]
     found = symoden.TASKS['acrobot'].mechanism.acceleration(q, v, u)
     assert np.abs(found - np.array(wanted)).max() < 1e-12
