@@ -101,7 +101,7 @@ def acrobot(step_size: float, angles: np.ndarray, end: float) -> Course:
 
 def gymnasium(dt: float, angles: np.ndarray, end: float) -> Course:
     """Return the run of Gymnasium's Acrobot without torque, stepped as in ``step``."""
-    # Installed with the tests, or by pip.
+    # Installed with the peers of `make bench`.
     from gymnasium.envs.classic_control.acrobot import AcrobotEnv, rk4
     rates, states = AcrobotEnv()._dsdt, [np.array([*angles, 0.0, 0.0])]
     start = time.process_time()
