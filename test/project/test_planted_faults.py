@@ -75,7 +75,7 @@ FAULTS = [
           (('_mix(np.uint64(seed) + _GOLDEN)', '_mix(_GOLDEN)'),),
           'simulation/test_system.py', 'noise_is_that_of_its_seed'),
     Fault("energy guard's threshold ten times too high", 'simulation/guards/bands.py',
-          (('_JUMP_RATIO = 10.0', '_JUMP_RATIO = 100.0'),),
+          (('_LARGEST_ERROR = 10.0, 0.5', '_LARGEST_ERROR = 100.0, 0.5'),),
           'simulation/guards/test_guards.py', 'says_at_once_that_the_energy_jumps'),
     Fault('checksum of chunks not compared', 'recording/bags/mcap_file.py',
           ((' and head.crc in (0, zlib.crc32(data))', ''),),

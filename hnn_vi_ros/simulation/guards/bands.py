@@ -326,8 +326,9 @@ class InvariantGuard(BandGuard):
 _MIN_BLOCKS, _MIN_BLOCK_SAMPLES = 50, 20
 # Factor by which the run must grow while a change persists; a slow oscillation does not.
 _PERSISTENCE = 5
-# A sudden change beyond this multiple of the energy scale is not an oscillation.
-_JUMP_RATIO = 10.0
+# A sudden change beyond this multiple of the energy scale is not an oscillation; without other
+# guards of the energy, as with damping or forces, the motion is then not resolved.
+_JUMP_RATIO, _LARGEST_ERROR = 10.0, 0.5
 
 
 @kept(error_model='numpy')
@@ -342,7 +343,7 @@ def _turn_over(own: np.ndarray, work: np.ndarray, scales: np.ndarray) -> np.ndar
 
 
 @kept(error_model='numpy')
-def _change(ends: np.ndarray, accounted: np.ndarray, start: float, scales: np.ndarray, first: int,
+def _change(ends: np.ndarray, accounted: np.ndarray, start: float, limits: np.ndarray, first: int,
             last: int) -> tuple[int, bool]:
     """Widen the range of the change; return the index of a jump, or the last index."""
     at, jumped = last - 1, False
@@ -353,7 +354,7 @@ def _change(ends: np.ndarray, accounted: np.ndarray, start: float, scales: np.nd
         if change > ends[1]:
             ends[1] = change
         # The negated comparison makes NaN an alarm.
-        if not (jumped or abs(change) <= _JUMP_RATIO * scales[i]):
+        if not (jumped or abs(change) <= limits[i]):
             at, jumped = i, True
     return at, jumped
 
@@ -365,8 +366,8 @@ class EnergyGuard(BlockGuard):
     The alarm for drift is raised if, during the whole last third of the run, the energy is on one
     side of its initial value by more than a share of the scale, and remains so until the run is
     five times as long: an oscillation returns earlier. The alarm for a jump is raised at once,
-    beyond ten times the scale. If the total absolute work of effects exceeds the energy scale, it
-    replaces the scale.
+    beyond ten times the scale, or half of it in a run that is not conservative. If the total
+    absolute work of effects exceeds the energy scale, it replaces the scale.
 
     Parameters
     ----------
@@ -374,6 +375,8 @@ class EnergyGuard(BlockGuard):
         Allowed lasting change relative to the scale.
     scale : callable
         Returns the energy scale at each sample of a block [J]; see SampledScale.
+    conservative : bool, optional
+        True if other guards judge the energy as well.
 
     """
 
@@ -381,8 +384,9 @@ class EnergyGuard(BlockGuard):
     remedy = ('use a symplectic method instead of a baseline, or a smaller step_size; check that '
               'every effect that acts is listed in the scene')
 
-    def __init__(self, share: float, scale: Scale):
+    def __init__(self, share: float, scale: Scale, conservative: bool = True):
         self.raised, self._how = False, (share, '')
+        self._jump = _JUMP_RATIO if conservative else _LARGEST_ERROR
         self._share, self._scale_at, self._scale = share, scale, 0.0
         # Work at the last sample, and total absolute work.
         self._turned = np.zeros(2)
@@ -405,11 +409,11 @@ class EnergyGuard(BlockGuard):
         while first < len(scales):
             # Stop at the end of a block of this guard.
             last = min(len(scales), first + self._length - self._count)
-            i, jumped = _change(self._ends, block.accounted, self._start, scales, first, last)
+            i, jumped = _change(self._ends, block.accounted, self._start, self._jump * scales, first, last)
             self._count, self._scale = self._count + last - first, float(scales[i])
             step, change = int(block.step[i]), abs(float(block.accounted[i]) - self._start)
             if jumped and not self.raised:
-                alarms.append(self._alarm(step, change, _JUMP_RATIO, 'changed'))
+                alarms.append(self._alarm(step, change, self._jump, 'changed'))
             if self._count == self._length and (change := self._end_block()) and not self.raised:
                 alarms.append(self._alarm(step, change, self._share, 'changed permanently'))
             first = last
@@ -418,12 +422,12 @@ class EnergyGuard(BlockGuard):
 
     @property
     def calm(self) -> tuple[float, float]:
-        """See BlockGuard: ten times the scale at the last sample judged."""
+        """See BlockGuard: the limit of a jump at the last sample judged."""
         if self.raised:
             return super().calm
         if self._start is None:
             return math.inf, -math.inf
-        return self._start - _JUMP_RATIO * self._scale, self._start + _JUMP_RATIO * self._scale
+        return self._start - self._jump * self._scale, self._start + self._jump * self._scale
 
     def renew(self, sample: Observed) -> Alarm | None:
         assert self._start is not None, 'a sample has raised an alarm'

@@ -46,7 +46,7 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
         yield BoxGuard(hamiltonian.box, hamiltonian.gauge, domain_of(hamiltonian))
     if simulation.conservative:
         yield ResolutionGuard(band_limit, scale, plain_share(simulation), method.order)
-    yield EnergyGuard(change_limit, scale)
+    yield EnergyGuard(change_limit, scale, simulation.conservative)
     if simulation.usual_gradients:
         yield CostGuard(simulation)
     fastest = simulation.system.fastest_rate(np.atleast_2d(simulation.q)[0])

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards say what is wrong, once, at the first sample that shows it, and cost next to nothing."""
 
+from contextlib import nullcontext
 import math
 
 from helpers import alarm_of
+from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
 from hnn_vi_ros.simulation.guards.base import (
@@ -133,6 +135,19 @@ def test_energy_guard_says_that_energy_was_lost_once_and_for_all():
 def test_energy_guard_says_at_once_that_the_energy_jumps():
     found = alarms(EnergyGuard(0.02, one_joule), np.array([1.0, 2.0, 11.5, 20.0]))
     assert [alarm.step for alarm in found] == [2]
+
+
+@pytest.mark.parametrize('method, step_size, wrong', [
+    ('explicit_euler', 0.05, True), ('variational_euler', 0.4, True),
+    ('generalized_leapfrog', 0.5, True), ('variational_euler', 0.05, False), ('rk4', 0.05, False)])
+def test_energy_error_of_a_damped_pendulum_is_an_alarm(method, step_size, wrong):
+    scene = load_scene('exact_pendulum').with_overrides(
+        step_size, method, {'q': [2.9], 'p': [0.0]}, [{'kind': 'damping', 'rate': 0.01}])
+    with nullcontext() if not wrong else pytest.warns(match='energy not accounted for'):
+        trajectory = simulate(scene, duration=40.0)
+    # The energy rises by half of its scale, or falls: H(0) = 19.3 J.
+    assert (trajectory.energy.max() > 1.4 * trajectory.energy[0]) == wrong
+    assert [alarm.kind for alarm in trajectory.alarms] == ['energy not accounted for'] * wrong
 
 
 @pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf])
