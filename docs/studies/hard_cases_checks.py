@@ -53,7 +53,8 @@ def run_dissipation(job: Job) -> Measured:
     """
     simulation, measured = _start(job)
     start, peaks, energies = simulation.energy, [], []
-    balance = 0.0
+    watch, balance = watch_of(job, simulation), 0.0
+    watch.update(look(simulation))
     try:
         for q, p in blocks(job, simulation):
             energy = simulation.hamiltonian.energy(q, p)
@@ -61,9 +62,12 @@ def run_dissipation(job: Job) -> Measured:
             peaks.append(float(energy.max()))
             balance = max(balance, abs(simulation.energy_balance))
             _note(measured, simulation, q, p)
+            watch.update(look(simulation))
     except StepFailure as failure:
         measured.failure = failure
         return measured
+    finally:
+        measured.alarms = watch.alarms
     rises = np.array(peaks[1:]) / np.array(peaks[:-1]) - 1.0
     measured.band = balance
     measured.measures = {'rise': float(max(rises.max(), 0.0)), 'left': peaks[-1] / start}

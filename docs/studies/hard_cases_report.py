@@ -107,7 +107,17 @@ def page_of(docs: Path) -> str:
     ends = Counter(f'{run.judgement} {"told" if run.alarms else "silent"}' for run in coarse)
     return render(PAGE, cases=_parts(cases, rows, expected, card.get('notes', {})),
                   machine=card['machine'], runs=len(rows), silent=silent, baselines=BASELINES,
-                  coarse=len(coarse), ends=ends, table=table(coarse))
+                  coarse=len(coarse), ends=ends, table=table(coarse),
+                  verdicts=Counter(row.verdict for row in rows), methods=_verdicts(rows))
+
+
+def _verdicts(rows: Sequence[CaseRow]) -> list[list[str]]:
+    """Return the methods with the numbers of their runs, and of those of each verdict."""
+    found: dict[str, Counter[str]] = {}
+    for row in rows:
+        found.setdefault(row.method.partition('@')[0], Counter())[row.verdict] += 1
+    return [[f'`{name}`', str(found[name].total()), *(str(found[name][verdict]) for verdict in (
+        'stable', 'alarm', 'stopped', 'unstable'))] for name in _columns(rows)]
 
 
 def grid_of(docs: Path) -> str:

@@ -152,7 +152,6 @@ def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str
     return render(
         PAGE, quick=quick, machine=table.names('machine'), commit=table.names('commit'),
         summary=_summary(table), hnn_published=_published_rows(table, 'hnn'),
-        hnn_noise=list(_noise_rows(table)),
         dgnet_published=_published_rows(table, 'dgnet'),
         dissipative_published=_published_rows(table, 'dissipative_hnn'),
         machines=_once(machine_rows(folder / FOLDER / MACHINES)),
@@ -202,15 +201,6 @@ def _published_rows(results: ResultTable, table: str) -> list[list[str]]:
                 cells.append(str(len(values)))
             rows.append([SYSTEMS[system], measure, f'{published:.2e}', *cells])
     return rows
-
-
-def _noise_rows(results: ResultTable) -> Iterator[list[str]]:
-    """Yield the smallest possible test losses on noisy states."""
-    for system in results.systems('hnn'):
-        rows = [results.values('hnn', system, measure) for measure in (
-            'test loss of the true H', 'least test loss')]
-        if all(len(values) for values in rows):
-            yield [SYSTEMS[system], *map(spread, rows)]
 
 
 def machine_rows(path: Path) -> Iterator[list[str]]:

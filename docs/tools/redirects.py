@@ -14,7 +14,7 @@ _FOLDERS = {
             'learned_henon_heiles', 'learned_kepler', 'pendulum'))),
     'how-to': (
         'control', 'environments', 'gradients', 'identify', 'identify-robot', 'machines',
-        'releases', 'ros2-control', 'scale', 'troubleshooting', 'turning-bodies', 'twin',
+        'ros2-control', 'scale', 'troubleshooting', 'turning-bodies', 'twin',
         'uncertainty'),
     'reference': ('glossary', 'simulation-interfaces')}
 # Earlier names of pages and present ones, below the root of the site and without suffix.

@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
     scene = load_scene(options.scene)
     duration = scene.duration if options.duration is None else options.duration
     study = _measured(scene, duration, options.seconds, options.error)
-    for line in _lines(scene, study):
+    for line in _lines(scene, study, options.error):
         print(line)
     write_outputs(paths, {'--csv': partial(_write_csv, study)} | (
         {'--plot': lambda path: draw(path, scene.name, study, options.error)}
@@ -61,7 +61,7 @@ def _measured(scene: Scene, duration: float, seconds: float, error: float | None
         line.close()
 
 
-def _lines(scene: Scene, study: CostStudy) -> Iterator[str]:
+def _lines(scene: Scene, study: CostStudy, error: float | None) -> Iterator[str]:
     """Yield lines on the error measurement, the table, and the methods not in it."""
     what = 'path errors' if not study.no_path else (
         f'energy errors, relative to {study.known.energy_scale:.3g} J')
@@ -70,7 +70,7 @@ def _lines(scene: Scene, study: CostStudy) -> Iterator[str]:
         f'reference: {study.reference.how}, accurate to {study.floor:.1e}')
     if scene.events:
         yield 'events of the scene are not detected'
-    yield from ('', *_table(study), '')
+    yield from ('', *_table(study, error), '')
     for reason, kinds in study.left_out.items():
         yield f'omitted, because each {reason}: {", ".join(kinds)}'
     if study.unreached:
@@ -78,13 +78,15 @@ def _lines(scene: Scene, study: CostStudy) -> Iterator[str]:
                'compiled, or increase --seconds')
 
 
-def _table(study: CostStudy) -> Iterator[str]:
+def _table(study: CostStudy, wanted: float | None) -> Iterator[str]:
     names = list(dict.fromkeys(str(cost.method) for cost in study.costs))
     reached = min((study.error(cost) for cost in study.costs), default=math.inf)
     errors = [error for error in _CANDIDATE_ERRORS if reached <= error <= study.lost]
     if len(errors) > _MAX_COLUMNS:
         places = np.linspace(0, len(errors) - 1, _MAX_COLUMNS).round().astype(int)
         errors = [errors[place] for place in places]
+    if wanted is not None and reached <= wanted <= study.lost:
+        errors = sorted({*errors, wanted}, reverse=True)
     if not errors:
         yield f'no run has an error below {study.lost:.2g}'
         return
@@ -95,7 +97,8 @@ def _table(study: CostStudy) -> Iterator[str]:
     for name in names:
         cells = (_cell(study.cheapest(error, name), best[error]) for error in errors)
         yield f'{name:{width}}' + ''.join(f'{cell:>{_CELL_WIDTH}}' for cell in cells)
-    yield 'us: processor time [us per simulated second]; *: fastest; -: not reached'
+    yield ('us: processor time [us per simulated second]; *: fastest; -: no measured step reaches '
+           'it')
 
 
 def _cell(cost: MethodCost | None, best: MethodCost | None) -> str:

@@ -21,7 +21,7 @@ class VariationalEuler(EulerIntegrator):
         p_(n+1) = p_n - h H_q(q_(n+1), p_(n+1))
 
     The first equation is explicit, the second is solved for p_(n+1); the gradient at the new state
-    also serves the next step. It is the default; other methods are more accurate.
+    also serves the next step. It is the method of the paper; others are more accurate.
 
     The map is symplectic Euler in the staggered pair (q_n, p_(n-1)). In (q_n, p_n) it conserves
     the 2-form dq ^ d(p + h H_q), not dq ^ dp: it is conjugate to symplectic. It nearly

@@ -409,7 +409,8 @@ class EnergyGuard(BlockGuard):
         while first < len(scales):
             # Stop at the end of a block of this guard.
             last = min(len(scales), first + self._length - self._count)
-            i, jumped = _change(self._ends, block.accounted, self._start, self._jump * scales, first, last)
+            i, jumped = _change(
+                self._ends, block.accounted, self._start, self._jump * scales, first, last)
             self._count, self._scale = self._count + last - first, float(scales[i])
             step, change = int(block.step[i]), abs(float(block.accounted[i]) - self._start)
             if jumped and not self.raised:
