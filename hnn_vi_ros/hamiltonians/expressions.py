@@ -665,6 +665,10 @@ def traced(function: Callable[[Any, Any], Any], count: int | None) -> tuple[list
         It uses values, as in branches, or is not a formula for other reasons; one line.
 
     """
+    if hasattr(function, 'state_dict'):
+        raise ValueError(f'H is the torch module {type(function).__name__}: write it to a file '
+                         'with hnn_vi_ros.export, and name that in hamiltonian: {kind: hnn, model:'
+                         ' FILE} of a scene')
     graph, ends = Graph(), [''] if count is None else range(1, count + 1)
     halves = [[Symbol(graph, graph.name(f'{half}{end}')) for end in ends] for half in 'qp']
     given = [own[0] if count is None else np.array(own, dtype=object).view(_Symbols)

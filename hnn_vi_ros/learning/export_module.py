@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
+import inspect
 from pathlib import Path
 from typing import NoReturn
 
@@ -36,7 +37,8 @@ def export(module: torch.nn.Module, path: str | Path, coordinates: Sequence[str 
     Parameters
     ----------
     module : torch.nn.Module
-        A module that maps a tensor of shape (n, 2 d), with rows (q, p), to one number H [J] a row.
+        A module that maps a tensor of shape (n, 2 d), with rows (q, p), to one number H [J] a row;
+        or q and p, of shape (n, d) each.
         A copy of it in float64 and in evaluation mode is exported.
     path : str or Path
         The file to write, which ends in .safetensors.
@@ -141,8 +143,10 @@ def _copied(module: torch.nn.Module, kind: str) -> torch.nn.Module:
 
 def _function(module: torch.nn.Module) -> Callable[[torch.Tensor], torch.Tensor]:
     """Return H of one state, shape (2 d,)."""
+    halves = _takes_halves(module)
+
     def function(z: torch.Tensor) -> torch.Tensor:
-        value = module(z[None])
+        value = module(*z[None].chunk(2, -1)) if halves else module(z[None])
         if not isinstance(value, torch.Tensor):
             raise ModelError(f'returns {type(value).__name__}, expected one tensor')
         if value.numel() != 1:
@@ -152,6 +156,17 @@ def _function(module: torch.nn.Module) -> Callable[[torch.Tensor], torch.Tensor]
             raise ModelError(f'returns {value.dtype} for an input of float64: cast nothing in it')
         return value.reshape(())
     return function
+
+
+def _takes_halves(module: torch.nn.Module) -> bool:
+    """Return whether a module is called with q and p, not with both in a row."""
+    try:
+        given = inspect.signature(module.forward).parameters.values()
+    except (TypeError, ValueError):
+        # Scripted modules have no signature.
+        return False
+    return sum(one.default is one.empty and one.kind in (
+        one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD) for one in given) == 2
 
 
 def _refuse(kind: str, why: str) -> NoReturn:

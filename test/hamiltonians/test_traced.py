@@ -32,6 +32,7 @@ REFUSED = {
     'arctan2': lambda q, p: np.arctan2(q, p), 'sign': lambda q, p: p * np.sign(q),
     'index': lambda q, p: np.ones(3)[q], 'None': lambda q, p: None, 'number': lambda q, p: 1.0,
     'one argument': lambda q: q, 'its own error': lambda q, p: 1 / 0,
+    'module': type('Net', (), {'state_dict': dict, '__call__': lambda self, z: z})(),
     'nan': lambda q, p: p * np.nan,
     'long': lambda q, p: sum((1 + k * q)**7 * p for k in range(400))}
 

@@ -234,6 +234,20 @@ def test_exported_module_is_that_of_torch(name, tmp_path):
         assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
+class Apart(nn.Module):
+    """A module that takes q and p, with an option."""
+
+    def forward(self, q, p, scale=1.0):
+        return scale * (0.5 * (p**2).sum(-1) - q.cos().prod(-1))
+
+
+def test_module_of_q_and_p_is_exported_like_one_of_rows(tmp_path):
+    export(Apart(), tmp_path / 'apart.safetensors', ['a', 'b'], BOX[2])
+    q, p = np.random.default_rng(0).uniform(-2.0, 2.0, (2, 7, 2))
+    assert load_learned(tmp_path / 'apart.safetensors').energy(q, p) == pytest.approx(
+        0.5 * (p**2).sum(-1) - np.cos(q).prod(-1), rel=1e-12, abs=1e-12)
+
+
 def test_exported_module_is_loaded_without_torch(tmp_path):
     path = tmp_path / 'model.safetensors'
     export(net(2, 8, 1), path, ['x'], BOX[1])
