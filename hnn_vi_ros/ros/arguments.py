@@ -55,7 +55,7 @@ def replay() -> Parser:
     parser.add_argument('bag', type=Path, metavar='BAG', help=(
         'folder of a bag, or its .mcap file, which may be truncated'))
     parser.add_argument('--verify', action='store_true', help=(
-        'simulate the bag again from its own scene, and compare all bits'))
+        'simulate the bag again from its own scene, and compare its states bit by bit'))
     parser.add_argument('--node', default='', metavar='NAME', help=(
         'with --verify: check the run of this simulator, such as /left/hnn_simulator (default: '
         'all in the bag)'))

@@ -120,7 +120,8 @@ def test_step_takes_exactly_so_many_steps_and_only_in_a_pause(folder):
         reason, _, figures = pending.result().message.partition(': ')
         assert 'pause has ended' in reason
         taken = json.loads(figures)
-        assert 1 < taken['steps'] < 10**8 and taken['step'] == total + taken['steps']
+        # The pause may end before the first of them.
+        assert 0 <= taken['steps'] < 10**8 and taken['step'] == total + taken['steps']
         refused = other.trigger('step')
         assert not refused.success and 'only possible while' in refused.message
     recorded = [s for s, _ in read_bag(folder / 'bag')['/hnn_simulator/p']]
