@@ -4,12 +4,14 @@
 
 from functools import cache
 import math
+from types import SimpleNamespace
 
 from helpers import exact_orbit, problem_of
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation.accuracy import cost
-from hnn_vi_ros.simulation.accuracy.cost import CostStudy, measure_costs, MethodCost, run_errors
+from hnn_vi_ros.simulation.accuracy.cost import (
+    CostStudy, fastest, measure_costs, MethodCost, run_errors)
 from hnn_vi_ros.simulation.accuracy.path_reference import exact_path, Instants
 from hnn_vi_ros.simulation.accuracy.trials import Method
 import numpy as np
@@ -193,3 +195,17 @@ def test_cheapest_is_of_the_energy_where_there_is_no_path():
     chaos = CostStudy(study.problem, study.known, study.reference, 'chaos', rows)
     assert chaos.cheapest(1e-2) == rows[0] and chaos.cheapest(1e-6) == rows[1]
     assert chaos.cheapest(1e-12) is None and chaos.recommended(1e-6) == rows[1]
+
+
+def test_run_that_compiled_code_is_timed_again():
+    class Fast:
+        """A simulation whose steps take no time."""
+
+        def restart(self, q, p):
+            self.steps = 0
+
+        def advance(self, steps):
+            self.steps += steps
+
+    problem = SimpleNamespace(q=np.zeros(1), p=np.zeros(1))
+    assert fastest(problem, simulation := Fast(), 1000, 5.0) < 1.0 and simulation.steps == 1000
