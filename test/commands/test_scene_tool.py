@@ -184,7 +184,7 @@ def test_explain_tells_what_each_effect_adds(damped, capsys):
     assert_told(
         capsys.readouterr().out, r'conservative: no',
         r'Lyapunov time: none found within [\d.e+]+ s: .* regular',
-        r'time per step: \d+\.\d+ us', r'bare integrator: \d+\.\d+ us',
+        r'time per step: \d+\.\d+ us', r'integrator alone: \d+\.\d+ us',
         r'damping_0 adds -?\d+\.\d+ us', r'damping_1 adds -?\d+\.\d+ us')
 
 
