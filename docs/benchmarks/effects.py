@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from benchmarks.measurement import assert_close, Contestant, race, Row, Settings
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.effects.commands import Observation, OBSERVATION
+from hnn_vi_ros.effects.commands import OBSERVATION, Observation
 from hnn_vi_ros.effects.elastic_gears import gear_effects
 from hnn_vi_ros.files.resources import share_folder, shipped_file
 from hnn_vi_ros.hamiltonians import DESCRIBED, ElasticDrive, HAMILTONIANS

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.rigid_body.gears import ElasticDrive, drives_of, with_rotors
+from hnn_vi_ros.hamiltonians.rigid_body.gears import drives_of, ElasticDrive, with_rotors
 from hnn_vi_ros.hamiltonians.rigid_body.loops import ClosingJoint, loops_of
 from hnn_vi_ros.hamiltonians.rigid_body.robot import JointCoordinate, Robot
 from hnn_vi_ros.hamiltonians.rigid_body.tree import links_of, mass_matrix, tree_of

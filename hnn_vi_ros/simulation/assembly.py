@@ -149,8 +149,9 @@ class Loop:
         return self._entry(self._step, self._kernel, h, self._options, first, second, z, z1,
                            self._passed, *others)
 
-    def compile(self, h: float, first: int, second: int, z: PhasePoint, z1: PhasePoint,  # noqa: A003
-                memory: tuple[Any, ...], *others: Any) -> None:
+    def compile(  # noqa: A003
+            self, h: float, first: int, second: int, z: PhasePoint, z1: PhasePoint,
+            memory: tuple[Any, ...], *others: Any) -> None:
         """Compile the loop for arguments of these types, or load it from the disk cache."""
         if self._entry is not None:
             return

@@ -13,7 +13,7 @@ from hnn_vi_ros.ros.run.lockstep import Lockstep
 from hnn_vi_ros.ros.settings import Settings
 from messages import refused
 from peer import simulating
-from processes import finish, start, start_executable, standard_error, wait_until
+from processes import finish, standard_error, start, start_executable, wait_until
 import pytest
 from recorded import assert_agrees
 from sensor_msgs.msg import JointState

@@ -19,7 +19,7 @@ TIME, TRIAL, Q, V, A, TAU, UNUSED, UNKNOWN = 'time', 'trial', 'q', 'v', 'a', 'ta
 ANGLE, LENGTH = 'rad', 'm'
 # Coordinates of a configuration by their kind.
 COORDINATES = {ANGLE: {'q_unit': 'rad', 'p_unit': 'N m s', 'kind': 'revolute'},
-                LENGTH: {'q_unit': 'm', 'p_unit': 'N s', 'kind': 'prismatic'}}
+               LENGTH: {'q_unit': 'm', 'p_unit': 'N s', 'kind': 'prismatic'}}
 _GREEK = str.maketrans({'θ': 'theta', 'ϑ': 'theta', 'φ': 'phi', 'ϕ': 'phi', 'ψ': 'psi',
                         'ω': 'omega', 'τ': 'tau', '\u03b1': 'alpha', 'β': 'beta'})
 _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+')
@@ -27,8 +27,8 @@ _ROLES = {word: role for role, words in {
     TIME: 't time times timestamp stamp zeit temps elapsed seconds secs clock millis',
     TRIAL: 'trial run experiment episode swing segment repetition',
     UNUSED: ('index sample samples n seq row id frame unnamed desired des reference ref setpoint '
-            'target goal command cmd error err temperature temp status mode flag raw filtered '
-            'smoothed sin sine cos cosine'),
+             'target goal command cmd error err temperature temp status mode flag raw filtered '
+             'smoothed sin sine cos cosine'),
     A: 'acc accel acceleration',
     V: 'v vel velocity velocities speed omega w rate gyro angvel',
     TAU: 'u tau torque force f effort efforts moment input voltage current drive',

@@ -239,7 +239,7 @@ def test_file_itself_carries_the_metadata(tmp_path):
     assert own.metadata == identity()
     assert {'hnn_vi_ros', 'sources', 'numba', 'numpy', 'processor'} <= own.metadata.keys()
     first, last = (yaml.safe_load(record.metadata['serialized_metadata'])
-                      for record in records if record.name == 'rosbag2')
+                   for record in records if record.name == 'rosbag2')
     in_folder = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
     assert last == in_folder['rosbag2_bagfile_information']
     assert first['message_count'] == 0 and first['ros_distro'] == 'jazzy'

@@ -15,7 +15,7 @@ def true_at(step: int) -> JointReading:
     """Return a cubic motion of two joints, which cubic interpolation follows exactly."""
     t = step * H
     return JointReading(np.array([t**3 - t, 2.0 * t]), np.array([3.0 * t**2 - 1.0, 2.0]),
-                   np.array([t, 0.0]))
+                        np.array([t, 0.0]))
 
 
 def readings(first: int = 0, last: int = 1000, **choice) -> dict[int, JointReading]:
