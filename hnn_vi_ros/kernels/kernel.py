@@ -77,7 +77,7 @@ class Kernel(NamedTuple):
         """Return H [J] at m states in sequence, shape (m,), for q and p of shape (m d,)."""
         d = self.dimension
         found = np.empty(q.size // d)
-        if self.compiled and found.size != 1:
+        if self.compiled:
             # Imported lazily: reading a scene needs no compiler.
             from hnn_vi_ros.kernels.addresses import fill_energies, Target
             if isinstance(self.parameters, Target):
