@@ -208,8 +208,9 @@ def test_twin_goes_on_after_absurd_observations_and_its_bag_is_verified(tmp_path
             other.spin_until(is_back)
 
         def is_told() -> bool:
-            # Best effort: one message alone may be lost.
-            machine.publish(observation([1e9, 1e9], ('angle1', 'angle2')))
+            # Almost half a turn apart, too fast in whatever direction. Best effort: some are lost.
+            for angle in (0.0, 3.0):
+                machine.publish(observation([angle, angle], ('angle1', 'angle2')))
             other.spin(0.02)
             return any(
                 value.key == 'last ignored' and 'velocity_limit = 20' in value.value
