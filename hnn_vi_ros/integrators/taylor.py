@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Taylor series of formulas, by heyoka."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from inspect import getclosurevars
 import math
@@ -35,8 +35,27 @@ _MAX_ENERGY_CHANGE, _MAX_SERIES_CHANGE = 10.0, 10.0
 # is accepted if its energy error did not improve by the last factor.
 _SHORTEST_SERIES, _LENGTH_RATIO, _MIN_GAIN = 2.0**-40, 256.0, 16.0
 _EPS = float(np.finfo(np.float64).eps)
-# Series of the latest formulas of each thread, and their number: a restart reuses them.
-_CACHE, _CACHE_SIZE = threading.local(), 16
+# Number of compiled series that each thread keeps: a restart and an equal formula reuse them.
+_CACHE_SIZE = 32
+
+
+class _Cache(threading.local):
+    """Compiled series of the thread: by kernel, which is kept alive, and by formula."""
+
+    def __init__(self) -> None:
+        self._known: dict[Any, tuple[Any, Any]] = {}
+
+    def __call__(self, key: Any, owner: Any, make: Callable[[], Any]) -> Any:
+        """Return the series of a key, made at the first call."""
+        if key not in self._known:
+            made = make()
+            while len(self._known) >= _CACHE_SIZE:
+                del self._known[next(iter(self._known))]
+            self._known[key] = owner, made
+        return self._known[key][1]
+
+
+_CACHE = _Cache()
 
 
 class TaylorWork:
@@ -44,27 +63,19 @@ class TaylorWork:
 
     def __init__(self, tolerance: float):
         self._tolerance = tolerance
-        self._kernel: Kernel | None = None
-        self._made: dict[tuple[int, bytes], Any] = {}
         # Imported lazily: an optional package that no other method needs.
         import heyoka
         self._heyoka: Any = heyoka
 
     def series(self, kernel: Kernel, lanes: int, scales: np.ndarray) -> Any:
         """Return heyoka's integrator for a batch of ``lanes`` scaled states; see ``_scales``."""
-        own = _original(kernel)
-        if own is not self._kernel:
-            self._kernel, self._made = own, {}
-        if (made := (lanes, scales.tobytes())) not in self._made:
+        own, how = _original(kernel), (self._tolerance, lanes, scales.tobytes())
+
+        def made() -> Any:
             graph, roots = _rates(own)
-            known = vars(_CACHE)
-            key = repr((graph.nodes, roots, self._tolerance, *made))
-            if key not in known:
-                while len(known) >= _CACHE_SIZE:
-                    del known[next(iter(known))]
-                known[key] = self._compiled(graph, roots, lanes, scales)
-            self._made[made] = known[key]
-        return self._made[made]
+            return _CACHE(repr((graph.nodes, roots, *how)), None,
+                          lambda: self._compiled(graph, roots, lanes, scales))
+        return _CACHE((id(own), *how), own, made)
 
     def _compiled(self, graph: Graph, roots: list[int], lanes: int, scales: np.ndarray) -> Any:
         """Return heyoka's integrator of the rates in a graph."""

@@ -232,3 +232,15 @@ def test_a_restart_compiles_no_series_again_but_for_other_numbers(monkeypatch):
     first, other, again = after(0.3141), after(0.2718), after(0.3141)
     assert len(made) == 2
     assert (first == again).all() and (first != other).all()
+
+
+def test_a_restart_derives_no_rates_again(monkeypatch):
+    derived = []
+    rates = taylor._rates
+    run = kepler(1e-9, 1.0)
+    monkeypatch.setattr(taylor, '_rates', lambda kernel: (derived.append(1), rates(kernel))[1])
+    paths = []
+    for _ in range(2):
+        run.restart(Q0, P0)
+        paths.append(run.record(2, 1)[0])
+    assert len(derived) == 1 and (paths[0] == paths[1]).all()
