@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians import Bodies, HAMILTONIANS
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.families import NetworkShape
 from hnn_vi_ros.models.planar_chain import (
-    CHAINS, couplings, is_chain, parameter_names, PLANAR_CHAIN)
+    CHAINS, couplings, has_springs, is_chain, parameter_names, PLANAR_CHAIN)
 from hnn_vi_ros.models.rigid_body_card import (
     bodies_of, check_values, EACH, Identification, RIGID_BODY, TreeCard)
 import numpy as np
@@ -237,7 +237,7 @@ class MechanicalCard(StrictModel):
         if prior.kind not in CHAINS:
             create(prior.kind, prior.values)
             return
-        names = parameter_names(self.angles)
+        names = parameter_names(self.angles, has_springs(prior.parameters))
         if sorted(prior.parameters) != sorted(names):
             raise ValueError(f'prior: parameters {listed(prior.parameters)}, expected '
                              f'{", ".join(names)}')

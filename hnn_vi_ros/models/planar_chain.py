@@ -9,18 +9,20 @@ the angles of links from the vertical, zero for carts; F has the rows of A, and 
     M = sum_i I_i F_i F_i^T + sum_(i<j) C_ij cos(phi_i - phi_j) (F_i F_j^T + F_j F_i^T)
         + sum_(i>1) R_i e_i e_i^T
     V = sum_i G_i (1 - cos phi_i),  G_i q_i for a cart
+        + sum_i k_i q_i^2 / 2 - T_i q_i  with springs
 
 I_i = J_i + m_i c_i^2 + l_i^2 sum_(k>i) m_k, C_ij = l_i (m_j c_j + l_j sum_(k>j) m_k) and
 G_i = g (m_i c_i + l_i sum_(k>i) m_k), for masses m, lengths l, centres of mass c and inertias J
 about them; R_i is the inertia of a motor on joint i. Only these combinations are identifiable.
 For a cart, I_i is all that it carries, C_ij = m_j c_j + l_j sum_(k>j) m_k, and G_i a weight along
-its rail. M and V are linear in these parameters. G_i < 0 if zero is upright.
+its rail. G_i < 0 if zero is upright. k_i is the stiffness of a spring at joint i, and T_i its
+force at q_i = 0 (for a cart, a part of G_i). M and V are linear in all of these parameters.
 
 M is positive definite at all q if the matrix K of I_i and C_ij is, and without motors only if:
 cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -36,7 +38,7 @@ CHAINS = {'pendulum': (1, 1), 'double_pendulum': (2, 2), PLANAR_CHAIN: (1, 4)}
 
 class Terms(NamedTuple):
     """
-    M = sum_k A_k cos(g_k . q), V = sum_l c_l (1 - cos(h_l . q)) + w . q.
+    M = sum_k A_k cos(g_k . q), V = sum_l c_l (1 - cos(h_l . q)) + w . q + sum_i k_i q_i^2 / 2.
 
     Parameters
     ----------
@@ -48,8 +50,8 @@ class Terms(NamedTuple):
         h_l.
     weights : np.ndarray, shape (l,)
         c_l.
-    pull : np.ndarray, shape (d,)
-        w.
+    pull, stiffness : np.ndarray, shape (d,)
+        w and k.
 
     """
 
@@ -58,6 +60,7 @@ class Terms(NamedTuple):
     rows: np.ndarray
     weights: np.ndarray
     pull: np.ndarray
+    stiffness: np.ndarray
 
 
 def chain_angles(kinds: Sequence[str], features: Sequence[Sequence[float]] = ()
@@ -100,8 +103,8 @@ def is_chain(kind: str, angles: Sequence[Sequence[float]] | np.ndarray, kinds: S
                 and np.linalg.matrix_rank(A) == d - carts)
 
 
-def parameter_names(angles: Sequence[Sequence[float]]) -> list[str]:
-    """Return the names of the parameters: inertia, coupling, gravity, motor_inertia."""
+def parameter_names(angles: Sequence[Sequence[float]], springs: bool = False) -> list[str]:
+    """Return the names: inertia, coupling, gravity, motor_inertia, stiffness, spring_force."""
     d, carts = len(angles), sum(not any(row) for row in angles)
     own = [f'inertia{i + 1}' for i in range(d)]
     pairs = [f'coupling{i + 1}{j + 1}' for i in range(d) for j in range(i + 1, d)]
@@ -109,7 +112,14 @@ def parameter_names(angles: Sequence[Sequence[float]]) -> list[str]:
     # For links whose coordinates are their own angles, it is a part of the inertia.
     relative = bool((np.count_nonzero(angles, axis=1) > 1).any())
     motors = [f'motor_inertia{i + 1}' for i in range(carts + 1, d)] if relative else []
-    return own + pairs + gravity + motors
+    held = [f'stiffness{i + 1}' for i in range(d)] + [
+        f'spring_force{i + 1}' for i in range(carts, d)]
+    return own + pairs + gravity + motors + held * springs
+
+
+def has_springs(parameters: Iterable[str]) -> bool:
+    """Return True if these parameters of a chain include springs."""
+    return 'stiffness1' in parameters
 
 
 def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Terms:
@@ -127,23 +137,28 @@ def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, floa
             rows.append(A[i] - A[j])
             matrices.append(parameters[f'coupling{i + 1}{j + 1}'] * (both + both.T))
     gravity = np.array([parameters[f'gravity{i + 1}'] for i in range(d)])
-    return Terms(np.array(rows), np.array(matrices), A, gravity, gravity * slides)
+    stiffness, force = (np.array([parameters.get(f'{kind}{i + 1}', 0.0) for i in range(d)])
+                        for kind in ('stiffness', 'spring_force'))
+    return Terms(np.array(rows), np.array(matrices), A, gravity, gravity * slides - force,
+                 stiffness)
 
 
-def unit_terms(angles: Sequence[Sequence[float]]) -> list[Terms]:
+def unit_terms(angles: Sequence[Sequence[float]], springs: bool = False) -> list[Terms]:
     """Return M and V, linear in the parameters, for each parameter at 1 and others at 0."""
-    names = parameter_names(angles)
+    names = parameter_names(angles, springs)
     return [chain_terms(angles, dict(zip(names, row, strict=True))) for row in np.eye(len(names))]
 
 
 def chain_kernel(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Kernel:
     """Return the functions of H of a chain, as code without loops."""
-    return _kernels(tuple(map(tuple, angles)))({
-        name: parameters[name] for name in parameter_names(angles)})
+    springs = has_springs(parameters)
+    return _kernels(tuple(map(tuple, angles)), springs)({
+        name: parameters[name] for name in parameter_names(angles, springs)})
 
 
 @cache
-def _kernels(angles: tuple[tuple[float, ...], ...]) -> Callable[[Mapping[str, float]], Kernel]:
+def _kernels(angles: tuple[tuple[float, ...], ...], springs: bool
+             ) -> Callable[[Mapping[str, float]], Kernel]:
     """Return the functions as a function of the parameters; fits try many of them."""
     graph, d = Graph(), len(angles)
     names, momenta = ([f'{kind}{i}' for i in range(d)] for kind in 'qp')
@@ -153,7 +168,8 @@ def _kernels(angles: tuple[tuple[float, ...], ...]) -> Callable[[Mapping[str, fl
         return sum((float(row[i]) * q[i] for i in np.flatnonzero(row)),
                    Symbol(graph, graph.number(0.0)))
     mass, energy = np.zeros((d, d), dtype=object), combined(np.zeros(d))
-    for name, terms in zip(parameter_names(angles), unit_terms(angles), strict=True):
+    for name, terms in zip(parameter_names(angles, springs), unit_terms(angles, springs),
+                           strict=True):
         parameter = Symbol(graph, graph.name(name))
         for row, matrix in zip(terms.mass_rows, terms.matrices, strict=True):
             for i, j in np.argwhere(np.tril(matrix)):
@@ -161,6 +177,8 @@ def _kernels(angles: tuple[tuple[float, ...], ...]) -> Callable[[Mapping[str, fl
         for row, weight in zip(terms.rows, terms.weights, strict=True):
             energy += float(weight) * (parameter * (1.0 - combined(row).cos()))
         energy += parameter * combined(terms.pull)
+        for i in np.flatnonzero(terms.stiffness):
+            energy += 0.5 * (parameter * q[i] * q[i])
     return mass_kernels(graph, mass, energy, p, (names, momenta))
 
 

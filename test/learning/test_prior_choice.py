@@ -133,7 +133,7 @@ def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
 
 
 @cache
-def carriage(seed: int, back: float) -> EvenMotion:
+def carriage(seed: int, back: float, stiffness: float = 0.0, rest: float = 0.0) -> EvenMotion:
     """Return a carriage of 2 kg, whose friction is 1 N ahead, and another back, every 10 ms."""
     t = 0.01 * np.arange(500)
     rng = np.random.default_rng(seed)
@@ -141,7 +141,7 @@ def carriage(seed: int, back: float) -> EvenMotion:
 
     def rates(time: float, z: np.ndarray) -> list[float]:
         side = np.tanh(z[1] / 0.05)
-        return [z[1], 0.5 * (np.interp(time, t, force) - 0.5 * z[1]
+        return [z[1], 0.5 * (np.interp(time, t, force) - 0.5 * z[1] - stiffness * (z[0] - rest)
                              - (0.5 * (1.0 + side) + 0.5 * (1.0 - side) * back) * side)]
     z = solve_ivp(rates, (0.0, t[-1]), np.zeros(2), t_eval=t, rtol=1e-8, atol=1e-8).y.T
     noise = rng.normal(size=z.shape) * [2e-4, 2e-3]
@@ -172,6 +172,20 @@ def test_fit_of_a_weight_and_an_offset_that_are_one_force_is_not_lost_in_roundin
     card = problem.module.card()
     assert abs(card.friction.offset[0]) < 1e3
     assert card.prior.values['inertia1'] == pytest.approx(2.0, rel=0.05)
+
+
+def test_springs_are_added_where_held_out_motions_need_them():
+    motions = [carriage(seed, 1.0, 60.0, 0.1) for seed in (1, 2, 3)]
+    chosen, card = selected(sliding(friction={'coulomb': 1}), motions, problem_of)
+    assert chosen.family.springs and 'rigid body without springs' in [
+        one.name for one in card.candidates]
+    prior = problem_of(chosen, motions).module.card().prior
+    # Noise of 0.2 mm, smoothed at 40 Hz, is 0.2 % of the motion.
+    assert [prior.values[name] for name in ('inertia1', 'stiffness1', 'gravity1')] == (
+        pytest.approx([2.0, 60.0, -6.0], rel=0.02))
+    chosen, card = selected(sliding(friction={'coulomb': 1}), [
+        carriage(seed, 1.0) for seed in (1, 2, 3)], problem_of)
+    assert not chosen.family.springs
 
 
 @pytest.mark.long

@@ -225,6 +225,8 @@ class Structure:
         Disabled networks among ``mass`` and ``potential``.
     angles : list of list of float, optional
         Angles of a chain's links from the vertical; None selects the best fit.
+    springs : bool, optional
+        True for a chain with a spring at each joint.
 
     """
 
@@ -240,6 +242,7 @@ class Structure:
     values: np.ndarray | None = None
     left_out: tuple[str, ...] = ()
     angles: list[list[float]] | None = None
+    springs: bool = False
 
 
 class MechanicalChoice(FamilyChoice):
@@ -270,6 +273,9 @@ class MechanicalChoice(FamilyChoice):
         'for a planar_chain: angles of its links from the vertical, as linear combinations of the '
         'rotating coordinates; default: the best fit among the features, the coordinates and '
         'their sums'))
+    springs: bool = Field(False, description=(
+        'for a planar_chain: a linear spring at each joint, with fitted stiffness and position of '
+        'rest; prior: auto adds them if they predict held-out motions better'))
     residual: bool | list[Literal['potential', 'mass']] = Field(True, description=(
         'add networks to a prior: true, false, or a list of networks'))
     residual_weight: float = Field(1e-6, ge=0.0, description=(
@@ -315,7 +321,8 @@ class MechanicalChoice(FamilyChoice):
             bool(self.residual),
             rows(rubbing, 'friction.network_depends_on') if friction.network else None,
             left_out=() if self.residual is True else tuple(
-                name for name in parts if name not in (self.residual or parts)), angles=angles)
+                name for name in parts if name not in (self.residual or parts)), angles=angles,
+            springs=self.springs)
 
     def _angles(self, names: Sequence[str], kinds: list[Kind], texts: Sequence[str]
                 ) -> list[list[float]]:
@@ -330,6 +337,8 @@ class MechanicalChoice(FamilyChoice):
     def _check_prior(self, kinds: list[Kind], angles: list[list[float]] | None) -> None:
         if self.angles is not None and self.prior not in (AUTO, PLANAR_CHAIN):
             raise ValueError('angles: valid only with prior: planar_chain or auto; remove it')
+        if self.springs and self.prior not in (AUTO, *CHAINS):
+            raise ValueError('springs: valid only with prior: planar_chain or auto; remove it')
         if self.prior in (None, AUTO):
             if self.residual is not True:
                 raise ValueError('residual: valid only with a prior; set prior, or remove '

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 
 # Units of inertia and torque for each unit of momenta.
-_UNITS = {'N m s': ('kg m2', 'N m'), 'kg m2/s': ('kg m2', 'N m')}
+_UNITS = {'N m s': ('kg m2', 'N m'), 'kg m2/s': ('kg m2', 'N m'), 'N s': ('kg', 'N'),
+          'kg m/s': ('kg', 'N')}
 # Smallest initial inertia of links, relative to that of the data, and largest initial coupling as
 # a share of the largest possible one.
 _LEAST, _MOST = 1e-3, 0.9
@@ -65,41 +66,45 @@ class PlanarChain(PriorModule):
     Parameters of models/planar_chain.py, mapped from unknowns that keep M positive definite.
 
     The matrix K of inertias and couplings is u L L^T, with exp(x) on the diagonal of the lower
-    triangular L; gravities are u x, and motor inertias u exp(x), with the unit u.
+    triangular L; motor inertias are u exp(x), and gravities and springs u x, with the unit u.
 
     Parameters
     ----------
     angles : sequence of sequence of float
         Rows of the angles of the links from the vertical.
     inertia : float
-        Unit u of inertias and gravities.
+        Unit u of the parameters.
+    springs : bool
+        True for a spring at each joint.
 
     """
 
     linear = True
 
-    def __init__(self, angles: Sequence[Sequence[float]], inertia: float):
+    def __init__(self, angles: Sequence[Sequence[float]], inertia: float, springs: bool = False):
         super().__init__()
-        self.names, self.angles = parameter_names(angles), [[*row] for row in angles]
+        self.names, self.angles = parameter_names(angles, springs), [[*row] for row in angles]
         d = len(self.angles)
-        # Counts of inertias, couplings, gravities and motor inertias.
+        # Counts of inertias, couplings, gravities, motor inertias, and numbers of springs.
         self._sizes = [sum(name.startswith(kind) for name in self.names)
-                       for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')]
-        units = unit_terms(angles)
-        matrices, weights, pulls = (np.stack([getattr(unit, name) for unit in units])
-                                    for name in ('matrices', 'weights', 'pull'))
+                       for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia', 's')]
+        units = unit_terms(angles, springs)
+        matrices, weights, pulls, stiffness = (
+            np.stack([getattr(unit, name) for unit in units])
+            for name in ('matrices', 'weights', 'pull', 'stiffness'))
         keep(self, mass_rows=units[0].mass_rows, matrices=matrices, rows=units[0].rows,
-             weights=weights, pulls=pulls, lower=np.stack(np.triu_indices(d, 1)[::-1]),
-             unit=np.array(inertia))
+             weights=weights, pulls=pulls, stiffness=stiffness,
+             lower=np.stack(np.triu_indices(d, 1)[::-1]), unit=np.array(inertia))
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))
 
     def values(self) -> torch.Tensor:
         """Return the parameters, shape (k,), in the order of their names."""
-        diagonal, below, gravities, motors = self.raw.split(self._sizes)
+        diagonal, below, gravities, motors, springs = self.raw.split(self._sizes)
         L = self._matrix(torch.exp(diagonal), below, 0.0)
         K = L @ L.T
         return self.unit * torch.cat([
-            torch.diagonal(K), K[self.lower[0], self.lower[1]], gravities, torch.exp(motors)])
+            torch.diagonal(K), K[self.lower[0], self.lower[1]], gravities, torch.exp(motors),
+            springs])
 
     def _matrix(self, diagonal: torch.Tensor, below: torch.Tensor, mirrored: float
                 ) -> torch.Tensor:
@@ -114,22 +119,24 @@ class PlanarChain(PriorModule):
 
     def quantities(self, p_unit: str) -> dict[str, Quantity]:
         """Return the parameters with units, for momenta in `p_unit` and angles in rad."""
-        inertia, gravity = _UNITS.get(p_unit, (f'{p_unit} s', f'{p_unit}/s'))
-        return {name: Quantity(
-            value=value, unit=gravity if name.startswith('gravity') else inertia)
-            for name, value in zip(self.names, self.values().tolist(), strict=True)}
+        inertia, force = _UNITS.get(p_unit, (f'{p_unit} s', f'{p_unit}/s'))
+        units = {'gravity': force, 'spring_force': force,
+                 'stiffness': f'{force}/{"m" if force == "N" else "rad"}'}
+        return {name: Quantity(value=value, unit=units.get(name.rstrip('0123456789'), inertia))
+                for name, value in zip(self.names, self.values().tolist(), strict=True)}
 
     def raw_of(self, values: torch.Tensor) -> torch.Tensor:
         """Return the raw parameters of values; NaN if M would not be positive definite."""
-        inertias, couplings, gravities, motors = (values / self.unit).split(self._sizes)
+        inertias, couplings, gravities, motors, springs = (
+            values / self.unit).split(self._sizes)
         L, failed = torch.linalg.cholesky_ex(self._matrix(inertias, couplings, 1.0))
         found = torch.cat([torch.log(torch.diagonal(L)), L[self.lower[0], self.lower[1]],
-                           gravities, torch.log(motors)])
+                           gravities, torch.log(motors), springs])
         return torch.where(failed > 0, torch.nan, found)
 
     def possible(self, values: torch.Tensor) -> torch.Tensor:
         """Return nearby values for which M is positive definite with a margin."""
-        inertias, couplings, gravities, motors = values.split(self._sizes)
+        inertias, couplings, gravities, motors, springs = values.split(self._sizes)
         least = _LEAST * float(self.unit)
         inertias = inertias.clamp(min=least)
         root = inertias.sqrt()
@@ -137,7 +144,7 @@ class PlanarChain(PriorModule):
         shares = couplings / (root[self.lower[0]] * root[self.lower[1]])
         depth = -torch.linalg.eigvalsh(self._matrix(torch.zeros_like(root), shares, 1.0))[0]
         couplings = couplings * min(1.0, _MOST / max(float(depth), _MOST))
-        return torch.cat([inertias, couplings, gravities, motors.clamp(min=least)])
+        return torch.cat([inertias, couplings, gravities, motors.clamp(min=least), springs])
 
     def mass(self, q: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""
@@ -157,7 +164,7 @@ class PlanarChain(PriorModule):
         weights = values @ self.weights
         return turned, (0.5 * (slope * squares) @ self.mass_rows
                         - (weights * torch.sin(q @ self.rows.T)) @ self.rows
-                        - values @ self.pulls)
+                        - values @ self.pulls - q * (values @ self.stiffness))
 
 
 class ExactPrior(PriorModule):

@@ -483,7 +483,7 @@ class _Physical(RigidUnknowns):
     def __init__(self, network: MechanicalNetwork):
         assert network.prior is not None
         self.prior = network.prior
-        free = [name.startswith(('coupling', 'gravity')) for name in self.prior.names]
+        free = [self.prior.linear and 'inertia' not in name for name in self.prior.names]
         # Inertias are positive.
         super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0))
 

@@ -44,7 +44,7 @@ _CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
         RIGID: {'prior': PLANAR_CHAIN, 'residual': False},
         'rigid body and a network of V': {'prior': PLANAR_CHAIN, 'residual': ['potential']},
         'rigid body and networks': {'prior': PLANAR_CHAIN, 'residual': True},
-        ALONE: {'prior': None, 'residual': True, 'angles': None}},
+        ALONE: {'prior': None, 'residual': True, 'angles': None, 'springs': False}},
     'rigid_body': {
         RIGID: {'residual': []},
         'rigid body and a network of V': {'residual': ['potential']},
@@ -162,15 +162,17 @@ def _candidates(config: MachineConfig, trials: _Trials
     first, rigid = trials.tried(RIGID, _named(config, RIGID))
     found, kind = [first], config.family.kind
     if isinstance(rigid, RigidProblem):
+        if isinstance(config.family, MechanicalChoice) and not config.family.springs:
+            config, rigid, found = _with_springs(config, trials, first, rigid)
         trials, _ = trials.following(rigid)
-        with_angles = _with_angles(config, rigid)
+        first, *others = found
+        config = _with_angles(config, rigid)
         if is_noise(first.residuals):
             print(f'{RIGID}: {noise_text(first.residuals)}; nothing more is tried', flush=True)
-            return with_angles, found
-        if 'friction' in config.family.model_fields_set:
-            config = with_angles
-        else:
-            config, rigid, found = _with_friction(with_angles, trials, first, rigid)
+            return config, found
+        if 'friction' not in config.family.model_fields_set:
+            config, rigid, found = _with_friction(config, trials, first, rigid)
+            found += others
     else:
         rigid = None
     for name in [*_CANDIDATES[kind]][1:]:
@@ -178,6 +180,20 @@ def _candidates(config: MachineConfig, trials: _Trials
                      if rigid is None and name != ALONE else trials.tried(
                          name, _named(config, name), None if name == ALONE else rigid)[0])
     return config, found
+
+
+def _with_springs(
+        config: MachineConfig, trials: _Trials, plain: CandidateCard, rigid: RigidProblem
+        ) -> tuple[MachineConfig, RigidProblem, list[CandidateCard]]:
+    """Return a configuration, its rigid body and cards, with springs if they are needed."""
+    if is_noise(plain.residuals):
+        return config, rigid, [plain]
+    own = config.model_copy(update={'family': config.family.model_copy(update={'springs': True})})
+    card, problem = trials.tried(f'{RIGID} with springs', _named(own, RIGID))
+    if not isinstance(problem, RigidProblem) or best_of([plain, card]) is plain:
+        return config, rigid, [plain, card]
+    return own, problem, [card.model_copy(update={'name': RIGID}), plain.model_copy(
+        update={'name': f'{RIGID} without springs'})]
 
 
 def _with_friction(
@@ -191,10 +207,11 @@ def _with_friction(
     """
     driven = any(motion.tau.any() for motion in trials.motions)
     motors = driven and isinstance(config.family, MechanicalChoice)
-    # For a sliding joint, the rigid body already contains a constant force.
-    slides = any(coordinate.kind == 'prismatic' for coordinate in config.coordinates)
+    # For a sliding joint, and with springs, the rigid body already contains a constant force.
+    holds = any(coordinate.kind == 'prismatic' for coordinate in config.coordinates) or (
+        getattr(config.family, 'springs', False))
     may_be = {'load': driven, 'directed': True, 'stribeck': True, 'fade': motors,
-              'offset': motors and not slides}
+              'offset': motors and not holds}
     names = [name for name in _TERMS if may_be[name]]
     cards: list[CandidateCard] = []
 
