@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians import Bodies, HAMILTONIANS
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.families import NetworkShape
 from hnn_vi_ros.models.planar_chain import (
-    CHAINS, couplings, has_springs, is_chain, parameter_names, PLANAR_CHAIN)
+    CHAINS, has_springs, is_chain, parameter_names, PLANAR_CHAIN, symmetric)
 from hnn_vi_ros.models.rigid_body_card import (
     bodies_of, check_values, EACH, Identification, RIGID_BODY, TreeCard)
 import numpy as np
@@ -243,7 +243,7 @@ class MechanicalCard(StrictModel):
                              f'{", ".join(names)}')
         motors = [value for name, value in prior.values.items() if name.startswith('motor')]
         if min(motors, default=0.0) < 0.0 or not (
-                np.linalg.eigvalsh(couplings(len(self.kinds), prior.values))[0] > 0.0):
+                np.linalg.eigvalsh(symmetric(len(self.kinds), prior.values))[0] > 0.0):
             raise ValueError('prior: its mass matrix is not positive definite')
 
     @property

@@ -9,14 +9,14 @@ the angles of links from the vertical, zero for carts; F has the rows of A, and 
     M = sum_i I_i F_i F_i^T + sum_(i<j) C_ij cos(phi_i - phi_j) (F_i F_j^T + F_j F_i^T)
         + sum_(i>1) R_i e_i e_i^T
     V = sum_i G_i (1 - cos phi_i),  G_i q_i for a cart
-        + sum_i k_i q_i^2 / 2 - T_i q_i  with springs
+        + q . k q / 2 - T . q  with springs
 
 I_i = J_i + m_i c_i^2 + l_i^2 sum_(k>i) m_k, C_ij = l_i (m_j c_j + l_j sum_(k>j) m_k) and
 G_i = g (m_i c_i + l_i sum_(k>i) m_k), for masses m, lengths l, centres of mass c and inertias J
 about them; R_i is the inertia of a motor on joint i. Only these combinations are identifiable.
 For a cart, I_i is all that it carries, C_ij = m_j c_j + l_j sum_(k>j) m_k, and G_i a weight along
-its rail. G_i < 0 if zero is upright. k_i is the stiffness of a spring at joint i, and T_i its
-force at q_i = 0 (for a cart, a part of G_i). M and V are linear in all of these parameters.
+its rail. G_i < 0 if zero is upright. k is the stiffness of springs at joints and between them,
+and T their force at q = 0 (for a cart, a part of G_i). M and V are linear in these parameters.
 
 M is positive definite at all q if the matrix K of I_i and C_ij is, and without motors only if:
 cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
@@ -38,7 +38,7 @@ CHAINS = {'pendulum': (1, 1), 'double_pendulum': (2, 2), PLANAR_CHAIN: (1, 4)}
 
 class Terms(NamedTuple):
     """
-    M = sum_k A_k cos(g_k . q), V = sum_l c_l (1 - cos(h_l . q)) + w . q + sum_i k_i q_i^2 / 2.
+    M = sum_k A_k cos(g_k . q), V = sum_l c_l (1 - cos(h_l . q)) + w . q + q . k q / 2.
 
     Parameters
     ----------
@@ -50,8 +50,10 @@ class Terms(NamedTuple):
         h_l.
     weights : np.ndarray, shape (l,)
         c_l.
-    pull, stiffness : np.ndarray, shape (d,)
-        w and k.
+    pull : np.ndarray, shape (d,)
+        w.
+    stiffness : np.ndarray, shape (d, d)
+        k.
 
     """
 
@@ -113,6 +115,7 @@ def parameter_names(angles: Sequence[Sequence[float]], springs: bool = False) ->
     relative = bool((np.count_nonzero(angles, axis=1) > 1).any())
     motors = [f'motor_inertia{i + 1}' for i in range(carts + 1, d)] if relative else []
     held = [f'stiffness{i + 1}' for i in range(d)] + [
+        f'stiffness{i + 1}{j + 1}' for i in range(d) for j in range(i + 1, d)] + [
         f'spring_force{i + 1}' for i in range(carts, d)]
     return own + pairs + gravity + motors + held * springs
 
@@ -137,8 +140,8 @@ def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, floa
             rows.append(A[i] - A[j])
             matrices.append(parameters[f'coupling{i + 1}{j + 1}'] * (both + both.T))
     gravity = np.array([parameters[f'gravity{i + 1}'] for i in range(d)])
-    stiffness, force = (np.array([parameters.get(f'{kind}{i + 1}', 0.0) for i in range(d)])
-                        for kind in ('stiffness', 'spring_force'))
+    force = np.array([parameters.get(f'spring_force{i + 1}', 0.0) for i in range(d)])
+    stiffness = symmetric(d, parameters, 'stiffness', 'stiffness')
     return Terms(np.array(rows), np.array(matrices), A, gravity, gravity * slides - force,
                  stiffness)
 
@@ -177,15 +180,16 @@ def _kernels(angles: tuple[tuple[float, ...], ...], springs: bool
         for row, weight in zip(terms.rows, terms.weights, strict=True):
             energy += float(weight) * (parameter * (1.0 - combined(row).cos()))
         energy += parameter * combined(terms.pull)
-        for i in np.flatnonzero(terms.stiffness):
-            energy += 0.5 * (parameter * q[i] * q[i])
+        for i, j in np.argwhere(terms.stiffness):
+            energy += 0.5 * (parameter * q[i] * q[j])
     return mass_kernels(graph, mass, energy, p, (names, momenta))
 
 
-def couplings(d: int, parameters: Mapping[str, float]) -> np.ndarray:
-    """Return K, shape (d, d), of inertias and couplings."""
-    K = np.diag([parameters[f'inertia{i + 1}'] for i in range(d)])
+def symmetric(d: int, parameters: Mapping[str, float], own: str = 'inertia',
+              pair: str = 'coupling') -> np.ndarray:
+    """Return K, shape (d, d), of inertias and couplings, or of others; 0 for what is absent."""
+    K = np.diag([parameters.get(f'{own}{i + 1}', 0.0) for i in range(d)])
     for i in range(d):
         for j in range(i + 1, d):
-            K[i, j] = K[j, i] = parameters[f'coupling{i + 1}{j + 1}']
+            K[i, j] = K[j, i] = parameters.get(f'{pair}{i + 1}{j + 1}', 0.0)
     return K

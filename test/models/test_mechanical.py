@@ -45,7 +45,7 @@ def test_straight_code_of_a_chain_is_that_of_its_mass_and_potential(angles: list
     kernel, terms = chain_kernel(angles, parameters), chain_terms(angles, parameters)
     q, p = rng.uniform(-1.5, 1.5, (2, d))
     mass = np.tensordot(np.cos(terms.mass_rows @ q), terms.matrices, 1)
-    expected = (0.5 * p @ np.linalg.solve(mass, p) + terms.pull @ q + 0.5 * terms.stiffness @ q**2
+    expected = (0.5 * p @ np.linalg.solve(mass, p) + terms.pull @ q + 0.5 * q @ terms.stiffness @ q
                 + terms.weights @ (1.0 - np.cos(terms.rows @ q)))
     # Round-off of some 100 operations on numbers of order one.
     energy = kernel.energy.py_func(kernel.parameters, q, p)

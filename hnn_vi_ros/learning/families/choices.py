@@ -226,7 +226,7 @@ class Structure:
     angles : list of list of float, optional
         Angles of a chain's links from the vertical; None selects the best fit.
     springs : bool, optional
-        True for a chain with a spring at each joint.
+        True for a chain with springs.
 
     """
 
@@ -274,8 +274,8 @@ class MechanicalChoice(FamilyChoice):
         'rotating coordinates; default: the best fit among the features, the coordinates and '
         'their sums'))
     springs: bool = Field(False, description=(
-        'for a planar_chain: a linear spring at each joint, with fitted stiffness and position of '
-        'rest; prior: auto adds them if they predict held-out motions better'))
+        'for a planar_chain: linear springs at the joints and between them, with fitted stiffness '
+        'and position of rest; prior: auto adds them if they predict held-out motions better'))
     residual: bool | list[Literal['potential', 'mass']] = Field(True, description=(
         'add networks to a prior: true, false, or a list of networks'))
     residual_weight: float = Field(1e-6, ge=0.0, description=(

@@ -75,7 +75,7 @@ class PlanarChain(PriorModule):
     inertia : float
         Unit u of the parameters.
     springs : bool
-        True for a spring at each joint.
+        True with springs.
 
     """
 
@@ -164,7 +164,8 @@ class PlanarChain(PriorModule):
         weights = values @ self.weights
         return turned, (0.5 * (slope * squares) @ self.mass_rows
                         - (weights * torch.sin(q @ self.rows.T)) @ self.rows
-                        - values @ self.pulls - q * (values @ self.stiffness))
+                        - values @ self.pulls
+                        - q @ (values @ self.stiffness.flatten(1)).reshape(-1, d))
 
 
 class ExactPrior(PriorModule):
