@@ -14,6 +14,8 @@ import numba
 import numpy as np
 from studies.peers import jax_energy
 
+# In single precision JAX would do half of the work.
+jax.config.update('jax_enable_x64', True)
 SEED = 1
 # Width of the two hidden layers, target, gradients in a run.
 _CASES = ((32, 0.9, 20000), (64, 0.9, 10000), (200, 1.0, 4000))
