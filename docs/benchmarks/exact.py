@@ -9,7 +9,7 @@ documentation does, or from the same formula where they are long.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from benchmarks import by_hand
@@ -79,11 +79,13 @@ class Case:
             return path
         return run
 
-    def in_a_scene(self, tolerance: float) -> Contestant:
-        """Return our integrator of the same series, in one call to the end."""
-        simulation = Simulation(self.problem.hamiltonian, Taylor(tolerance), self.duration,
-                                self.problem.q, self.problem.p)
-        return path_run(self.problem, simulation, 1, 1)
+    def in_a_scene(self, tolerance: float, lanes: int = 1) -> Contestant:
+        """Return our integrator of the same series, of one or several copies, in one call."""
+        problem = self.problem if lanes == 1 else replace(
+            self.problem, q=np.tile(self.problem.q, (lanes, 1)),
+            p=np.tile(self.problem.p, (lanes, 1)))
+        return path_run(problem, Simulation(
+            problem.hamiltonian, Taylor(tolerance), self.duration, problem.q, problem.p), 1, 1)
 
 
 def cases() -> Iterator[Case]:
@@ -132,8 +134,8 @@ def rows(settings: Settings) -> Iterator[Row]:
             _TOLERANCES, lambda one, case=case, true=true: largest_error(
                 case.theirs(one)(), true), case.wanted)
         assert tolerance is not None, 'as the truth, at a tolerance that is looser'
-        alone, batch, to_the_end = (
-            case.theirs(tolerance, *how) for how in ((), (_BATCH,), (1, 1)))
+        alone, batch, to_the_end, batch_to_the_end = (
+            case.theirs(tolerance, *how) for how in ((), (_BATCH,), (1, 1), (_BATCH, 1)))
         name = f'{case.name}, T = {case.duration:g} s, path error {case.wanted:g}'
         how = {'target': None, 'scale': 1e6 / case.duration, 'unit': 'us per simulated second',
                'note': f'tolerance {tolerance:.2g}'}
@@ -146,3 +148,6 @@ def rows(settings: Settings) -> Iterator[Row]:
             yield race(f'{name}: taylor in a scene', {'taylor': case.in_a_scene(tolerance)}, {
                 'heyoka': lambda run=to_the_end: run}, settings, **how | {
                 'target': 1.3 if case.duration >= 1000.0 else None})
+            yield race(f'{name}: taylor in a scene, {_BATCH} at once', {
+                'taylor': case.in_a_scene(tolerance, _BATCH)}, {
+                    'heyoka': lambda run=batch_to_the_end: run}, settings, **how)
