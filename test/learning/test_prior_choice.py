@@ -188,6 +188,23 @@ def test_springs_are_added_where_held_out_motions_need_them():
     assert not chosen.family.springs
 
 
+@pytest.mark.parametrize('magnet', [0.0, 12.0])
+def test_rigid_body_is_enough_unless_accelerations_show_a_force(magnet: float, capsys):
+    """In short pieces, friction and initial states make up for the force of a magnet."""
+    t = 0.01 * np.arange(2400)
+
+    def rates(time: float, z: np.ndarray) -> list[float]:
+        bump = magnet * np.exp(-(z[0] / 0.3)**2)
+        return [z[1], (bump - 9.0) * np.sin(z[0]) - 0.05 * z[1]]
+    q = solve_ivp(rates, (0.0, t[-1]), [1.4, 0.0], t_eval=t, rtol=1e-8, atol=1e-8).y[0][:, None]
+    q += 3e-3 * np.random.default_rng(1).normal(size=q.shape)
+    config = machine_config('a', 'revolute', {'hidden': [4], 'loss': {
+        'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
+        'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
+    selected(config, [smoothed('run', t, q, None, 0.0 * q, 5.0)], problem_of)
+    assert ('nothing more is tried' in capsys.readouterr().out) is (magnet == 0.0)
+
+
 @pytest.mark.long
 def test_friction_that_is_named_is_left_as_it_is():
     motions = [carriage(seed, 2.5) for seed in (1, 2, 3)]

@@ -16,7 +16,7 @@ import numpy as np
 # Largest step size of a model that is judged; its error is far below that of most sensors [s].
 STEP = 0.01
 # Residual in units of the noise up to which nothing but noise is left.
-_ONLY_NOISE = 1.25
+ONLY_NOISE = 1.25
 
 # Residual of each coordinate in units of its noise, by the length of the windows [s].
 Residuals = dict[str, list[float]]
@@ -46,7 +46,7 @@ def followed(residuals: Mapping[str, Sequence[float]]) -> float:
     """Return the length [s] up to which nothing but noise is left, 0 if there is more in all."""
     within = 0.0
     for length, ratios in residuals.items():
-        if max(ratios) > _ONLY_NOISE:
+        if max(ratios) > ONLY_NOISE:
             break
         within = float(length)
     return within

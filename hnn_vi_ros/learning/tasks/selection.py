@@ -14,8 +14,9 @@ from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of, slowness
 from hnn_vi_ros.learning.fit.rigid_body import RigidProblem
+from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.residuals import (
-    is_noise, noise_text, Residuals, residuals_of, with_fitted_states)
+    is_noise, noise_text, ONLY_NOISE, Residuals, residuals_of, with_fitted_states)
 from hnn_vi_ros.models import CandidateCard, chain_angles, Errors, PLANAR_CHAIN, SelectionCard
 import numpy as np
 import torch
@@ -141,6 +142,25 @@ class _Trials(NamedTuple):
             f'{_line(card.furthest, own)}')), flush=True)
         return card, problem
 
+    def explained(self, config: MachineConfig, rigid: RigidProblem, card: CandidateCard) -> bool:
+        """
+        Return True if a rigid body leaves nothing but noise in these pieces.
+
+        They are short: friction and initial states may make up for a force that is missing. If one
+        shows in the accelerations, the fit to whole motions decides.
+        """
+        if not is_noise(card.residuals):
+            return False
+        if not missing_force(rigid.module, [*self.furthest, *self.ordinary], [
+                one.name for one in config.coordinates]):
+            return True
+        try:
+            whole = self.make(_short(_named(config, RIGID), self.motions), self.motions, None)
+        except DataError:
+            return False
+        fitted = whole.fitted if isinstance(whole, RigidProblem) else None
+        return fitted is not None and fitted.stages[-1][1] <= ONLY_NOISE
+
     def following(self, problem: TrainingProblem) -> tuple['_Trials', Residuals]:
         """
         Return the trials with initial states that a rigid body gives, and its residuals.
@@ -162,12 +182,14 @@ def _candidates(config: MachineConfig, trials: _Trials
     first, rigid = trials.tried(RIGID, _named(config, RIGID))
     found, kind = [first], config.family.kind
     if isinstance(rigid, RigidProblem):
-        if isinstance(config.family, MechanicalChoice) and not config.family.springs:
+        before, explained = rigid, trials.explained(config, rigid, first)
+        if not explained and not getattr(config.family, 'springs', True):
             config, rigid, found = _with_springs(config, trials, first, rigid)
+            explained = rigid is not before and trials.explained(config, rigid, found[0])
         trials, _ = trials.following(rigid)
         first, *others = found
         config = _with_angles(config, rigid)
-        if is_noise(first.residuals):
+        if explained:
             print(f'{RIGID}: {noise_text(first.residuals)}; nothing more is tried', flush=True)
             return config, found
         if 'friction' not in config.family.model_fields_set:
@@ -186,8 +208,6 @@ def _with_springs(
         config: MachineConfig, trials: _Trials, plain: CandidateCard, rigid: RigidProblem
         ) -> tuple[MachineConfig, RigidProblem, list[CandidateCard]]:
     """Return a configuration, its rigid body and cards, with springs if they are needed."""
-    if is_noise(plain.residuals):
-        return config, rigid, [plain]
     own = config.model_copy(update={'family': config.family.model_copy(update={'springs': True})})
     card, problem = trials.tried(f'{RIGID} with springs', _named(own, RIGID))
     if not isinstance(problem, RigidProblem) or best_of([plain, card]) is plain:
