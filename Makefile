@@ -95,10 +95,10 @@ bench:
 	export PYTHONPATH="$(CURDIR)/docs$${PYTHONPATH:+:$$PYTHONPATH}"; \
 	exec .venv/bin/python -P -m benchmarks.bench --out '$(OUT)' $(ARGS)
 
-# The studies of docs/studies, of the package that was built. The long ones keep what they have
-# measured in a folder of their name, and go on from there after an interruption.
+# The studies of docs/studies, of the package that was built. Hard cases keep what is measured in a
+# folder of their name, and go on from there after an interruption; accuracy keeps each scene.
 study: WORDS = $(NAME)
-accuracy: WORDS = work_precision --all --peers --out work_precision --docs '$(OUT)'
+accuracy: WORDS = work_precision --peers --docs '$(OUT)'
 hard-cases: WORDS = hard_cases --out hard_cases --docs '$(OUT)'
 study accuracy hard-cases:
 	$(VENV) run train $(if $(filter accuracy,$@),bench)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run a study: ``make study NAME=work_precision ARGS='--scene pendulum'``; or list all."""
+"""Run a study: ``make study NAME=work_precision ARGS='--scenes pendulum'``; or list all."""
 
 import ast
 from pathlib import Path

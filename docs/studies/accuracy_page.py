@@ -2,57 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page docs/evidence/accuracy-and-cost.md, computed from the rows."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import math
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.errors import ParameterError
-from studies.explore_page import read_cards, rows_of, write_cards, write_explorer
+from studies.explore_page import write_explorer
 from studies.measuring import StudyRow
 from studies.pages import render
-from studies.results import Results, write_rows
+from studies.results import read_results, Results, unwritable
 from studies.work_precision_figure import draw, draw_fronts
-from studies.work_precision_report import (
-    cheapest, conditions, ERRORS, has_paths, microseconds, none_of, ours, peers, picture_name,
-    ratio)
 
 PAGE, FOLDER, PICTURE = 'accuracy-and-cost.md', 'accuracy', 'fronts.png'
 _PAPER, _CLASSIC = 'variational_euler', 'rk4'
 _ANSWERS = (1e-2, 1e-4, 1e-6, 1e-9)
 _CHOICES = (1e-2, 1e-6, 1e-9)
+# Errors at which our methods are compared with peers.
+_COMPARED = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 # Longest horizon in the table of all scenes [s].
-_LONGEST = 1000.0
+_LONGEST = 2000.0
 # The page opens with it.
 _EXAMPLE = 'pendulum'
 _Results = Mapping[str, Results]
-
-
-def keep_results(docs: Path, results: _Results) -> None:
-    """
-    Keep results for the page; results of other scenes stay.
-
-    Parameters
-    ----------
-    docs : Path
-        Folder of the page.
-    results : mapping of str to Results
-        By scene.
-
-    Raises
-    ------
-    ParameterError
-        A file cannot be written, or what is there is damaged.
-
-    """
-    folder = docs / FOLDER
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for scene, entry in results.items():
-            write_rows(folder / f'{scene}.csv', entry.rows)
-        write_cards(folder, {scene: entry.card for scene, entry in results.items()})
-    except OSError as problem:
-        raise _unwritable(docs, problem) from problem
 
 
 def write_pages(docs: Path) -> list[Path]:
@@ -62,20 +33,15 @@ def write_pages(docs: Path) -> list[Path]:
     Parameters
     ----------
     docs : Path
-        Holds what ``keep_results`` wrote.
+        Folder of the page and of the results in ``FOLDER``.
 
     Raises
     ------
     ParameterError
-        The rows cannot be read, or a file cannot be written.
+        The results cannot be read, or a file cannot be written.
 
     """
-    folder = docs / FOLDER
-    cards = read_cards(folder)
-    found = {scene: Results.read(card, rows_of(folder, scene)) for scene, card in cards.items()}
-    # The results of turning_costs are on another page.
-    results = {scene: entry for scene, entry in found.items()
-               if 'number of --runs' in entry.identity}
+    folder, results = docs / FOLDER, results_of(docs)
     try:
         (docs / PAGE).write_text(as_page(results), encoding='utf-8')
         entry = results[_example(results)]
@@ -88,7 +54,14 @@ def write_pages(docs: Path) -> list[Path]:
             written += [page, *draw_pictures(folder, scene, entry)]
         return [*written, write_explorer(folder)]
     except OSError as problem:
-        raise _unwritable(docs, problem) from problem
+        raise unwritable(docs, problem) from problem
+
+
+def results_of(docs: Path) -> dict[str, Results]:
+    """Return the results of each scene of the page; see ``read_results``."""
+    # The results of turning_costs are on another page.
+    return {scene: entry for scene, entry in read_results(docs / FOLDER).items()
+            if set(entry.identity) != {'machine'}}
 
 
 def draw_pictures(folder: Path, scene: str, results: Results) -> list[Path]:
@@ -98,18 +71,18 @@ def draw_pictures(folder: Path, scene: str, results: Results) -> list[Path]:
                  results.floors[horizon]) for horizon in results.shown]
 
 
-def _unwritable(docs: Path, problem: OSError) -> ParameterError:
-    return ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); '
-                          'give a folder that can be written')
-
-
 def scene_page(name: str, results: Results) -> str:
     """Return the page of one scene."""
-    horizons = [conditions(results, horizon, picture_name(name, horizon))
-                for horizon in results.shown]
+    horizons = [{'horizon': horizon, 'picture': picture_name(name, horizon),
+                 'floor': results.floors[horizon]} for horizon in results.shown]
     models = (at['floor'].model for at in horizons)
     return render('accuracy_scene.md', name=name, horizons=horizons,
                   box=next((model.box for model in models if model), None))
+
+
+def picture_name(scene: str, horizon: float) -> str:
+    """Return the file name of the picture of a scene and horizon [s]."""
+    return f'{scene}_{horizon:g}s.png'.replace('+', '')
 
 
 def as_page(results: _Results) -> str:
@@ -123,8 +96,45 @@ def as_page(results: _Results) -> str:
     first = results[name].shown[0]
     return render(PAGE, machine=' and '.join(machines), example=name, picture=PICTURE,
                   horizon=first, own_error=_own_error(results[name], first),
-                  choice_errors=_CHOICES, **{
+                  choice_errors=_CHOICES, variants=any(
+                      '@' in row.method for entry in results.values() for row in entry.rows), **{
         name: list(part) if isinstance(part, Iterator) else part for name, part in made.items()})
+
+
+def _cheapest(
+        rows: Iterable[StudyRow], error: float, column: str = 'path_error') -> StudyRow | None:
+    """Return the fastest row with at most this error."""
+    good = [row for row in rows if row.finished and getattr(row, column) <= error]
+    return min(good, key=lambda row: row.seconds_per_simulated_second, default=None)
+
+
+def _cheapest_pair(rows: Sequence[StudyRow], error: float
+                   ) -> tuple[StudyRow | None, StudyRow | None]:
+    """Return our fastest row and the fastest peer; in chaotic motion the error is of energy."""
+    column = 'path_error' if _has_paths(rows) else 'energy_band'
+    return _cheapest(_ours(rows), error, column), _cheapest(
+        (row for row in rows if row.is_peer), error, column)
+
+
+def _ratio(row: StudyRow, other: StudyRow) -> float:
+    """Return the time of a row over that of another."""
+    return row.seconds_per_simulated_second / other.seconds_per_simulated_second
+
+
+def _ours(rows: Iterable[StudyRow]) -> list[StudyRow]:
+    """Return the rows of our methods, solved to round-off, in double precision."""
+    return [row for row in rows if row.is_ours]
+
+
+def _has_paths(rows: Iterable[StudyRow]) -> bool:
+    """Return whether any path could be followed."""
+    return any(not math.isnan(row.path_error) for row in rows)
+
+
+def _microseconds(row: StudyRow) -> str:
+    """Return the time of a simulated second [us]."""
+    value = row.us_per_simulated_second
+    return f'{value:.0f}' if value >= 100.0 else f'{value:.3g}'
 
 
 def _left_out(results: _Results) -> dict[float, list[str]]:
@@ -148,47 +158,44 @@ def _example(results: _Results) -> str:
     return _EXAMPLE if _EXAMPLE in results else next(iter(results))
 
 
-def _answers(results: _Results) -> list[tuple[float, StudyRow, StudyRow | None]]:
-    """Return for each error wanted our cheapest row and the cheapest peer, in the example."""
+def _answers(results: _Results) -> list[StudyRow]:
+    """Return our cheapest row in the example for each error wanted."""
     entry = results[_example(results)]
     rows = entry.of(entry.shown[0])
-    found = [(error, cheapest(ours(rows), error), cheapest(peers(rows), error))
-             for error in _ANSWERS]
-    return [(error, best, other) for error, best, other in found if best is not None]
+    found = (_cheapest(_ours(rows), error) for error in _ANSWERS)
+    return [best for best in found if best is not None]
 
 
-def _own_error(entry: Results, horizon: float, column: str = 'path_error') -> float:
+def _own_error(entry: Results, horizon: float) -> float:
     """Return the error that the learned H causes by itself; NaN for an exact H."""
     model = entry.floors[horizon].model
     if model is None:
         return math.nan
-    return model.path if column == 'path_error' else model.energy
+    return model.path if _has_paths(entry.of(horizon)) else model.energy
 
 
 def _own_errors(results: _Results) -> Iterator[list[str]]:
     """Yield a row for each learned scene and horizon: the cheapest method for its own error."""
     for name, horizon, rows in _cases(results):
-        column = 'path_error' if has_paths(rows) else 'energy_band'
-        error = _own_error(results[name], horizon, column)
-        best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
+        error = _own_error(results[name], horizon)
+        best, other = _cheapest_pair(rows, error)
         if best is not None and other is not None:
-            yield [name, f'{horizon:g}', f'{error:.2g}{"" if has_paths(rows) else " J"}',
-                   f'`{best.method}`, {best.step_size:g} s', microseconds(best),
-                   f'{ratio(best, other):.2f} ({other.method.partition(" tolerance=")[0]})']
+            yield [name, f'{horizon:g}', f'{error:.2g}{"" if _has_paths(rows) else " J"}',
+                   f'`{best.method}`, {best.step_size:g} s', _microseconds(best),
+                   f'{_ratio(best, other):.2f} ({other.method.partition(" tolerance=")[0]})']
 
 
 def _cheapest_text(rows: list[StudyRow], error: float) -> str:
     """Return our cheapest method, its step, its microseconds, and its share of a peer's time."""
-    column = 'path_error' if has_paths(rows) else 'energy_band'
-    best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
+    best, other = _cheapest_pair(rows, error)
     if best is None:
-        return none_of(ours(rows))
-    text = f'{best.method} h={best.step_size:.3g}: {microseconds(best)}'
-    return f'{text} ({ratio(best, other):.2g})' if other else text
+        return 'none'
+    text = f'{best.method} h={best.step_size:.3g}: {_microseconds(best)}'
+    return f'{text} ({_ratio(best, other):.2g})' if other else text
 
 
 def _choices(results: _Results) -> list[list[str]]:
-    return [[name, f'{horizon:g}{"" if has_paths(rows) else ", chaotic"}',
+    return [[name, f'{horizon:g}{"" if _has_paths(rows) else ", chaotic"}',
              *(_cheapest_text(rows, error) for error in _CHOICES)]
             for name, horizon, rows in _cases(results) if horizon <= _LONGEST]
 
@@ -197,11 +204,10 @@ def _slower(results: _Results) -> dict[str, float]:
     """Return the scenes in which a peer is faster, and by how much at most."""
     found: dict[str, float] = {}
     for name, horizon, rows in _cases(results):
-        column = 'path_error' if has_paths(rows) else 'energy_band'
-        for error in (*ERRORS, _own_error(results[name], horizon, column)):
-            best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
-            if best is not None and other is not None and ratio(best, other) > 1.0:
-                found[name] = max(found.get(name, 0.0), ratio(best, other))
+        for error in (*_COMPARED, _own_error(results[name], horizon)):
+            best, other = _cheapest_pair(rows, error)
+            if best is not None and other is not None and _ratio(best, other) > 1.0:
+                found[name] = max(found.get(name, 0.0), _ratio(best, other))
     return found
 
 
@@ -213,9 +219,9 @@ def _first_order(results: _Results) -> list[dict[str, float]]:
         if horizon != results[name].horizons[0] or not own:
             continue
         best = min(own, key=lambda row: row.path_error)
-        other = cheapest((row for row in ours(rows) if row.method != _PAPER), best.path_error)
+        other = _cheapest((row for row in _ours(rows) if row.method != _PAPER), best.path_error)
         if other is not None:
-            found.append({'error': best.path_error, 'share': ratio(other, best),
+            found.append({'error': best.path_error, 'share': _ratio(other, best),
                           'growth': _growth(results[name], _PAPER)})
     return found
 

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page docs/evidence/accuracy/explore.html: an offline explorer of the rows of every scene."""
 
-from collections.abc import Mapping
 from importlib.util import find_spec
 import json
 import math
@@ -11,11 +10,10 @@ from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
 from studies.measuring import StudyRow
-from studies.results import read_rows, Results
+from studies.results import read_results
 from studies.work_precision_figure import group_of, line_style, series_of
 
-EXPLORER, FLOORS = 'explore.html', 'floors.json'
-_REMEDY = 'measure with: make accuracy'
+EXPLORER = 'explore.html'
 _TEMPLATE = Path(__file__).parent / 'templates' / 'explore.html'
 # Plotly's names for the markers of matplotlib.
 _SYMBOLS = {'o': 'circle', '<': 'triangle-left', '>': 'triangle-right', 'x': 'x-thin',
@@ -26,34 +24,6 @@ _COLUMNS = ('step_size', 'horizon', 'path_error', 'energy_band', 'us_per_simulat
             'gradients_per_simulated_second')
 
 
-def write_cards(folder: Path, cards: Mapping[str, Mapping[str, Any]]) -> Path:
-    """Write the cards of scenes; other studies' scenes stay."""
-    path = folder / FLOORS
-    before = read_cards(folder) if path.is_file() else {}
-    path.write_text(json.dumps({**before, **cards}, indent=1) + '\n', encoding='utf-8')
-    return path
-
-
-def read_cards(folder: Path) -> dict[str, Any]:
-    """
-    Return the card of each scene, which ``write_cards`` wrote; see Results.card.
-
-    Raises
-    ------
-    ParameterError
-        It is not there, or damaged.
-
-    """
-    path = folder / FLOORS
-    try:
-        cards: dict[str, Any] = json.loads(path.read_text(encoding='utf-8'))
-        for card in cards.values():
-            Results.read(card, [])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
-        raise ParameterError(f'{path}: not there or damaged ({problem}); {_REMEDY}') from problem
-    return cards
-
-
 def write_explorer(folder: Path) -> Path:
     """
     Write one self-contained page with plotly.js and every row.
@@ -61,7 +31,7 @@ def write_explorer(folder: Path) -> Path:
     Parameters
     ----------
     folder : Path
-        Contains the rows SCENE.csv and ``FLOORS``; the page is written here.
+        Contains the results; the page is written here.
 
     Raises
     ------
@@ -88,11 +58,10 @@ def page_data(folder: Path) -> dict[str, Any]:
     Raises
     ------
     ParameterError
-        The folder holds no rows, or ``FLOORS`` cannot be read.
+        The results cannot be read.
 
     """
-    found = {scene: Results.read(card, rows_of(folder, scene))
-             for scene, card in read_cards(folder).items()}
+    found = read_results(folder)
     rows = {scene: results.rows for scene, results in found.items()}
     names = list(dict.fromkeys(row.method for entry in rows.values() for row in entry))
     lines = list(dict.fromkeys(line for entry in rows.values() for line in series_of(entry)))
@@ -111,23 +80,6 @@ def page_data(folder: Path) -> dict[str, Any]:
                          if horizon in found[scene].shown},
             'rows': [_as_list(row, names.index(row.method)) for row in entry]}
             for scene, entry in rows.items()}}
-
-
-def rows_of(folder: Path, scene: str) -> list[StudyRow]:
-    """
-    Read the rows of a scene.
-
-    Raises
-    ------
-    ParameterError
-        They cannot be read.
-
-    """
-    path = folder / f'{scene}.csv'
-    try:
-        return read_rows(path)
-    except (OSError, ValueError) as problem:
-        raise ParameterError(f'{path}: cannot be read ({problem}); {_REMEDY}') from problem
 
 
 def _line_style(name: str) -> dict[str, str]:

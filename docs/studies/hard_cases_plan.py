@@ -18,7 +18,7 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from pydantic import Field
-from studies.variants import create, parse_method
+from studies.variants import create
 
 EXACT, LEARNED = 'exact', 'learned'
 _ROBOTS = Path(__file__).resolve().parents[2] / 'config' / 'robots'
@@ -159,7 +159,7 @@ class Job:
         if self.method.endswith(_FIXED_POINT):
             integrator = INTEGRATORS[self.method.removesuffix(_FIXED_POINT)](solver='fixed_point')
         else:
-            hamiltonian, integrator = create(parse_method(self.method), hamiltonian)
+            hamiltonian, integrator = create(self.method, hamiltonian)
         return hamiltonian, integrator, scene.create_effects()
 
     def simulation(self) -> Simulation:

@@ -1,20 +1,16 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""One row of a work-precision study: one method, step size and horizon, with its time."""
+"""Rows of work-precision studies: one method, step size and horizon, with its time."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
-import gc
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 import math
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import reduce_error, StepFailure
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.cost import run_errors, RunErrors
+from hnn_vi_ros.simulation import measure_costs
 from hnn_vi_ros.simulation.accuracy.path_reference import PathReference
+from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
 import numpy as np
 
 # solve(z0, duration, setting) returns (q, p) at the end, shape (2 d,), and gradients evaluated;
@@ -22,8 +18,12 @@ import numpy as np
 Solve = Callable[[np.ndarray, float, float], tuple[np.ndarray, int]]
 
 OK, ENERGY_ONLY, TOO_LONG = 'ok', 'energy only', 'too long'
-# Number of states of a peer for its energy error.
-_LOOKS = 10
+# Number of states of a peer for its energy error, and number of timed runs.
+_LOOKS, _RUNS = 10, 3
+# Tolerances of adaptive peers; the longest fixed step over the one that resolves the path, and
+# its halvings; time of a run of a peer after which no smaller tolerance or step follows [s].
+TOLERANCES = tuple(10.0 ** -k for k in range(3, 14))
+_LONGEST, _HALVINGS, _LONGEST_RUN = 4.0, 8, 30.0
 
 
 @dataclass(frozen=True)
@@ -44,13 +44,16 @@ class StudyRow:
         end; not below the accuracy of the reference, beyond which nothing is known.
     energy_band : float
         Largest abs(H - H0) [J], over about a thousand states; of a peer, over ten.
-    seconds_per_simulated_second, p95_seconds : float
-        Median and 95th percentile of the wall time of the timed runs, over T.
+    seconds_per_simulated_second : float
+        Least processor time of some runs, over T; of stored rows with `p95_seconds` the median
+        of wall times.
+    p95_seconds : float
+        95th percentile of wall times, over T, of stored rows; NaN for others.
     gradients_per_simulated_second : float
         Gradients and Hessian-vector products over T.
     status : str
-        'ok'; 'energy only' where no path can be verified; either with how many steps converged
-        only in parts; 'too long: ...' for one that was not run; else why the run failed, and when.
+        'ok'; 'energy only' where no path can be verified; 'too long: ...' in stored rows of runs
+        that were skipped; else why the run failed, and when.
 
     """
 
@@ -63,12 +66,6 @@ class StudyRow:
     p95_seconds: float
     gradients_per_simulated_second: float
     status: str
-
-    @property
-    def key(self) -> tuple[str, float | None, float]:
-        """Return the key of the row."""
-        return (self.method, None if math.isnan(self.step_size) else self.step_size,
-                self.horizon)
 
     @property
     def us_per_simulated_second(self) -> float:
@@ -101,79 +98,6 @@ class StudyRow:
         return not self.finished and self.was_run
 
 
-class RunFailure(Exception):
-    """A run ended before its horizon: reason, time [s] and number of gradients."""
-
-    def __init__(self, reason: str, t: float, gradients: int):
-        super().__init__(reason)
-        self.reason, self.t, self.gradients = reason, t, gradients
-
-    __reduce__ = reduce_error
-
-
-class MethodRun(ABC):
-    """A method at one setting, ready to be run to any horizon that its step divides."""
-
-    label: str
-    step_size: float
-
-    @abstractmethod
-    def measure(self, reference: PathReference) -> RunErrors:
-        """Run once, looking at the states on the way; RunFailure if it does not arrive."""
-
-    @property
-    def note(self) -> str:
-        """Return a note on the last run."""
-        return ''
-
-    @abstractmethod
-    def prepare(self, horizon: float) -> Callable[[], object]:
-        """Return a run that looks at nothing but the end, to be timed."""
-
-
-class OwnRun(MethodRun):
-    """
-    One of our methods, compiled.
-
-    Parameters
-    ----------
-    label : str
-        See variants.
-    simulation : Simulation
-        At its initial state.
-    hamiltonian : Hamiltonian
-        By which energies are judged; not always the one that is integrated.
-
-    """
-
-    def __init__(self, label: str, simulation: Simulation, hamiltonian: Hamiltonian):
-        self.label, self.step_size = label, simulation.step_size
-        self._simulation, self._hamiltonian = simulation, hamiltonian
-        self._start = simulation.q.copy(), simulation.p.copy()
-        simulation.compile()
-
-    def measure(self, reference: PathReference) -> RunErrors:
-        """See MethodRun."""
-        simulation = self._simulation
-        simulation.restart(*self._start)
-        try:
-            return run_errors(simulation, reference, hamiltonian=self._hamiltonian)
-        except StepFailure as failure:
-            raise RunFailure(failure.reason, failure.t, simulation.gradients) from failure
-
-    @property
-    def note(self) -> str:
-        """Return a note with the number of rescued steps."""
-        rescued = self._simulation.rescued
-        return f' ({rescued} steps in parts)' if rescued else ''
-
-    def prepare(self, horizon: float) -> Callable[[], object]:
-        """See MethodRun."""
-        self._simulation.restart(*self._start)
-        steps = whole_steps(horizon, self.step_size)
-        return lambda: self._simulation.advance(steps)
-
-
 class Peer(NamedTuple):
     """A peer's method: its name, whether it chooses its own steps, and how it is called."""
 
@@ -182,115 +106,85 @@ class Peer(NamedTuple):
     solve: Solve
 
 
-class PeerRun(MethodRun):
+def measure_rows(problem: InitialValueProblem, peers: Sequence[Peer], horizon: float,
+                 seconds: float, show: Callable[[float, str], None] = lambda share, what: None
+                 ) -> tuple[list[StudyRow], PathReference]:
     """
-    A peer at one tolerance or step size.
-
-    Its path error is that at the horizon, of the very run that is timed. Its energy band is that
-    of another run as well, which stops at each of the instants: between its own steps a peer
-    would show the error of its interpolation.
+    Return the rows of our methods, by ``measure_costs``, and of peers, with their reference.
 
     Parameters
     ----------
-    peer : Peer
-        The peer to run.
-    setting : float
-        Its tolerance [1] or step size [s].
-    hamiltonian : Hamiltonian
-        By which energies are judged.
-    z0 : np.ndarray, shape (2 d,)
-        Initial (q, p); of rotations 2 d less one for each.
+    problem : InitialValueProblem
+        A problem without effects.
+    peers : sequence of Peer
+        Peers to measure.
+    horizon : float
+        Simulated time [s]; shorter if the path cannot be computed that far.
+    seconds : float
+        Approximate budget of processor time of our methods [s].
+    show : callable, optional
+        Progress callback, see ``measure_costs``.
 
     """
-
-    def __init__(self, peer: Peer, setting: float, hamiltonian: Hamiltonian, z0: np.ndarray):
-        self.label = f'{peer.name} tolerance={setting:g}' if peer.adaptive else peer.name
-        self.step_size = math.nan if peer.adaptive else setting
-        self._peer, self._setting, self._hamiltonian = peer, setting, hamiltonian
-        self._z0 = z0
-
-    def measure(self, reference: PathReference) -> RunErrors:
-        """See MethodRun."""
-        states, spent, horizon = [self._z0], 0, reference.horizon
-        for part in range(_LOOKS):
-            z, gradients = self._solve(
-                states[-1], horizon / _LOOKS, part * horizon / _LOOKS, spent)
-            states.append(z)
-            spent += gradients
-        end, spent = self._solve(self._z0, horizon, 0.0, 0)
-        # A rotation has one column less in p than in q.
-        energies = self._hamiltonian.energy(
-            *np.split(np.array([*states, end]), [self._hamiltonian.dimension], axis=1))
-        error = float(np.abs(end - reference.states[-1]).max()) if reference.verified else math.nan
-        return RunErrors(error, float(np.abs(energies - energies[0]).max()), spent)
-
-    def prepare(self, horizon: float) -> Callable[[], object]:
-        """See MethodRun."""
-        return lambda: self._peer.solve(self._z0, horizon, self._setting)
-
-    def _solve(self, z: np.ndarray, duration: float, t: float, spent: int
-               ) -> tuple[np.ndarray, int]:
-        try:
-            end, gradients = self._peer.solve(z, duration, self._setting)
-        except (ArithmeticError, AssertionError, RuntimeError) as problem:
-            # The first words: the rest is advice on options.
-            reason = ' '.join(str(problem).split())[:60] or type(problem).__name__
-            raise RunFailure(reason, t, spent) from problem
-        if not np.isfinite(end).all():
-            raise RunFailure('not finite', t, spent)
-        return end, gradients
+    study = measure_costs(problem, horizon, seconds, show=show)
+    reference, status = study.reference, ENERGY_ONLY if study.no_path else OK
+    rows = [StudyRow(cost.method.kind, cost.step_size, reference.horizon, cost.path_error,
+                     cost.energy_error * study.known.energy_scale, cost.seconds, math.nan,
+                     cost.gradients, cost.failure or status) for cost in study.costs]
+    # Each step of a peer divides the time between two of its looks.
+    most = _LOOKS * math.ceil(reference.horizon / (_LOOKS * _LONGEST * study.known.step_size))
+    steps = [reference.horizon / (most * 2 ** k) for k in range(_HALVINGS + 1)]
+    for peer in peers:
+        for setting in TOLERANCES if peer.adaptive else steps:
+            show(1.0, f'{peer.name} {setting:g}')
+            rows.append(peer_row(peer, setting, problem, reference))
+            if rows[-1].seconds_per_simulated_second * reference.horizon > _LONGEST_RUN:
+                break
+    return rows, reference
 
 
-def whole_steps(horizon: float, step_size: float) -> int | None:
-    """Return the number of steps of a horizon; None if it is not a whole number."""
-    steps = round(horizon / step_size)
-    return steps if steps > 0 and abs(steps * step_size - horizon) <= 1e-9 * horizon else None
-
-
-def measure_row(run: MethodRun, reference: PathReference, runs: int) -> StudyRow:
+def peer_row(peer: Peer, setting: float, problem: InitialValueProblem, reference: PathReference
+             ) -> StudyRow:
     """
-    Run once to measure errors, and so often as asked to measure time.
+    Measure a peer at one tolerance [1] or step size [s].
 
-    Parameters
-    ----------
-    run : MethodRun
-        The method to run.
-    reference : PathReference
-        To the horizon.
-    runs : int
-        Timed runs, at least 1; the one that measures errors comes before them and warms up.
-
+    The path error is that at the horizon, of a run like those that are timed. The energy band is
+    that of another run, which stops at each look: between its own steps a peer would show the
+    error of its interpolation.
     """
-    horizon, start = reference.horizon, time.perf_counter()
+    states, horizon = [np.concatenate([problem.q, problem.p])], reference.horizon
+    row = StudyRow(f'{peer.name} tolerance={setting:g}' if peer.adaptive else peer.name,
+                   math.nan if peer.adaptive else setting, horizon, *[math.nan] * 5, OK)
     try:
-        with np.errstate(over='ignore', invalid='ignore'):
-            errors = run.measure(reference)
-        if not math.isfinite(errors.energy) or math.isinf(errors.path):
-            raise RunFailure('not finite', horizon, errors.gradients)
-    except RunFailure as failure:
-        seconds, t = time.perf_counter() - start, failure.t
-        rates = (seconds / t, failure.gradients / t) if t > 0.0 else (math.nan, math.nan)
-        return StudyRow(run.label, run.step_size, horizon, math.nan, math.nan, rates[0], math.nan,
-                        rates[1], f'{failure.reason} at t = {t:.6g} s')
-    status = (OK if reference.verified else ENERGY_ONLY) + run.note
-    times = _times(run, horizon, runs) / horizon
-    return StudyRow(run.label, run.step_size, horizon,
-                    np.maximum(errors.path, reference.accuracy), errors.energy,
-                    float(np.median(times)), float(np.quantile(times, 0.95)),
-                    errors.gradients / horizon, status)
+        for _ in range(_LOOKS):
+            states.append(_solve(peer, states[-1], horizon / _LOOKS, setting)[0])
+        end, gradients = _solve(peer, states[0], horizon, setting)
+    except (ArithmeticError, AssertionError, RuntimeError) as problem_of_peer:
+        # The first words: the rest is advice on options.
+        reason = ' '.join(str(problem_of_peer).split())[:60] or type(problem_of_peer).__name__
+        done = min(len(states) - 1, _LOOKS - 1) * horizon / _LOOKS
+        return replace(row, status=f'{reason} after t = {done:g} s')
+    # A rotation has one column less in p than in q.
+    energies = problem.hamiltonian.energy(
+        *np.split(np.array([*states, end]), [problem.q.size], axis=1))
+    times = []
+    for _ in range(_RUNS):
+        start = time.process_time()
+        peer.solve(states[0], horizon, setting)
+        times.append(time.process_time() - start)
+    return replace(
+        row, path_error=max(float(np.abs(end - reference.states[-1]).max()), reference.accuracy)
+        if reference.verified else math.nan,
+        energy_band=float(np.abs(energies - energies[0]).max()),
+        seconds_per_simulated_second=min(times) / horizon,
+        gradients_per_simulated_second=gradients / horizon,
+        status=OK if reference.verified else ENERGY_ONLY)
 
 
-def _times(run: MethodRun, horizon: float, runs: int) -> np.ndarray:
-    """Return the wall time of each of some runs [s]."""
-    times = np.empty(runs)
-    gc.collect()
-    gc.disable()
-    try:
-        for i in range(runs):
-            timed = run.prepare(horizon)
-            start = time.perf_counter()
-            timed()
-            times[i] = time.perf_counter() - start
-    finally:
-        gc.enable()
-    return times
+def _solve(peer: Peer, z: np.ndarray, duration: float, setting: float) -> tuple[np.ndarray, int]:
+    """Return the end of a run of a peer, and its gradients; FloatingPointError if not finite."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        end, gradients = peer.solve(z, duration, setting)
+    if not np.isfinite(end).all():
+        raise FloatingPointError('not finite')
+    return end, gradients

@@ -4,7 +4,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 import csv
-from dataclasses import replace
 from pathlib import Path
 import time
 from typing import Any, NamedTuple
@@ -17,30 +16,22 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
 import numpy as np
 from scipy.spatial.transform import Rotation
-from studies.explore_page import read_cards, rows_of, write_explorer
-from studies.measuring import (
-    measure_row, MethodRun, OwnRun, Peer, PeerRun, StudyRow, whole_steps)
+from studies.explore_page import write_explorer
+from studies.measuring import measure_rows, Peer, StudyRow
 from studies.pages import render
-from studies.references import floor_of, make_reference
-from studies.results import commit, machine, Results
+from studies.references import floor_of
+from studies.results import commit, keep_results, machine, read_results, Results
 from studies.turning_peers import turning_peers
 
 # Initial momenta of a thrown body: p in space [kg m/s], L in its frame [kg m^2/s].
 THROWN = (0.8, 0.0, 2.4, 0.012, -0.02, 0.04)
-HORIZON, ROUNDS = 100.0, 3
+HORIZON = 100.0
 # The largest error that the table is made for.
 GOOD = 1e-8
 BEGIN, END = '<!-- turning_costs -->', '<!-- end of turning_costs -->'
-# Step sizes [s] of our methods and of peers; tolerances of adaptive peers.
-_OWN = {'kahan_li8': (0.25, 0.2, 0.16, 0.125, 0.1, 0.0625),
-        'suzuki4': (0.05, 0.025, 0.0125, 0.00625),
-        'lie_stormer_verlet': (0.02, 0.01, 0.005, 0.0025), 'lie_leapfrog': (0.02, 0.01, 0.005),
-        'lie_gauss8': (0.05, 0.025), 'lie_gauss12': (0.125, 0.1, 0.0625),
-        'lie_gauss16': (0.125, 0.1)}
-_TOLERANCES = (1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
-_STEPS = (0.01, 0.005, 0.0025, 0.00125)
 # File of the rows of long runs, in the folder of the scenes' rows.
 PAGE, FOLDER, DRIFTS = 'how-to/turning-bodies.md', 'evidence/accuracy', 'heavy_top_drifts.csv'
 _DRIFT_COLUMNS = ('method', 'setting', 'energy_error_first_tenth', 'energy_error',
@@ -78,53 +69,12 @@ def method_of(name: str) -> Integrator:
     return INTEGRATORS[name](base='lie_stormer_verlet') if composed else INTEGRATORS[name]()
 
 
-def runs_of(case: Case, horizon: float, quick: bool) -> list[MethodRun]:
-    """Return the measured runs: all methods and settings, or a few of them."""
-    found: list[MethodRun] = []
-    for name, steps in _OWN.items():
-        if quick and name != 'kahan_li8':
-            continue
-        found += [OwnRun(name, Simulation(case.hamiltonian, method_of(name), h, case.q, case.p),
-                         case.hamiltonian)
-                  for h in steps[-2 if quick else 0:] if whole_steps(horizon, h)]
-    z0, peers = np.concatenate([case.q, case.p]), turning_peers(case.hamiltonian)
-    for peer in peers:
-        settings = _settings(peer)
-        found += [PeerRun(peer, setting, case.hamiltonian, z0)
-                  for setting in (settings[2:3] if quick else settings)]
-    return found
-
-
-def _settings(peer: Peer) -> tuple[float, ...]:
-    if not peer.adaptive:
-        return _STEPS
-    # A method of order 5 in an interpreter takes seconds for more.
-    return _TOLERANCES[1:4:2] if peer.name == 'scipy RK45' else _TOLERANCES
-
-
-def measure(case: Case, horizon: float, rounds: int, quick: bool) -> Results:
-    """
-    Return the rows of a case.
-
-    Times are processor times of this process, without compilation. All runs take turns, so that
-    other load on the machine hits all of them alike.
-    """
-    reference = make_reference(case.hamiltonian, case.q, case.p, horizon)
-    runs = runs_of(case, horizon, quick)
-    rows = [measure_row(run, reference, 1) for run in runs]
-    arrived = [i for i, row in enumerate(rows) if row.finished]
-    times = np.empty((rounds, len(runs)))
-    for k in range(rounds):
-        for i in arrived:
-            timed = runs[i].prepare(horizon)
-            start = time.process_time()
-            timed()
-            times[k, i] = time.process_time() - start
-    for i in arrived:
-        rows[i] = replace(rows[i], seconds_per_simulated_second=np.median(times[:, i]) / horizon,
-                          p95_seconds=np.quantile(times[:, i], 0.95) / horizon)
+def measure(case: Case, horizon: float, seconds: float) -> Results:
+    """Return the rows of a case, our methods within a budget of processor time [s]."""
+    problem = InitialValueProblem(case.hamiltonian, (), case.q, case.p)
+    rows, reference = measure_rows(problem, turning_peers(case.hamiltonian), horizon, seconds)
     floor = floor_of(reference, case.hamiltonian, case.q, case.p)
-    return Results({'machine': machine()}, [commit()], {horizon: floor}, rows)
+    return Results({'machine': machine()}, [commit()], {reference.horizon: floor}, rows)
 
 
 def states(case: Case, name: str, setting: float, horizon: float, peers: Sequence[Peer]
@@ -212,10 +162,8 @@ def section(scene: str, results: Results) -> dict[str, Any]:
 
 def page_part(folder: Path) -> str:
     """Return the part of the page on accuracy and cost, from the results in a folder."""
-    cards = read_cards(folder)
-    sections = [section(case.scene, Results.read(
-        cards[case.scene], rows_of(folder, case.scene)))
-                for case in cases()]
+    results = read_results(folder)
+    sections = [section(case.scene, results[case.scene]) for case in cases()]
     with (folder / DRIFTS).open(encoding='utf-8') as file:
         rows = list(csv.DictReader(file))
     long = [[_shown(row['method']), f'{row["setting"]} s' if float(row['setting']) > 1e-4
@@ -229,14 +177,14 @@ def page_part(folder: Path) -> str:
 def write(docs: Path, found: Mapping[str, Results], long: Sequence[Sequence[str]]) -> None:
     """Write rows, cards, pictures, the page to explore, and the part of the page."""
     # Imported here: matplotlib takes a second, and errors should appear at once.
-    from studies.accuracy_page import draw_pictures, keep_results
+    from studies.accuracy_page import draw_pictures
     page, folder = docs / PAGE, docs / FOLDER
     before, begin, rest = page.read_text(encoding='utf-8').partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end:
         raise ParameterError(f'{page}: has no lines {BEGIN} and {END}, between which the table '
                              'goes; put them back')
-    keep_results(folder.parent, found)
+    keep_results(folder, found)
     with (folder / DRIFTS).open('w', newline='', encoding='utf-8') as file:
         csv.writer(file, lineterminator='\n').writerows([_DRIFT_COLUMNS, *long])
     page.write_text(f'{before}{BEGIN}\n\n{page_part(folder)}\n{END}{after}', encoding='utf-8')
@@ -248,8 +196,8 @@ def write(docs: Path, found: Mapping[str, Results], long: Sequence[Sequence[str]
 def main(argv: Sequence[str]) -> None:
     """Measure, and write into the folder of the documentation."""
     arguments = parser().parse_args(argv)
-    horizon, rounds = (1.0, 1) if arguments.quick else (HORIZON, ROUNDS)
-    found = {case.scene: measure(case, horizon, rounds, arguments.quick) for case in cases()}
+    horizon, budget = (1.0, 20.0) if arguments.quick else (HORIZON, 600.0)
+    found = {case.scene: measure(case, horizon, budget) for case in cases()}
     write(arguments.docs, found, list(drifts(cases()[0], 100.0 if arguments.quick else LONG)))
 
 

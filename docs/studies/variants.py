@@ -1,25 +1,22 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Methods by their names in the study, and variants that are solved or computed less exactly.
+Variants of methods that the simulator never uses, to show their effect.
 
-``gauss8`` is a method; ``gauss8@1e-4`` stops its implicit equations at a relative residual of
-1e-4, ``gauss8@3`` after three fixed-point iterations, converged or not, and ``gauss8@float32``
-takes the gradient from the network in single precision. The simulator does none of these: the
-study does, to show what they cost.
+``variational_euler@float32`` computes the gradient of the network in single precision.
+`Undersolved` stops its implicit equations early.
 """
 
 from collections.abc import Callable
 from functools import cache, cached_property
 from hashlib import sha256
-import math
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ParameterError, UnsupportedSystem
+from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Requirements
+from hnn_vi_ros.integrators.base import Integrator, OK, Requirements
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.integrators.workspaces import SolverWork
@@ -29,45 +26,14 @@ from hnn_vi_ros.models.neural import NeuralHamiltonian
 import numpy as np
 
 FLOAT32 = 'float32'
-_MOST_ITERATIONS = 100
 # States of the training box at which the rounding of a gradient is measured.
 _STATES = 64
 _EPS = float(np.finfo(np.float64).eps)
 
 
-class MethodLabel(NamedTuple):
-    """A label as above, taken apart; ``variant`` is empty for the method itself."""
-
-    label: str
-    kind: str
-    variant: str
-
-
-def parse_method(label: str) -> MethodLabel:
+def create(label: str, hamiltonian: Hamiltonian) -> tuple[Hamiltonian, Integrator]:
     """
-    Take a label apart.
-
-    Raises
-    ------
-    ParameterError
-        No such method or variant; the message lists the valid ones.
-
-    """
-    kind, at, variant = label.partition('@')
-    if kind not in INTEGRATORS:
-        raise ParameterError(f'--methods: unknown method {kind!r}'
-                             f'{did_you_mean(kind, INTEGRATORS)}; valid: {", ".join(INTEGRATORS)}')
-    if at and variant != FLOAT32:
-        if not issubclass(INTEGRATORS[kind], ImplicitIntegrator):
-            raise ParameterError(f'--methods: {label}: {kind} solves no equation of its own; '
-                                 'take an implicit method')
-        _accuracy(label, variant)
-    return MethodLabel(label, kind, variant)
-
-
-def create(method: MethodLabel, hamiltonian: Hamiltonian) -> tuple[Hamiltonian, Integrator]:
-    """
-    Build a method, and the Hamiltonian that it integrates.
+    Build a method or a variant of one, and the Hamiltonian that it integrates.
 
     Raises
     ------
@@ -75,43 +41,15 @@ def create(method: MethodLabel, hamiltonian: Hamiltonian) -> tuple[Hamiltonian, 
         The method does not apply to this Hamiltonian.
 
     """
-    try:
-        integrator = INTEGRATORS[method.kind]()
-    except (TypeError, ValueError) as problem:
-        raise UnsupportedSystem(f'{method.label}: needs parameters of its own, which the study '
-                                'does not give it; leave it out') from problem
+    kind, _, variant = label.partition('@')
+    integrator = INTEGRATORS[kind]()
     check_method(integrator, hamiltonian)
-    if method.variant == FLOAT32:
+    if variant == FLOAT32:
         if not isinstance(hamiltonian, NeuralHamiltonian):
-            raise UnsupportedSystem(f'{method.label}: {type(hamiltonian).__name__} is a formula; '
+            raise UnsupportedSystem(f'{label}: {type(hamiltonian).__name__} is a formula; '
                                     'single precision is studied on networks of ours')
         return SinglePrecision(hamiltonian), integrator
-    if method.variant:
-        integrator = Undersolved(integrator, *_accuracy(method.label, method.variant))
     return hamiltonian, integrator
-
-
-def applicable(method: MethodLabel, hamiltonian: Hamiltonian) -> bool:
-    """Return whether a method can be built for a Hamiltonian."""
-    try:
-        create(method, hamiltonian)
-    except HnnViRosError:
-        return False
-    return True
-
-
-def _accuracy(label: str, variant: str) -> tuple[float, int]:
-    """Return the tolerance, and the iterations after which an iterate is taken unconverged."""
-    try:
-        number = float(variant)
-    except ValueError:
-        number = math.nan
-    if 0.0 < number < 1.0:
-        return number, 0
-    if number in range(1, _MOST_ITERATIONS + 1):
-        return 0.0, int(number)
-    raise ParameterError(f'--methods: {label}: after @ comes {FLOAT32}, a tolerance below 1, or a '
-                         f'number of iterations from 1 to {_MOST_ITERATIONS}')
 
 
 class Undersolved(Integrator):
@@ -122,20 +60,17 @@ class Undersolved(Integrator):
     ----------
     base : ImplicitIntegrator
         The method.
-    tolerance : float
-        Relative residual at which an iterate is taken [1].
     iterations : int
-        Fixed-point iterations after which an iterate is taken in any case; 0 for none.
+        Fixed-point iterations, whether they converge or not.
 
     """
 
     explicit, requirements = False, Requirements(symmetric=False, symplectic=False)
 
-    def __init__(self, base: ImplicitIntegrator, tolerance: float, iterations: int):
+    def __init__(self, base: ImplicitIntegrator, iterations: int):
         self.base, self.order, self.step = base, base.order, base.step
         self.keeps_gradient = base.keeps_gradient
-        self._solve = _stop_early(tolerance, iterations)
-        self._most = iterations or _MOST_ITERATIONS
+        self._solver = SolverOptions(_stop_early(), True, iterations)
 
     @property
     def kernel_name(self) -> str:
@@ -144,8 +79,7 @@ class Undersolved(Integrator):
 
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return the options of the base with the solver exchanged."""
-        worse = SolverOptions(self._solve, True, self._most)
-        options = self.base.options(attempt, dimension)
+        options, worse = self.base.options(attempt, dimension), self._solver
         return worse if isinstance(options, SolverOptions) else options._replace(solver=worse)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
@@ -158,28 +92,21 @@ class Undersolved(Integrator):
 
 
 @cache
-def _stop_early(tolerance: float, iterations: int) -> Callable:
+def _stop_early() -> Callable:
     @inlined
     def solve(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
               work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
-        """Iterate x = G(x) until it is good enough, or was tried often enough."""
-        value, scale, largest = work.iterates.values[0], work.iterates.scale, math.inf
-        for k in range(1, max_iterations + 1):
+        """Iterate x = G(x) as often as allowed, and tell the residual."""
+        value, scale, largest = work.iterates.values[0], work.iterates.scale, 0.0
+        for _ in range(max_iterations):
             equation(problem, x, value)
             largest = 0.0
             for i in range(x.size):
-                defect = abs(value[i] - x[i])
-                if not defect <= largest * scale[i]:
-                    largest = defect / scale[i] if scale[i] > 0.0 else defect
-            if not math.isfinite(largest):
-                return NOT_FINITE, largest, k
-            if largest <= tolerance or k == iterations:
-                return OK, largest, k
+                largest = max(largest, abs(value[i] - x[i]) / max(scale[i], 1e-300))
             x[:] = value
-        return NO_CONVERGENCE, largest, max_iterations
+        return OK, largest, max_iterations
     # Kernels on disk are found by this name, which is to change with this file.
-    digest = sha256(Path(__file__).read_bytes()).hexdigest()[:16]
-    solve.__name__ = f'stop_early_{tolerance!r}_{iterations}_{digest}'
+    solve.__name__ = f'stop_early_{sha256(Path(__file__).read_bytes()).hexdigest()[:16]}'
     return solve
 
 

@@ -70,7 +70,7 @@ class Panel(NamedTuple):
 
 PANELS = (
     Panel('us_per_simulated_second', 'path_error', 'Global (path) error',
-          'wall time [us per simulated second]',
+          'time [us per simulated second]',
           'path error, largest component\n'
           r'$\|(q, p) - \mathrm{reference}\|_\infty$ [SI units]'),
     Panel('gradients_per_simulated_second', 'energy_band', 'Energy error',
@@ -164,8 +164,8 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
     return path
 
 
-def draw_fronts(path: Path, rows: Sequence[StudyRow],
-                answers: Iterable[tuple[float, StudyRow, StudyRow | None]], floor: float) -> Path:
+def draw_fronts(path: Path, rows: Sequence[StudyRow], answers: Iterable[StudyRow], floor: float
+                ) -> Path:
     """
     Draw the least path error that each group of rows reaches in a time, into a PNG file.
 
@@ -175,8 +175,8 @@ def draw_fronts(path: Path, rows: Sequence[StudyRow],
         Output file.
     rows : sequence of StudyRow
         All of one horizon.
-    answers : iterable
-        Requested errors, with our row that is named in the picture.
+    answers : iterable of StudyRow
+        Rows that are named in the picture.
     floor : float
         Path error that the learned H causes by itself; NaN for an exact H.
 
@@ -188,7 +188,7 @@ def draw_fronts(path: Path, rows: Sequence[StudyRow],
     for label, style, belongs in _FRONTS:
         front = _front([row for row in rows if belongs(row)])
         ax.plot(*np.array(front).reshape(-1, 2).T, label=label, markersize=5.0, **style)
-    for _, best, _ in answers:
+    for best in answers:
         ax.annotate(f'{best.method}, {best.step_size:.3g} s',
                     (best.us_per_simulated_second, best.path_error), xytext=(-6, -4),
                     textcoords='offset points', ha='right', va='top', fontsize=9.0, color=INK)

@@ -166,8 +166,8 @@ TARGETS = {
     'hard-cases': (['ARGS=--quick --case 1 --out cases', 'OUT=out'], 'cases'),
     'docs': (['HNN_DOCS_GALLERY=double_pendulum'], 'docs/_build/html/index.html'),
     'bench': (['ARGS=--rows exact --quick'], None),
-    'accuracy': (['ARGS=--methods gauss4 --horizons 10 --steps 0.1 --runs 1 --limit 5',
-                  'OUT=out'], 'work_precision'),
+    'accuracy': (['ARGS=--scenes kepler --horizons 10 --seconds 5', 'OUT=out'],
+                 'out/accuracy/kepler.csv'),
 }
 
 

@@ -12,7 +12,7 @@ from hnn_vi_ros.errors import ParameterError
 from messages import refused
 import pytest
 from studies import explore_page
-from studies.results import read_rows
+from studies.results import FLOORS, read_rows
 
 DOCS = Path(__file__).parents[2] / 'docs' / 'evidence' / 'accuracy'
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
@@ -58,7 +58,7 @@ def test_missing_plotly_is_one_line(tmp_path, monkeypatch):
 def test_page_in_a_browser_names_the_cheapest_row_for_an_error(tmp_path):
     for name in DOCS.glob('*.csv'):
         shutil.copy(name, tmp_path)
-    shutil.copy(DOCS / explore_page.FLOORS, tmp_path)
+    shutil.copy(DOCS / FLOORS, tmp_path)
     page = explore_page.write_explorer(tmp_path)
     url = f'{page.as_uri()}#scene=kepler&horizon=1000.0&x=gradients&y=path&tolerance=1e-6'
     dom = subprocess.run([str(BROWSER), *OPTIONS, f'--user-data-dir={tmp_path / "profile"}', url],

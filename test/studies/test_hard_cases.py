@@ -221,7 +221,7 @@ def test_steps_that_are_not_solved_fail_the_gates(monkeypatch):
 
     def parts(self):
         hamiltonian, _, effects = original(self)
-        worse = Undersolved(VariationalEuler(), 0.0, 3)
+        worse = Undersolved(VariationalEuler(), 3)
         worse.requirements = Requirements(symmetric=False, symplectic=True)
         return hamiltonian, worse, effects
 

@@ -39,7 +39,7 @@ def test_two_form_of_variational_euler_is_that_of_its_staggered_momentum():
 
 def test_under_solved_steps_are_found_by_the_defects():
     """Three iterations of a map that contracts by h H_qp leave a residual of its cube."""
-    worse = Undersolved(ImplicitMidpoint(), 0.0, 3)
+    worse = Undersolved(ImplicitMidpoint(), 3)
     worse.requirements = Requirements(symmetric=True, symplectic=True)
     assert symplectic_defect(TAO, worse, H, Q, P) > 1e-9
     assert reversal_defect(TAO, worse, H, Q, P) > 1e-9

@@ -16,9 +16,7 @@ from sources import ROOT
 from studies import (
     bag_to_model, hard_cases_report, known_tables, paper_figures, published_page, turning_costs)
 from studies.__main__ import main, studies
-from studies.accuracy_page import as_page, FOLDER, PAGE, scene_page
-from studies.explore_page import read_cards, rows_of
-from studies.results import Results
+from studies.accuracy_page import as_page, FOLDER, PAGE, results_of, scene_page
 
 DOCS = ROOT / 'docs' / 'evidence'
 
@@ -43,7 +41,7 @@ def test_unknown_study_is_one_line_with_the_nearest():
 
 
 @pytest.mark.parametrize('arguments', [
-    'paper-figures --out /dev/null/x', 'work_precision --scene nothing',
+    'paper-figures --out /dev/null/x', 'work_precision --scenes nothing',
     'published_tables --quick --out /dev/null/x'])
 def test_error_of_the_user_is_one_line(arguments):
     assert_message(main(arguments.split()))
@@ -51,7 +49,7 @@ def test_error_of_the_user_is_one_line(arguments):
 
 def test_missing_peer_is_one_line_before_anything_is_measured(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, 'torchdiffeq', None)
-    said = main(['work_precision', '--scene', 'pendulum', '--peers', '--out',
+    said = main(['work_precision', '--scenes', 'pendulum', '--peers', '--docs',
                  str(tmp_path / 'out')])
     assert isinstance(said, str) and '\n' not in said
     assert 'the Python package torchdiffeq is missing' in said
@@ -61,13 +59,10 @@ def test_missing_peer_is_one_line_before_anything_is_measured(tmp_path, monkeypa
 # Pages are what their templates make of the committed results, to the byte.
 
 def pages_on_accuracy() -> dict[Path, str]:
-    folder = DOCS / FOLDER
-    found = {scene: Results.read(card, rows_of(folder, scene))
-             for scene, card in read_cards(folder).items()}
-    results = {scene: entry for scene, entry in found.items()
-               if 'number of --runs' in entry.identity}
+    results = results_of(DOCS)
     return {DOCS / PAGE: as_page(results)} | {
-        folder / f'{scene}.md': scene_page(scene, entry) for scene, entry in results.items()}
+        DOCS / FOLDER / f'{scene}.md': scene_page(scene, entry)
+        for scene, entry in results.items()}
 
 
 def page_on_learning() -> dict[Path, str]:

@@ -15,7 +15,7 @@ from studies import turning_costs
 from studies.explore_page import page_data
 from studies.measuring import StudyRow
 from studies.references import make_reference
-from studies.results import read_rows
+from studies.results import read_results
 
 DOCS = Path(__file__).parents[2] / 'docs'
 PEERS = all(find_spec(name) is not None for name in ('diffrax', 'mujoco'))
@@ -39,17 +39,17 @@ def test_study_of_a_second_writes_the_page_and_rows_that_agree(docs: Path):
     turning_costs.main(['--docs', str(docs), '--quick'])
     folder = docs / turning_costs.FOLDER
     for scene in ('heavy_top', 'quadrotor'):
-        rows = {row.method.partition(' ')[0]: row for row in read_rows(folder / f'{scene}.csv')
+        rows = {row.method.partition(' ')[0]: row for row in read_results(folder)[scene].rows
                 if row.finished}
         # Each in coordinates of its own: all of them have the same body and the same start.
-        assert {'kahan_li8', 'scipy', 'diffrax', 'RK4', 'MuJoCo'} <= rows.keys()
-        assert rows['kahan_li8'].path_error < 1e-9 and rows['diffrax'].path_error < 1e-7
+        assert {'lie_gauss8', 'scipy', 'diffrax', 'RK4', 'MuJoCo'} <= rows.keys()
+        assert rows['lie_gauss8'].path_error < 1e-9 and rows['diffrax'].path_error < 1e-7
         assert rows['RK4'].path_error < 1e-6
         assert page_data(folder)['scenes'][scene]['horizons'].keys() == {'1.0'}
         assert (folder / f'{scene}_1s.png').stat().st_size > 1000
     page = (docs / turning_costs.PAGE).read_text()
     # The last table tells what is kept, of ours and of two of the peers.
-    assert page.count('| `kahan_li8` |') == 3 and page.count('| MuJoCo RK4 |') == 2
+    assert page.count('| `lie_gauss8` |') == 2 and page.count('| MuJoCo RK4 |') == 2
     assert page.count('| RK4 on quaternions |') == 3
     assert page.index('## Limits') > page.index(turning_costs.END)
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import warnings
 
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
-from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import (
     Composition, GAUSS_METHODS, INTEGRATORS, LIE_GAUSS_METHODS, method_name)
 from hnn_vi_ros.simulation.accuracy.path_reference import best_reference, PathReference, PATIENCE
@@ -258,8 +257,8 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
     return study
 
 
-def run_errors(simulation: Simulation, reference: PathReference, enough: float = math.inf,
-               hamiltonian: Hamiltonian | None = None) -> RunErrors:
+def run_errors(simulation: Simulation, reference: PathReference, enough: float = math.inf
+               ) -> RunErrors:
     """
     Run a simulation from its initial state to the end of a reference and return its errors.
 
@@ -271,8 +270,6 @@ def run_errors(simulation: Simulation, reference: PathReference, enough: float =
         Reference path; ignored for path errors if it is not verified.
     enough : float, optional
         Path error at which the run ends early.
-    hamiltonian : Hamiltonian, optional
-        Hamiltonian used for energies if no effect does work; by default the simulation's.
 
     Raises
     ------
@@ -282,7 +279,7 @@ def run_errors(simulation: Simulation, reference: PathReference, enough: float =
     """
     path = reference.states if reference.verified else None
     worst = np.array([math.nan if path is None else 0.0, 0.0])
-    for errors in _errors_along(simulation, reference, path, _SAMPLES, _CHECKS, hamiltonian):
+    for errors in _errors_along(simulation, reference, path, _SAMPLES, _CHECKS):
         worst = np.maximum(worst, errors)
         if worst[0] > enough:
             break
@@ -290,10 +287,9 @@ def run_errors(simulation: Simulation, reference: PathReference, enough: float =
 
 
 def _errors_along(simulation: Simulation, reference: PathReference, path: np.ndarray | None,
-                  energies: int, looks: int, hamiltonian: Hamiltonian | None = None
-                  ) -> Iterator[tuple[float, float]]:
+                  energies: int, looks: int) -> Iterator[tuple[float, float]]:
     """Yield the largest path error and energy error [J] of each interval between checks."""
-    hamiltonian = hamiltonian or simulation.hamiltonian
+    hamiltonian = simulation.hamiltonian
     instants = reference.instants
     every, apart = instants.met(round(instants.base / simulation.step_size))
     path = None if path is None else path[apart - 1::apart]
