@@ -79,28 +79,35 @@ def reference() -> np.ndarray:
                      ).y[:, -1]
 
 
-@pytest.mark.parametrize('retraction', mostly_long(RETRACTIONS, 'cayley'))
-@pytest.mark.parametrize('name', METHODS)
-def test_method_on_a_group_converges_with_its_order(name: str, retraction: str, measured):
-    method = METHODS[name](retraction)
-    check_order(name, method, [40, 80, 160], measured)
+# Methods, and their numbers of steps in 1 s.
+ORDERS = {
+    **{f'{name}, {retraction}': (kind(retraction), (40, 80, 160))
+       for name, kind in METHODS.items() for retraction in RETRACTIONS},
+    'yoshida4': (Yoshida4('lie_leapfrog'), (20, 40, 80)),
+    'suzuki4': (Suzuki4('lie_leapfrog'), (20, 40, 80)),
+    'lie_stormer_verlet': (LieStormerVerlet(), (40, 80, 160)),
+    'kahan_li8': (KahanLi8('lie_stormer_verlet'), (6, 9, 12)),
+    'lie_gauss4': (INTEGRATORS['lie_gauss4'](), (20, 40, 80)),
+    'lie_gauss8': (INTEGRATORS['lie_gauss8'](), (8, 16))}
 
 
-@pytest.mark.parametrize('kind', [Yoshida4, long(Suzuki4)])
-def test_composition_of_the_leapfrog_converges_with_order_4(kind: type, measured):
-    check_order(kind.__name__, kind('lie_leapfrog'), [20, 40, 80], measured)
-
-
-def check_order(name: str, method: Integrator, steps: list[int], measured: Callable) -> None:
+@pytest.mark.parametrize('name', mostly_long(
+    ORDERS, *(f'{name}, cayley' for name in METHODS), 'yoshida4', 'lie_stormer_verlet',
+    'kahan_li8', 'lie_gauss4', 'lie_gauss8'))
+def test_method_on_a_group_converges_with_its_order(name: str, measured):
+    method, steps = ORDERS[name]
     errors = []
     for n in steps:
         run = simulation(method, 1.0 / n)
         run.advance(n)
         errors.append(np.linalg.norm([*run.q, *run.p] - reference()))
     slope = np.log(errors[0] / errors[-1]) / np.log(steps[-1] / steps[0])
-    measured('order on the heavy top', name, slope, f'{method.order} +- 0.25')
-    # The next term of the error is h times the first one.
-    assert abs(slope - method.order) < 0.25
+    # The next term of the error is h times the first one. Steps of lie_gauss8 that are short
+    # enough for that meet round-off: 8.9 from those of 1/5 to 1/10, 8.2 from 1/10 to 1/20.
+    bound = 1.2 if name == 'lie_gauss8' else 0.25
+    measured('order on the heavy top', name.partition(',')[0], slope,
+             f'{method.order} +- {bound:g}')
+    assert abs(slope - method.order) < bound
 
 
 def step(method: Integrator, h: mpf, z: np.ndarray, hamiltonian: Hamiltonian = TOP) -> np.ndarray:
@@ -148,20 +155,41 @@ def defect(derivative: np.ndarray, z: np.ndarray, end: np.ndarray) -> float:
     return float(abs(derivative.T.dot(two_form(end[4:])).dot(derivative) - two_form(z[4:])).max())
 
 
+EXPLICIT = {method.kernel_name: method
+            for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet'))}
+SYMMETRIC = {**{f'lie_leapfrog, {retraction}': LieLeapfrog(retraction)
+                for retraction in RETRACTIONS}, **EXPLICIT}
 SYMPLECTIC = {
     **{f'{name}, {retraction}': kind(retraction) for name, kind in CANONICAL.items()
        for retraction in RETRACTIONS},
-    'lie_gauss4': INTEGRATORS['lie_gauss4'](), 'yoshida4': Yoshida4('lie_leapfrog')}
+    'lie_gauss4': INTEGRATORS['lie_gauss4'](), 'yoshida4': Yoshida4('lie_leapfrog'), **EXPLICIT}
+
+
+@pytest.fixture
+def exact_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give numpy the sine and cosine of numbers of many digits."""
+    for name in ('sin', 'cos'):
+        monkeypatch.setattr(mpf, name, getattr(mpmath, name), raising=False)
 
 
 @pytest.mark.parametrize('name', mostly_long(
-    SYMPLECTIC, 'lie_leapfrog, cayley', 'lie_symplectic_euler, exponential'))
-def test_method_on_a_group_is_symplectic_in_left_trivialised_form(name: str, measured):
+    SYMPLECTIC, 'lie_leapfrog, cayley', 'lie_symplectic_euler, exponential', 'LieStormerVerlet'))
+def test_method_on_a_group_is_symplectic_in_left_trivialised_form(
+        name: str, exact_turns: None, measured):
     method, h, z = SYMPLECTIC[name], mpf('0.1'), start()
     derivative = trivialised_jacobian(lambda z: step(method, h, z), z)
     found = defect(derivative, z, step(method, h, z))
     measured('symplectic defect on SO(3), 60 digits', name, found, '<= 1e-25')
     assert found <= 1e-25
+
+
+@pytest.mark.parametrize('name', mostly_long(
+    SYMMETRIC, 'lie_leapfrog, exponential', 'LieStormerVerlet'))
+def test_method_on_a_group_is_symmetric(name: str, exact_turns: None, measured):
+    method, h, z = SYMMETRIC[name], mpf('0.1'), start()
+    found = float(abs(step(method, -h, step(method, h, z)) - z).max())
+    measured('back by -h, 60 digits', name, found, '<= 1e-45')
+    assert found <= 1e-45
 
 
 @pytest.mark.long
@@ -193,14 +221,6 @@ def test_lie_variational_euler_is_symplectic_in_the_staggered_momentum(retractio
     assert abs(there - other).max() < mpf(10) ** -50
     derivative = trivialised_jacobian(lambda z: step(method, h, z), z)
     assert defect(derivative, z, step(method, h, z)) > 1e-4
-
-
-@pytest.mark.parametrize('retraction', mostly_long(RETRACTIONS, 'exponential'))
-def test_lie_leapfrog_is_symmetric(retraction: str, measured):
-    method, h, z = LieLeapfrog(retraction), mpf('0.1'), start()
-    found = float(abs(step(method, -h, step(method, h, z)) - z).max())
-    measured('back by -h, 60 digits', f'lie_leapfrog, {retraction}', found, '<= 1e-45')
-    assert found <= 1e-45
 
 
 @pytest.mark.parametrize('retraction', mostly_long(RETRACTIONS, 'exponential'))
@@ -415,40 +435,6 @@ events:
     assert run.q.shape == (len(run.t), 4) and run.p.shape == (len(run.t), 3)
 
 
-# Explicit methods: Störmer-Verlet, and its composition of order 8.
-
-@pytest.fixture
-def exact_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give numpy the sine and cosine of numbers of many digits."""
-    for name in ('sin', 'cos'):
-        monkeypatch.setattr(mpf, name, getattr(mpmath, name), raising=False)
-
-
-def test_lie_stormer_verlet_converges_with_order_2(measured):
-    check_order('lie_stormer_verlet', LieStormerVerlet(), [40, 80, 160], measured)
-
-
-def test_kahan_li8_over_lie_stormer_verlet_converges_with_order_8(measured):
-    check_order('kahan_li8', KahanLi8('lie_stormer_verlet'), [6, 9, 12], measured)
-
-
-EXPLICIT = {method.kernel_name: method
-            for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet'))}
-
-
-@pytest.mark.parametrize('name', mostly_long(EXPLICIT, 'LieStormerVerlet'))
-def test_explicit_method_on_a_group_is_symplectic_and_symmetric(
-        name: str, exact_turns: None, measured):
-    method, h, z = EXPLICIT[name], mpf('0.1'), start()
-    derivative = trivialised_jacobian(lambda z: step(method, h, z), z)
-    found = defect(derivative, z, step(method, h, z))
-    measured('symplectic defect on SO(3), 60 digits', method.kernel_name, found, '<= 1e-25')
-    assert found <= 1e-25
-    back = float(abs(step(method, -h, step(method, h, z)) - z).max())
-    measured('back by -h, 60 digits', method.kernel_name, back, '<= 1e-45')
-    assert back <= 1e-45
-
-
 @pytest.mark.parametrize('inertia', [[1.0, 1.0, 0.5], [1.0, 0.5, 1.0], [0.5, 1.0, 1.0],
                                      [0.7, 0.7, 0.7]])
 def test_free_body_of_two_equal_moments_moves_exactly(inertia: list[float]):
@@ -497,24 +483,6 @@ def test_lie_stormer_verlet_refuses_what_it_cannot_take():
 
 # Central differences of a step over 1e-5: 1e-10 times third derivatives, and round-off 1e-11.
 DIFFERENCES = 1e-8
-
-
-@pytest.mark.parametrize('order, steps', [(4, [20, 40, 80]), (8, [8, 16])])
-def test_lie_gauss_converges_with_its_order(order: int, steps: list[int], measured):
-    method = INTEGRATORS[f'lie_gauss{order}']()
-    assert method.order == order
-    if order == 4:
-        check_order('lie_gauss4', method, steps, measured)
-        return
-    errors = []
-    for n in steps:
-        run = simulation(method, 1.0 / n)
-        run.advance(n)
-        errors.append(np.linalg.norm([*run.q, *run.p] - reference()))
-    # Short of its range: 8.2 from steps of 1/10 to 1/20, 8.9 from those of 1/5.
-    slope = np.log2(errors[0] / errors[1])
-    measured('order on the heavy top', 'lie_gauss8', slope, '8 + 1')
-    assert 7.7 < slope < 9.2
 
 
 def test_lie_gauss_keeps_spatial_momentum_and_norm():
