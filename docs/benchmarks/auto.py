@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from benchmarks.campaign import swept, Truth
 from benchmarks.choosing import cheapest, problem_of, Way
 from benchmarks.measurement import Contestant, race, Row, Settings
+from hnn_vi_ros.simulation import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.simulation.accuracy.automatic_choice import calibrate
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, Method, Tolerance
 
 _PAIRS = (
     ('exact_pendulum', Tolerance('energy_error', 1e-3, 200.0)),

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 from benchmarks.choosing import path_run
 from benchmarks.measurement import assert_close, race, Row, Settings
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import compiled_kernel
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
+from hnn_vi_ros.hamiltonians import compiled_kernel, HAMILTONIANS
+from hnn_vi_ros.simulation import InitialValueProblem
 import numpy as np
 
 _STEPS = 20_000

@@ -14,8 +14,8 @@ from typing import TypeVar
 from benchmarks.measurement import assert_close, Contestant
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, Method, work
+from hnn_vi_ros.simulation import InitialValueProblem, Method, Simulation
+from hnn_vi_ros.simulation.accuracy.trials import work
 import numpy as np
 
 GAUSS = tuple(f'gauss{order}' for order in range(8, 18, 2))

@@ -5,21 +5,15 @@
 from collections.abc import Callable, Iterator
 
 from benchmarks.measurement import assert_close, Contestant, race, Row, Settings
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.effects.commands import OBSERVATION, Observation
-from hnn_vi_ros.effects.elastic_gears import gear_effects
-from hnn_vi_ros.files.resources import share_folder, shipped_file
-from hnn_vi_ros.hamiltonians import DESCRIBED, ElasticDrive, HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, PhasePoint
-from hnn_vi_ros.kernels.addresses import by_address, provide_for
-from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, entry_point
+from hnn_vi_ros.effects import Effect, EFFECTS, gear_effects, OBSERVATION, Observation
+from hnn_vi_ros.files import share_folder, shipped_file
+from hnn_vi_ros.hamiltonians import DESCRIBED, ElasticDrive, Hamiltonian, HAMILTONIANS
+from hnn_vi_ros.integrators import Integrator, INTEGRATORS, PhasePoint
+from hnn_vi_ros.kernels import (
+    by_address, compiled, compiled_loop, compiled_options, entry_point, provide_for)
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import build, Simulation
 from hnn_vi_ros.simulation.assembly import advance
-from hnn_vi_ros.simulation.construction import build
 import numpy as np
 
 _H = 0.01

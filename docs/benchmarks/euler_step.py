@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 from benchmarks.choosing import path_run, problem_of
 from benchmarks.measurement import assert_close, race, Row, Settings, summarise
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.models import NeuralHamiltonian
 import jax
 import jax.numpy as jnp
 import numpy as np

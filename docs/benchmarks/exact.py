@@ -18,9 +18,8 @@ from benchmarks.choosing import (
 from benchmarks.measurement import Contestant, race, Row, Settings
 import heyoka
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators.taylor import Taylor, TaylorWork
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
+from hnn_vi_ros.integrators import Taylor, TaylorWork
+from hnn_vi_ros.simulation import InitialValueProblem, Simulation
 import numpy as np
 
 _INSTANTS, _BATCH = 10, 8

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 from benchmarks.measurement import assert_close, race, Row, Settings
 from benchmarks.systems import random_checkpoint
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.kernels import Kernel
+from hnn_vi_ros.models import NeuralHamiltonian
 import jax
 import jax.numpy as jnp
 import numba

@@ -10,9 +10,9 @@ import time
 from benchmarks.measurement import compare, interleave, Row, Settings
 from benchmarks.processes import own_node
 from benchmarks.ticks import Ticks
-from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run import Sampler
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 import numpy as np
 from rclpy.node import Node
 

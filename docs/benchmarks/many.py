@@ -9,12 +9,9 @@ import tempfile
 
 from benchmarks.measurement import compare, interleave, Row, Settings
 from benchmarks.systems import random_checkpoint
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.processors import usable_processors
-from hnn_vi_ros.simulation.trajectory.record import BLOCK
-from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
+from hnn_vi_ros.simulation import BLOCK, simulate_many, Simulation, usable_processors
 import numpy as np
 
 SEED = 2

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import chdir
 from tempfile import TemporaryDirectory
 
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.hamiltonians import RigidBodyTree
 import mujoco
 import numpy as np
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from benchmarks.choosing import (
     accurate_ways, cheapest, GAUSS, largest_error, loosest, problem_of, reference_path, Way)
 from benchmarks.measurement import assert_close, race, Row, Settings
-from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
+from hnn_vi_ros.models import NeuralHamiltonian
+from hnn_vi_ros.simulation import InitialValueProblem
 import numpy as np
 from studies import peers
 

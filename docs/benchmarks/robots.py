@@ -14,7 +14,7 @@ from benchmarks.measurement import (
 from benchmarks.mujoco_arm import INTEGRATORS as PEERS, MujocoArm
 from benchmarks.real_time import real_time_row
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pinocchio

@@ -7,12 +7,10 @@ from itertools import pairwise
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.hamiltonians import Formula
 from hnn_vi_ros.hamiltonians.kepler import Kepler
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
-from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
+from hnn_vi_ros.models import Box, Checkpoint, CoordinateCard, Layers, ModelCard, NeuralHamiltonian
+from hnn_vi_ros.simulation import InitialValueProblem
 import numpy as np
 
 

@@ -2,19 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work of the simulator's node for each sample, without the executor."""
 
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.ros.recording import RunRecording
 from hnn_vi_ros.ros.topics.outputs import Material
 from hnn_vi_ros.ros.topics.topics import Topics
-from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.preview import look_ahead
-from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run import look_ahead, Monitor, Sampler, scene_report
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.guards.selection import make_guards
-from hnn_vi_ros.simulation.guards.watch import SampledScale
+from hnn_vi_ros.simulation import make_guards, SampledScale, Simulation
 from rclpy.node import Node
 
 _LIMITS = 0.05, 0.02

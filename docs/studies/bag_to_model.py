@@ -16,13 +16,11 @@ import subprocess
 import sys
 
 from hnn_vi_ros.errors import ParameterError, RecordingError
-from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.recording.bags.cdr import decode_float64_multi_array
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.files import Parser
+from hnn_vi_ros.models import load_checkpoint
+from hnn_vi_ros.recording import BagReader, decode_float64_multi_array
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
-from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation import simulate_many, Trajectory
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np

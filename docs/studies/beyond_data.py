@@ -9,17 +9,16 @@ import tempfile
 import time
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
+from hnn_vi_ros.learning import EvenMotion, ExcitationData, load_machine, read_motions
 from hnn_vi_ros.learning.data.arrays import Archive
-from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
-from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.data.motions import train_and_test
 from hnn_vi_ros.learning.families.mechanical import PlainNetwork
-from hnn_vi_ros.learning.fit.config import find_config, load_machine, MachineConfig
-from hnn_vi_ros.learning.fit.excitation import ExcitationData
+from hnn_vi_ros.learning.fit.config import find_config, MachineConfig
 from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
 from hnn_vi_ros.learning.judging.evaluation import Predict, predicted_by, score
 from hnn_vi_ros.learning.tasks.machine import describe, learn
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models import save_checkpoint
 import numpy as np
 from studies.machine_tables import CASES, predicted
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 from matplotlib.figure import Figure
 import numpy as np
 from studies.known_tables import CSV, keep, OWN, parser_of, save

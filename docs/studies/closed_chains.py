@@ -10,10 +10,9 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects import LoopManifold
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Simulation
 import numpy as np
 
 SCENES = ('four_bar', 'five_bar', 'delta_robot')

@@ -18,14 +18,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.files import Parser
+from hnn_vi_ros.hamiltonians import Formula, Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.scene.choices import Condition
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.scene import Condition
+from hnn_vi_ros.simulation import record_one, Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
-from hnn_vi_ros.simulation.trajectory.simulate import record_one
 import numpy as np
 from scipy.integrate import solve_ivp
 

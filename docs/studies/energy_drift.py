@@ -14,11 +14,10 @@ from tempfile import TemporaryDirectory
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.files import Parser
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Simulation
 from matplotlib.figure import Figure
 import numpy as np
 from studies.known_tables import keep, parser_of, save

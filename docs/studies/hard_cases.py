@@ -9,9 +9,8 @@ from pathlib import Path
 import time
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.simulation.processors import (
-    ignore_sigint_in_children, usable_processors, worker_processes)
+from hnn_vi_ros.files import Parser
+from hnn_vi_ros.simulation import ignore_sigint_in_children, usable_processors, worker_processes
 from hnn_vi_ros.version import __version__
 from studies.hard_cases_checks import run_job
 from studies.hard_cases_plan import Job, load_plan, make_jobs

@@ -8,14 +8,12 @@ from functools import lru_cache
 import io
 import math
 
-from hnn_vi_ros.effects.damping import Damping
-from hnn_vi_ros.effects.loops import LoopManifold
+from hnn_vi_ros.effects import Damping, LoopManifold
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.gauss import Gauss
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.integrators import Gauss, INTEGRATORS
+from hnn_vi_ros.simulation import look, Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band, rounding_walk
-from hnn_vi_ros.simulation.guards.watch import energies_of, look
+from hnn_vi_ros.simulation.guards.watch import energies_of
 import numpy as np
 from studies.coarse_steps import counts, reference
 from studies.hard_cases_gates import Measured

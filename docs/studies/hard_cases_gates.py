@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import math
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.simulation.guards.base import Alarm
+from hnn_vi_ros.simulation import Alarm
 import numpy as np
 
 LARGEST = 1e10

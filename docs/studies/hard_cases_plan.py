@@ -9,12 +9,11 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import ParameterError, UnsupportedSystem
-from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.files import read_yaml, StrictModel
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import Integrator, INTEGRATORS
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from pydantic import Field

@@ -6,14 +6,13 @@ from collections.abc import Iterator
 import math
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band, rounding_walk, secular_change
-from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
-from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.simulation import (
+    BoxGuard, EnergyGuard, look, PoleGuard, secular_change, Simulation, Watch)
+from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band, rounding_walk
+from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.simulation.guards.paths import PathGuard
-from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.steps import RescueGuard, StiffnessGuard
-from hnn_vi_ros.simulation.guards.watch import energies_of, look, Watch
+from hnn_vi_ros.simulation.guards.watch import energies_of
 import numpy as np
 from studies.hard_cases_gates import Measured
 from studies.hard_cases_plan import Job

@@ -17,15 +17,13 @@ import tempfile
 import time
 from typing import Any
 
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.intervals import errors_of, estimates_of, quantile
-from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
-from hnn_vi_ros.learning.fit.noise import covariances, processes
-from hnn_vi_ros.learning.fit.shooting import fit_numbers
-from hnn_vi_ros.learning.fit.windows import Seen
+from hnn_vi_ros.learning import covariances, EvenMotion, fit_numbers, processes, Seen
+from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.trajectory.simulate import simulate
+from hnn_vi_ros.simulation import simulate
 import numpy as np
 from scipy.signal import butter, lfilter
 

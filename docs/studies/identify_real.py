@@ -12,13 +12,12 @@ from pathlib import Path
 import tempfile
 import time
 
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.intervals import estimates_of
-from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
-from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
-from hnn_vi_ros.learning.data.sources import read_motions
-from hnn_vi_ros.learning.fit.shooting import fit_numbers
+from hnn_vi_ros.learning import ArraysData, EvenMotion, fit_numbers, read_motions
+from hnn_vi_ros.learning.data.arrays import Archive
+from hnn_vi_ros.learning.data.motions import train_and_test
 from hnn_vi_ros.learning.judging.evaluation import Predict, simulated, simulation_of, variance_of
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np

@@ -10,7 +10,7 @@ import time
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 from matplotlib.figure import Figure
 from studies.pages import render
 from studies.published_page import (

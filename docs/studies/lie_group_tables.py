@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
 from hnn_vi_ros.learning.fit.config import find_config, load_config
 from hnn_vi_ros.learning.tasks.body import INTERVALS, joined, published_loss
-from hnn_vi_ros.models.attitude_features import turn_matrices
-from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
+from hnn_vi_ros.models import Checkpoint, load_checkpoint, turn_matrices
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

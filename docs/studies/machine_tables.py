@@ -10,21 +10,20 @@ from pathlib import Path
 import tempfile
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.external_force import ExternalForce
-from hnn_vi_ros.effects.learned_friction import LearnedFriction
+from hnn_vi_ros.effects import ExternalForce, LearnedFriction
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators import ImplicitMidpoint
+from hnn_vi_ros.learning import EvenMotion, load_machine, read_motions
 from hnn_vi_ros.learning.data.arrays import Archive
-from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
-from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.data.motions import train_and_test
 from hnn_vi_ros.learning.families.choices import AUTO
 from hnn_vi_ros.learning.families.mechanical import PlainNetwork
-from hnn_vi_ros.learning.fit.config import find_config, load_machine, MachineConfig
+from hnn_vi_ros.learning.fit.config import find_config, MachineConfig
 from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
 from hnn_vi_ros.learning.judging.evaluation import (
     Predict, predicted_by, score, simulated, simulation_of, variance_of)
 from hnn_vi_ros.learning.tasks.machine import describe, fix_scale, learn
-from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.models import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 import numpy as np
 from studies.simulated_arm import followed_times, LEAST, MEAN, write_arm

@@ -8,9 +8,8 @@ import math
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.simulation import measure_costs
+from hnn_vi_ros.simulation import InitialValueProblem, measure_costs
 from hnn_vi_ros.simulation.accuracy.path_reference import PathReference
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
 import numpy as np
 
 # solve(z0, duration, setting) returns (q, p) at the end, shape (2 d,), and gradients evaluated;

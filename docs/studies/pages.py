@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from hnn_vi_ros.models.box_error import interval_text
+from hnn_vi_ros.models import interval_text
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 # torch brings it, and so does the builder of the site.

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.trajectory.simulate import simulate
-from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation import simulate, Trajectory
 import numpy as np
 
 # As in the paper, section 5.

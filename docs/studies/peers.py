@@ -15,10 +15,9 @@ from types import FunctionType, ModuleType
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.compilation import entry_point
-from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import entry_point
+from hnn_vi_ros.models import Checkpoint, NeuralHamiltonian
 import numba
 import numpy as np
 from scipy.integrate import solve_ivp

@@ -10,7 +10,7 @@ seed gives the very states and noise that the published numbers were measured on
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
 import numpy as np

@@ -8,14 +8,11 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
-from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.effects.damping import Damping
-from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
-from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.effects import Damping, Effect, LearnedDissipation
+from hnn_vi_ros.files import StrictModel
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.models.checkpoint import save_checkpoint
-from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.models import load_learned, save_checkpoint
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from pydantic import Field

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 import time
 
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import StrictModel
 import numpy as np
 from pydantic import Field
 from studies import published_pendulum

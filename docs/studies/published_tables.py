@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.files.yaml_file import read_yaml
+from hnn_vi_ros.files import Parser, read_yaml
 from studies.published_page import (
     FOLDER, MACHINES, PAGE, read_results, Result, write_page, write_results)
 from studies.published_pendulum import FILE

@@ -8,12 +8,11 @@ import math
 import re
 from typing import Any
 
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.models.box_error import EnergyError
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
+from hnn_vi_ros.models import EnergyError, NeuralHamiltonian
+from hnn_vi_ros.simulation import InitialValueProblem
 from hnn_vi_ros.simulation.accuracy.path_reference import best_reference, PathReference
-from hnn_vi_ros.simulation.accuracy.trials import EVERY_SURVEYOR, InitialValueProblem, survey
+from hnn_vi_ros.simulation.accuracy.trials import EVERY_SURVEYOR, survey
 import numpy as np
 
 

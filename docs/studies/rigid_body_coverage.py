@@ -15,16 +15,15 @@ import re
 import tempfile
 import time
 
-from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.files.resources import share_folder
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
-from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.files import Parser, share_folder
+from hnn_vi_ros.hamiltonians import RigidBodyTree
+from hnn_vi_ros.learning import EvenMotion, ExcitationData
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.fit.excitation import ExcitationData, excited_motions
+from hnn_vi_ros.learning.fit.excitation import excited_motions
 from hnn_vi_ros.learning.fit.inertias import identify_inertias
 from hnn_vi_ros.learning.fit.machine import scales_of
-from hnn_vi_ros.models.rigid_body_card import tree_card, values_of
+from hnn_vi_ros.models import tree_card, values_of
 import numpy as np
 from scipy.signal import lfilter
 

@@ -15,15 +15,15 @@ import tempfile
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
+from hnn_vi_ros.learning import EvenMotion, read_motions
 from hnn_vi_ros.learning.data.arrays import Archive
-from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
-from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.data.motions import train_and_test
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.inertias import force_errors
 from hnn_vi_ros.learning.tasks.machine import describe, learn
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models import save_checkpoint
 import numpy as np
 from studies.machine_tables import CASES, dfki_errors, predicted
 from studies.published_page import ROBOTS

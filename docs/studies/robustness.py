@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.control import assign, momentum
-from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.run.companions.sensors import joint_sensor, JointReading
+from hnn_vi_ros.files import Parser
+from hnn_vi_ros.run import joint_sensor, JointReading
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import build
 import numpy as np

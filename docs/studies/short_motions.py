@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.hamiltonians import momentum
 from hnn_vi_ros.identify.arguments import identify as command_line
 from hnn_vi_ros.identify.identify import identify
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 import numpy as np
 from scipy.integrate import solve_ivp
 

@@ -15,11 +15,11 @@ import shlex
 from tempfile import TemporaryDirectory
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 from hnn_vi_ros.identify.arguments import identify as command_line
 from hnn_vi_ros.identify.identify import identify
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 from matplotlib.figure import Figure
 import numpy as np
 from scipy.optimize import least_squares

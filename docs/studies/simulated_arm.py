@@ -5,13 +5,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects import Effect, ExternalForce
 from hnn_vi_ros.effects.joint_friction import JointFriction
-from hnn_vi_ros.files.resources import share_folder
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
-from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.files import share_folder
+from hnn_vi_ros.hamiltonians import RigidBodyTree
+from hnn_vi_ros.integrators import ImplicitMidpoint
+from hnn_vi_ros.learning import EvenMotion
 from hnn_vi_ros.learning.judging.evaluation import Predict, variance_of
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

@@ -4,12 +4,11 @@
 
 from collections.abc import Callable, Sequence
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.arithmetic import is_finite
-from hnn_vi_ros.integrators.base import (
-    Integrator, NO_SOLUTION, NOT_FINITE, OK, PhasePoint, step_failure)
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import (
+    Integrator, is_finite, NO_SOLUTION, NOT_FINITE, OK, PhasePoint, step_failure)
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.simulation.accuracy.diagnostics import state_scales
 import numpy as np
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 import numpy as np
 from studies.known_tables import keep, parser_of
 from studies.short_motions import followed, Mechanism

@@ -9,14 +9,12 @@ import time
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.hamiltonians.quadrotor import Quadrotor
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators import Integrator, INTEGRATORS
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
+from hnn_vi_ros.simulation import InitialValueProblem, Simulation
 import numpy as np
 from scipy.spatial.transform import Rotation
 from studies.explore_page import write_explorer

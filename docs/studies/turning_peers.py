@@ -11,11 +11,11 @@ without contact. jax, diffrax and mujoco are imported when they are asked for.
 from collections.abc import Callable
 from typing import Any
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.hamiltonians.quadrotor import Quadrotor
 from hnn_vi_ros.integrators.lie.rotations import trivialised
-from hnn_vi_ros.kernels.compilation import entry_point
+from hnn_vi_ros.kernels import entry_point
 import numba
 import numpy as np
 from studies.measuring import Peer, Solve

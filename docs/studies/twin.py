@@ -11,17 +11,16 @@ sample, with the measured forces as commands. The twin's report is printed with 
 from collections.abc import Sequence
 from pathlib import Path
 
-from hnn_vi_ros.effects.commands import Observation
-from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
-from hnn_vi_ros.learning.data.sources import read_motions
-from hnn_vi_ros.learning.fit.config import find_config, load_machine
+from hnn_vi_ros.effects import Observation
+from hnn_vi_ros.files import Parser
+from hnn_vi_ros.learning import EvenMotion, load_machine, read_motions
+from hnn_vi_ros.learning.data.motions import train_and_test
+from hnn_vi_ros.learning.fit.config import find_config
 from hnn_vi_ros.learning.judging.evaluation import (
     parts_of, score, simulated, simulation_of, variance_of)
-from hnn_vi_ros.run.companions.members import Accompanied
-from hnn_vi_ros.run.companions.twin import Twin
+from hnn_vi_ros.run import Accompanied, Twin
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 import numpy as np
 
 _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0

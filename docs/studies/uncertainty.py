@@ -14,18 +14,16 @@ q and q'; AUROC is the probability that one outside has the larger one.
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from hnn_vi_ros.effects.base import EffectState
-from hnn_vi_ros.effects.learned_friction import LearnedFriction
+from hnn_vi_ros.effects import EffectState, LearnedFriction
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.command_line import Parser
-from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.data.sources import read_motions
-from hnn_vi_ros.learning.fit.config import find_config, load_config, load_machine, MachineConfig
+from hnn_vi_ros.files import Parser
+from hnn_vi_ros.hamiltonians import momentum
+from hnn_vi_ros.learning import load_machine, read_motions
+from hnn_vi_ros.learning.fit.config import find_config, load_config, MachineConfig
 from hnn_vi_ros.learning.judging.ensemble import held_exact, machine_scores, scores_of
-from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
-from hnn_vi_ros.models.confined import load_learned
-from hnn_vi_ros.models.ensemble import EnsembleHamiltonian, load_member
-from hnn_vi_ros.run.companions.members import deviation
+from hnn_vi_ros.models import Checkpoint, load_checkpoint, load_learned, load_member
+from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
+from hnn_vi_ros.run import deviation
 import numpy as np
 from scipy.stats import rankdata
 

@@ -14,15 +14,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, OK, Requirements
-from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.solvers import SolverOptions
-from hnn_vi_ros.integrators.workspaces import SolverWork
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import (
+    check_method, ImplicitIntegrator, Integrator, INTEGRATORS, OK, Requirements, SolverOptions,
+    SolverWork)
+from hnn_vi_ros.kernels import inlined, Kernel
+from hnn_vi_ros.models import NeuralHamiltonian
 import numpy as np
 
 FLOAT32 = 'float32'

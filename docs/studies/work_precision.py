@@ -6,11 +6,9 @@ import math
 from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files import ProgressLine
-from hnn_vi_ros.files.command_line import Parser, seconds
+from hnn_vi_ros.files import Parser, ProgressLine, seconds
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import problem_of
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
+from hnn_vi_ros.simulation import InitialValueProblem, problem_of
 from studies.measuring import measure_rows, Peer
 from studies.references import Floor, floor_of
 from studies.results import commit, keep_results, machine, Results

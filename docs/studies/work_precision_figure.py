@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.commands.cost_figure import FAINT, INK, Label, label_front, STYLES
-from hnn_vi_ros.models.box_error import EnergyError
+from hnn_vi_ros.models import EnergyError
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure

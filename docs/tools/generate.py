@@ -11,11 +11,11 @@ from typing import Any
 
 from gallery import write_gallery
 import hnn_vi_ros
-from hnn_vi_ros.commands.table import COMMANDS, parser_of
+from hnn_vi_ros.commands import COMMANDS, parser_of
 from hnn_vi_ros.errors import AlarmWarning, HnnViRosError
 from hnn_vi_ros.ros import settings as parameters
-from hnn_vi_ros.run.timing import OverrunGuard
-from hnn_vi_ros.simulation.guards.base import Guard
+from hnn_vi_ros.run import OverrunGuard
+from hnn_vi_ros.simulation import Guard
 from live_page import write_live
 
 # In the folder of the site's sources, and in no commit.

@@ -13,9 +13,9 @@ from typing import Any
 
 from gallery import picture_of
 from hnn_vi_ros import load_scene, Scene, simulate, simulate_many, simulate_spread
-from hnn_vi_ros.control.task import assign
+from hnn_vi_ros.control import assign
 from hnn_vi_ros.identify import identify
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch

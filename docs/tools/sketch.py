@@ -5,7 +5,7 @@
 import io
 
 from hnn_vi_ros import Trajectory
-from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, bounds_of, Cuboid, Line, Part, Trail
+from hnn_vi_ros.hamiltonians import Ball, bounds_of, Cuboid, Line, Part, Trail
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle

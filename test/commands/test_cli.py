@@ -11,9 +11,9 @@ import warnings
 from xml.etree import ElementTree
 
 from hnn_vi_ros import cli
-from hnn_vi_ros.commands.table import ALIASES, parser_of
+from hnn_vi_ros.commands import ALIASES, parser_of
 from hnn_vi_ros.learning import arguments as learning
-from hnn_vi_ros.models.networks.activations import SMOOTH
+from hnn_vi_ros.models import SMOOTH
 from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.version import __version__
 import pytest

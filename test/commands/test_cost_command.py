@@ -12,12 +12,11 @@ import sys
 
 from hnn_vi_ros.commands import cost, cost_figure
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
-from hnn_vi_ros.files import standard_streams
-from hnn_vi_ros.files.yaml_text import parse_yaml
+from hnn_vi_ros.files import parse_yaml, standard_streams
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import InitialValueProblem, Method
 from hnn_vi_ros.simulation.accuracy import cost as core
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, Method
 from messages import refused
 import numpy as np
 from PIL import Image

@@ -11,15 +11,14 @@ import sys
 import time
 
 from hnn_vi_ros import cli
-from hnn_vi_ros.commands import doctor, run, scene_tool
+from hnn_vi_ros.commands import ALIASES, COMMANDS, doctor, EXECUTABLES, run, scene_tool
 from hnn_vi_ros.commands.arguments import SHELLS
-from hnn_vi_ros.commands.table import ALIASES, COMMANDS, EXECUTABLES, GROUPS
+from hnn_vi_ros.commands.table import GROUPS
 from hnn_vi_ros.errors import AlarmWarning, ParameterError, SceneError
-from hnn_vi_ros.files import standard_streams
-from hnn_vi_ros.files.resources import shipped_file, shipped_names
+from hnn_vi_ros.files import shipped_file, shipped_names, standard_streams
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.trajectory.simulate import simulate
+from hnn_vi_ros.simulation import simulate
 from hnn_vi_ros.version import __version__
 from messages import assert_message, refused
 import numpy as np

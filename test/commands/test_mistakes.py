@@ -5,9 +5,9 @@
 from pathlib import Path
 
 from hnn_vi_ros.cli import run_module
-from hnn_vi_ros.commands.table import module_of
+from hnn_vi_ros.commands import module_of
 from hnn_vi_ros.errors import offered
-from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.files import shipped_names
 from messages import assert_message
 import numpy as np
 import pytest

@@ -8,9 +8,9 @@ import shutil
 from hnn_vi_ros.commands.new_scene import fixed_joints, resting_state, write_scene
 from hnn_vi_ros.commands.scene_tool import main
 from hnn_vi_ros.errors import ModelError, SceneError
-from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
+from hnn_vi_ros.hamiltonians import parse_urdf
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 from messages import refused
 import numpy as np
 import pytest

@@ -11,10 +11,9 @@ import re
 from hnn_vi_ros.commands import names
 from hnn_vi_ros.commands.scene_tool import explain, lyapunov_line, main
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.files.resources import shipped_file, shipped_names
-from hnn_vi_ros.files.yaml_file import json_schema
+from hnn_vi_ros.files import json_schema, shipped_file, shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.run.report import measure_effects
+from hnn_vi_ros.run import measure_effects
 from hnn_vi_ros.scene import load_scene, Scene
 from messages import assert_message
 import pytest

@@ -3,11 +3,9 @@
 """Costs and their expansions."""
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.control import Energy, Kinetic, Point, Quadratic
-from hnn_vi_ros.control.costs import Cost
+from hnn_vi_ros.control import Cost, Energy, Kinetic, Point, Quadratic
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.hamiltonians import Hamiltonian, RigidBodyTree
 from messages import refused
 import numpy as np
 import pytest

@@ -4,12 +4,10 @@
 
 from helpers import long
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.control import BatchStep, find_equilibrium, velocity
-from hnn_vi_ros.control.balance import Balance, weights_of
-from hnn_vi_ros.control.energy_shaping import EnergyShaping
-from hnn_vi_ros.control.hover import Hover
+from hnn_vi_ros.control import Balance, BatchStep, EnergyShaping, find_equilibrium, Hover, velocity
+from hnn_vi_ros.control.balance import weights_of
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 import numpy as np
 import pytest
 

@@ -6,7 +6,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.control import (
     BatchStep, find_equilibrium, linearise, lqr, momentum, state_space, velocity)
 from hnn_vi_ros.errors import StateError, UnsupportedSystem
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.scene import Scene
 from mechanical_models import random_mechanical
 from messages import refused

@@ -5,12 +5,11 @@
 import json
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.control import BatchStep, velocity
-from hnn_vi_ros.control.task import assign, CommandPrediction, load_task, Task
+from hnn_vi_ros.control import assign, BatchStep, velocity
+from hnn_vi_ros.control.task import CommandPrediction, load_task, Task
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files.resources import share_folder, shipped_file, shipped_names
-from hnn_vi_ros.files.yaml_file import json_schema
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.files import json_schema, share_folder, shipped_file, shipped_names
+from hnn_vi_ros.simulation import build
 from messages import refused
 import numpy as np
 import pytest

@@ -9,17 +9,12 @@ from effect_table import (
 from helpers import (
     effect, EPS, exact, free, jacobian, plain_run, python_step, random_checkpoint,
     symplectic_defect, Uncompiled)
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import EffectError, EffectState, Force, Potential
-from hnn_vi_ros.effects.commands import NUMBERS
+from hnn_vi_ros.effects import EffectError, EFFECTS, EffectState, Force, NUMBERS, Potential
 from hnn_vi_ros.effects.noise import fill_normals
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.models.checkpoint import save_checkpoint
-from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.models import NeuralHamiltonian, save_checkpoint
+from hnn_vi_ros.simulation import Simulation, System
 from messages import refused
 from mpmath import mpf
 import numpy as np

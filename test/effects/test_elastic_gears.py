@@ -5,14 +5,13 @@
 from pathlib import Path
 
 from helpers import effect, plain_run, Uncompiled
-from hnn_vi_ros.effects.base import EffectState
+from hnn_vi_ros.effects import EffectState
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.run import joints_of
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import build, Simulation
+from hnn_vi_ros.simulation import build, look, Simulation, Watch
 from hnn_vi_ros.simulation.guards.steps import StiffnessGuard
-from hnn_vi_ros.simulation.guards.watch import look, Watch
 from messages import refused
 import numpy as np
 import pytest

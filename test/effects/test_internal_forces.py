@@ -8,17 +8,13 @@ import math
 from helpers import effect, EPS, free, plain_run, Uncompiled
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.control import BatchStep
-from hnn_vi_ros.effects.base import EffectError
+from hnn_vi_ros.effects import EffectError
 from hnn_vi_ros.effects.drives import DRIVES
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.hamiltonians import Formula, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.scene.named_numbers import numbers_of
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.gradients.derivatives import Change, DifferentiableRun
-from hnn_vi_ros.simulation.guards.watch import look, Watch
-from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.scene import numbers_of
+from hnn_vi_ros.simulation import Change, DifferentiableRun, look, Simulation, System, Watch
 from messages import refused
 import numpy as np
 import pytest

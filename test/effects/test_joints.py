@@ -6,19 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from helpers import effect, plain_run, Uncompiled
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import EffectError, EffectState
-from hnn_vi_ros.effects.commands import JointCommand, JointPath
+from hnn_vi_ros.effects import EffectError, EFFECTS, EffectState, JointCommand, JointPath
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.hamiltonians import HAMILTONIANS, RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.models.checkpoint import save_checkpoint
-from hnn_vi_ros.models.mechanical_card import FrictionCard
+from hnn_vi_ros.models import FrictionCard, save_checkpoint
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.simulation import build, Simulation, System
 from mechanical_models import random_mechanical
 from messages import refused
 from numba import typeof

@@ -3,10 +3,8 @@
 """An observer draws a simulation to what is observed, and refuses what cannot be."""
 
 from helpers import plain_run, Uncompiled
-from hnn_vi_ros.effects.base import EffectError
-from hnn_vi_ros.effects.commands import Observation
+from hnn_vi_ros.effects import EffectError, largest_gain, Observation
 from hnn_vi_ros.effects.observer import Observer
-from hnn_vi_ros.effects.splitting import largest_gain
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.simulation import Simulation

@@ -3,8 +3,7 @@
 """Servos: their answers to steps, their limits, and the paths that they follow."""
 
 from helpers import EPS, long, plain_run, Uncompiled
-from hnn_vi_ros.effects.commands import JointCommand, JointPath
-from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects import ExternalForce, JointCommand, JointPath
 from hnn_vi_ros.effects.joint_limits import JointLimits
 from hnn_vi_ros.effects.servo import MOST_KNOTS, Servo
 from hnn_vi_ros.hamiltonians import HAMILTONIANS

@@ -7,19 +7,15 @@ from typing import Any
 
 from effect_table import assert_derivatives
 from helpers import plain_run, Uncompiled
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect, EffectError, EffectState
+from hnn_vi_ros.effects import Effect, EffectError, EFFECTS, EffectState
 from hnn_vi_ros.effects.spring import BodySpring, Elastic
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators import Integrator, INTEGRATORS
 from hnn_vi_ros.integrators.composition import Suzuki4, Yoshida4
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.phase_space import Coordinate, momentum_rates
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.simulation import Simulation, System
 from messages import refused
 import numpy as np
 import pytest

@@ -8,7 +8,7 @@ import warnings
 
 from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 from messages import refused
 import numpy as np
 import pytest

@@ -10,8 +10,8 @@ import re
 import struct
 import zipfile
 
-from hnn_vi_ros.files.limits import (
-    array_names, LONGEST_LINE, MOST_VALUES, parse_json, text_lines, unpack_arrays)
+from hnn_vi_ros.files import array_names, LONGEST_LINE, parse_json, text_lines, unpack_arrays
+from hnn_vi_ros.files.limits import MOST_VALUES
 import numpy as np
 import pytest
 from python_process import run_code

@@ -8,11 +8,11 @@ import os
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError, HnnViRosError, SceneError
-from hnn_vi_ros.files.regular_file import write_new, write_new_scene
-from hnn_vi_ros.files.yaml_file import read_yaml
-from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
+from hnn_vi_ros.files import read_yaml, write_new, write_new_scene
+from hnn_vi_ros.hamiltonians import read_urdf
 from hnn_vi_ros.identify.identify import _arrays
-from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
+from hnn_vi_ros.learning import ArraysData
+from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.text import LogMotions, read_log
 from hnn_vi_ros.ros.worlds import open_world, WorldError
 from hnn_vi_ros.scene import load_scene, Scene

@@ -6,8 +6,7 @@ from pathlib import Path
 from subprocess import CompletedProcess
 import tempfile
 
-from hnn_vi_ros.files import resources
-from hnn_vi_ros.files.resources import cache_folder, expand_user, usual_folder
+from hnn_vi_ros.files import cache_folder, expand_user, resources, usual_folder
 import pytest
 from python_process import run_code
 

@@ -6,8 +6,7 @@ import ast
 from pathlib import Path
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import yaml_text
-from hnn_vi_ros.files.yaml_text import dump_yaml, parse_mapping, parse_yaml
+from hnn_vi_ros.files import dump_yaml, parse_mapping, parse_yaml, yaml_text
 from hypothesis import given, settings, strategies
 from messages import refused
 import pytest

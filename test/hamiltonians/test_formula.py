@@ -9,12 +9,11 @@ import time
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians import Formula, HAMILTONIANS
 from hnn_vi_ros.hamiltonians.expressions import DEEPEST, LONGEST
-from hnn_vi_ros.hamiltonians.formula import Formula, FormulaCoordinate
+from hnn_vi_ros.hamiltonians.formula import FormulaCoordinate
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.named_numbers import numbers_of, with_numbers
+from hnn_vi_ros.scene import numbers_of, Scene, with_numbers
 from hnn_vi_ros.simulation import Simulation
 from messages import refused
 from mpmath import mp, mpf

@@ -5,9 +5,8 @@
 from collections.abc import Callable
 
 from helpers import EPS
-from hnn_vi_ros.files.resources import shipped_names
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.files import shipped_names
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles

@@ -4,8 +4,7 @@
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import StateError
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.hamiltonians import HAMILTONIANS, momentum
 from messages import refused
 import numpy as np
 import pytest

@@ -5,7 +5,7 @@
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
 from hnn_vi_ros.phase_space import angle_columns, columns, Coordinate, rotations
-from hnn_vi_ros.scene.choices import Condition
+from hnn_vi_ros.scene import Condition
 from messages import refused
 import numpy as np
 import pytest

@@ -4,15 +4,13 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians import HAMILTONIANS, RigidBodyTree
 from hnn_vi_ros.hamiltonians.rigid_body.following import FollowingParameters
 from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import TreeParameters, Work
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels.addresses import by_address, original
-from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.scene.description import described_scene
+from hnn_vi_ros.kernels import by_address, original
+from hnn_vi_ros.scene import described_scene, load_scene
 from hnn_vi_ros.simulation import Simulation
 from messages import refused
 import numpy as np

@@ -6,8 +6,7 @@ import re
 import warnings
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError
-from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.hamiltonians import parse_urdf, RigidBodyTree
 from hnn_vi_ros.scene import load_scene
 from messages import assert_message, refused
 import numpy as np

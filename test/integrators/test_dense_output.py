@@ -7,14 +7,12 @@ from functools import cache
 from helpers import EPS, free, kepler_orbit, KINDS, long, Method, METHODS, mostly_long, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators import Integrator, INTEGRATORS
 from hnn_vi_ros.integrators.composition import Yoshida4
 from hnn_vi_ros.integrators.time_transformed import CONTROLS, TimeTransformed
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import simulate, simulate_many, Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
-from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
 from messages import refused
 import numpy as np
 import pytest

@@ -12,24 +12,21 @@ from helpers import (
 from hnn_vi_ros import simulate
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, StepFailure, UnsupportedSystem
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.hamiltonians.free_rigid_body import FreeRigidBody
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.hamiltonians.quadrotor import Quadrotor
 from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
-from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators import check_method, Integrator, INTEGRATORS
 from hnn_vi_ros.integrators.composition import KahanLi8, Suzuki4, Yoshida4
 from hnn_vi_ros.integrators.lie.lie_leapfrog import (
     LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint, LieVariationalEuler)
 from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
 from hnn_vi_ros.integrators.lie.rotations import RETRACTIONS
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from hnn_vi_ros.phase_space import check_state, Coordinate
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.simulation import Simulation, System
 from lie_group_models import random_lie_group, random_states
 from messages import refused
 import mpmath

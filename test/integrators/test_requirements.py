@@ -5,15 +5,14 @@
 import re
 
 from helpers import Uncompiled
-from hnn_vi_ros.effects.base import Place, StepEffect
+from hnn_vi_ros.effects import Place
+from hnn_vi_ros.effects.base import StepEffect
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, Requirements
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
+from hnn_vi_ros.integrators import check_method, Integrator, INTEGRATORS, Requirements
+from hnn_vi_ros.simulation import System
 from hnn_vi_ros.simulation.gradients.derivatives import differentiable_tableau
 from hnn_vi_ros.simulation.lockstep.steps import step_of
-from hnn_vi_ros.simulation.system import System
 import pytest
 
 

@@ -5,17 +5,15 @@
 from helpers import EPS, long, plain_steps, python_kernel, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
-from hnn_vi_ros.integrators import INTEGRATORS, solvers
-from hnn_vi_ros.integrators.base import OK, PhasePoint
-from hnn_vi_ros.integrators.gauss import gauss_tableau, modes_of, simplified_newton
+from hnn_vi_ros.hamiltonians import Formula, Hamiltonian, HAMILTONIANS
+from hnn_vi_ros.integrators import (
+    anderson, fixed_point, gauss_tableau, INTEGRATORS, newton, OK, PhasePoint, solvers, SolverWork)
+from hnn_vi_ros.integrators.gauss import modes_of, simplified_newton
 from hnn_vi_ros.integrators.implicit_midpoint import MidpointWork
-from hnn_vi_ros.integrators.newton_solver import krylov, newton
-from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant
-from hnn_vi_ros.integrators.workspaces import History, SolverWork
-from hnn_vi_ros.kernels.linear_algebra import invert
+from hnn_vi_ros.integrators.newton_solver import krylov
+from hnn_vi_ros.integrators.solvers import secant
+from hnn_vi_ros.integrators.workspaces import History
+from hnn_vi_ros.kernels import invert
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.assembly import advance, Loop
 from messages import refused

@@ -5,15 +5,11 @@
 import sys
 
 from helpers import Uncompiled
-from hnn_vi_ros.effects.damping import Damping
-from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects import Damping, ExternalForce
 from hnn_vi_ros.effects.potential import FormulaPotential
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
-from hnn_vi_ros.integrators import INTEGRATORS, taylor
-from hnn_vi_ros.integrators.taylor import Taylor, TaylorWork
+from hnn_vi_ros.hamiltonians import Formula, Hamiltonian, HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS, Taylor, taylor, TaylorWork
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
 from messages import refused

@@ -6,15 +6,12 @@ from helpers import mostly_long, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS, time_transformed
-from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import OK, PhasePoint
+from hnn_vi_ros.integrators import copy_point, INTEGRATORS, OK, PhasePoint, time_transformed
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band, secular_change
-from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
+from hnn_vi_ros.simulation import secular_change, simulate_many, Simulation
+from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band
 from messages import refused
 import numpy as np
 import pytest

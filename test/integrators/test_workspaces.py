@@ -4,10 +4,8 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import PhasePoint, PointWork
-from hnn_vi_ros.integrators.step_addresses import memory_by_address
-from hnn_vi_ros.integrators.workspaces import arrays_of, forget
+from hnn_vi_ros.integrators import (
+    arrays_of, forget, INTEGRATORS, memory_by_address, PhasePoint, PointWork)
 from hnn_vi_ros.simulation.assembly import compile_forget
 import numba
 import pytest

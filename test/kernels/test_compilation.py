@@ -13,11 +13,9 @@ from threading import Barrier, BrokenBarrierError
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels import compilation
-from hnn_vi_ros.kernels.addresses import by_address, fill_energies, provide
-from hnn_vi_ros.kernels.compilation import compiled_loop, name_stably
-from hnn_vi_ros.kernels.marks import is_own
-from hnn_vi_ros.kernels.sources import reached
+from hnn_vi_ros.kernels import (
+    by_address, compilation, compiled_loop, is_own, name_stably, provide, reached)
+from hnn_vi_ros.kernels.addresses import fill_energies
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.assembly import advance
 import numba

@@ -12,9 +12,8 @@ from types import FunctionType
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels.blocks import bare
-from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, kept
-from hnn_vi_ros.kernels.linking import LinkOnly, Part, part
+from hnn_vi_ros.kernels import bare, compiled, compiled_loop, compiled_options, kept, Part, part
+from hnn_vi_ros.kernels.linking import LinkOnly
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.assembly import advance
 import numba

@@ -4,7 +4,7 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels.blocks import kind_of, type_of
+from hnn_vi_ros.kernels import kind_of, type_of
 import numba
 import numpy as np
 

@@ -5,12 +5,11 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from hnn_vi_ros.learning.data.motions import EvenMotion
-from hnn_vi_ros.learning.data.sources import MotionSource, read_motions
+from hnn_vi_ros.learning import EvenMotion, MotionSource, read_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.tasks.machine import describe
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

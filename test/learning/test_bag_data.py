@@ -8,12 +8,12 @@ from pathlib import Path
 
 from bag_files import ARRAY, array, JOINTS, Message, state, write
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning import read_motions
 from hnn_vi_ros.learning.data.bags import BagData, BagMotions, BLOCKS
 from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.learning.data.sources import configuration_of, make_dataset, read_motions
+from hnn_vi_ros.learning.data.sources import configuration_of, make_dataset
 from hnn_vi_ros.learning.train import main
-from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.models import load_checkpoint, NeuralHamiltonian
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.scene import load_scene
 from messages import misfit, refused

@@ -16,10 +16,8 @@ from hnn_vi_ros.learning.families.lie_group import BodyStage, LieGroupNetwork
 from hnn_vi_ros.learning.fit.config import BodyConfig, load_config
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.learning.tasks.body import BodyProblem, joined, network_of, published_loss
-from hnn_vi_ros.models.attitude_features import turn_matrices
-from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.models import load_checkpoint, turn_matrices
+from hnn_vi_ros.simulation import build, Simulation
 from messages import refused
 import numpy as np
 import pytest

@@ -6,21 +6,19 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects import Effect, EFFECTS
 from hnn_vi_ros.errors import StateError
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
+from hnn_vi_ros.learning import EvenMotion
 from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
+from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.families.base import EnergyFamily
 from hnn_vi_ros.learning.judging.evaluation import (
     balance, energy_mismatch, friction_work, momentum, unaccounted)
 from hnn_vi_ros.learning.tasks.field import model_work
 from hnn_vi_ros.learning.train import main
-from hnn_vi_ros.models.box_error import energy_error, energy_spread, interval_text
-from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.models import (
+    energy_error, energy_spread, interval_text, load_checkpoint, load_learned)
 import mechanical_models
 from messages import refused
 import numpy as np

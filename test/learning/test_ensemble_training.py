@@ -9,15 +9,15 @@ from belt import BELT, motions_by_a_belt
 from ensembles import OSCILLATOR
 from hnn_vi_ros import load_scene, simulate_spread
 from hnn_vi_ros.errors import DataError, ParameterError
-from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.learning import evaluate
+from hnn_vi_ros.files import dump_yaml
+from hnn_vi_ros.learning import evaluate, EvenMotion
 from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
+from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.judging import ensemble as module
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped, bootstrapped_blocks, conformal_factors, kept_and_held)
 from hnn_vi_ros.learning.train import main
-from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models import load_checkpoint
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
 from machines import machine_config
 from messages import refused

@@ -8,16 +8,15 @@ from pathlib import Path
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ParameterError
-from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning import evaluate, train
-from hnn_vi_ros.learning.data.arrays import ArraysData
-from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
+from hnn_vi_ros.learning import ArraysData, evaluate, EvenMotion, train
+from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.judging.evaluation import (
     constant_velocity, Fan, linear_model, score, whole_records)
 from hnn_vi_ros.learning.judging.report import shown
-from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models import load_checkpoint
 from hnn_vi_ros.simulation import Simulation
 from machines import driven, from_file
 from messages import refused

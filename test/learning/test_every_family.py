@@ -6,13 +6,13 @@ from pathlib import Path
 
 from helpers import long
 from hnn_vi_ros.errors import DataError, Interrupted, ParameterError
-from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.learning import evaluate, train
 from hnn_vi_ros.learning.fit import config as schemas
 from hnn_vi_ros.learning.fit.config import find_config, load_config
 from hnn_vi_ros.learning.fit.loop import Fit, INTERVAL, Keeper
 from hnn_vi_ros.learning.tasks.field import FieldTask
-from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models import load_checkpoint
 from messages import refused
 import numpy as np
 import pytest

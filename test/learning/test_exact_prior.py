@@ -3,16 +3,15 @@
 """Exact systems as priors of the family mechanical: which there are, and how they are fitted."""
 
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.hamiltonians import Formula, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
+from hnn_vi_ros.learning import EvenMotion
+from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.families.priors import ExactPrior
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.tasks.machine import describe, learn
-from hnn_vi_ros.models.exact_prior import exact_systems
+from hnn_vi_ros.models import check_prior, exact_systems
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
-from hnn_vi_ros.models.mechanical_card import check_prior
 from hnn_vi_ros.simulation import Simulation
 from machines import driven, machine_config
 from messages import misfit, refused

@@ -10,8 +10,7 @@ from typing import get_args
 from helpers import mostly_long, python_step, random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, HnnViRosError
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.dataset import Dataset, sample_exact
 from hnn_vi_ros.learning.families.base import Scales, Trainable
@@ -22,10 +21,7 @@ from hnn_vi_ros.learning.fit.config import load_config
 from hnn_vi_ros.learning.fit.steps import step
 from hnn_vi_ros.learning.tasks.field import describe, FieldProblem, judge_energy, LOSSES
 from hnn_vi_ros.learning.train import main
-from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.confined import load_learned
-from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.models.variational import VariationalHamiltonian
+from hnn_vi_ros.models import Checkpoint, load_learned, NeuralHamiltonian, VariationalHamiltonian
 from hnn_vi_ros.simulation import Simulation
 from messages import refused
 import numpy as np

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from bag_files import state, write
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning import guessed, read_motions
 from hnn_vi_ros.learning.data.header import read_header
-from hnn_vi_ros.learning.data.sources import guessed, read_motions
 from hnn_vi_ros.learning.data.units import conversion, split_unit
 from hnn_vi_ros.learning.fit.config import guess_config, load_config
 from hnn_vi_ros.phase_space import Coordinate

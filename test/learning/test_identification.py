@@ -7,20 +7,20 @@ from pathlib import Path
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.hamiltonians import RigidBodyTree, tree_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix
-from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.learning import ExcitationData, load_machine
 from hnn_vi_ros.learning.families.priors import RigidTree
-from hnn_vi_ros.learning.fit.config import load_machine, MachineConfig
-from hnn_vi_ros.learning.fit.excitation import ExcitationData, excited_motions
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.excitation import excited_motions
 from hnn_vi_ros.learning.fit.inertias import identified_text, with_force_errors
 from hnn_vi_ros.learning.tasks.machine import describe, learn, problem_of
 from hnn_vi_ros.learning.tasks.selection import RIGID, selected
-from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
+from hnn_vi_ros.models import (
+    INERTIAL, load_checkpoint, pseudo_inertia, save_checkpoint, tree_card, values_of)
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
-from hnn_vi_ros.models.rigid_body_card import (
-    bodies_of, check_values, INERTIAL, pseudo_inertia, tree_card, values_of)
+from hnn_vi_ros.models.rigid_body_card import bodies_of, check_values
 from hnn_vi_ros.simulation import Simulation
 from messages import refused
 import numpy as np

@@ -11,21 +11,18 @@ import shutil
 from helpers import long, mostly_long
 import hnn_vi_ros
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
-from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.files import shipped_file
 from hnn_vi_ros.identify.free_numbers import edited, free_scene, FreeScene
 from hnn_vi_ros.identify.identify import main
 from hnn_vi_ros.identify.intervals import Estimates, estimates_of, profile
-from hnn_vi_ros.learning import evaluate
-from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed, steps_between
-from hnn_vi_ros.learning.fit.noise import processes
-from hnn_vi_ros.learning.fit.shooting import _INNER, fit_numbers, FitProblem
-from hnn_vi_ros.learning.fit.windows import (
-    CannotFollow, cut_windows, DELAY, ModelParts, Prediction, Windows)
+from hnn_vi_ros.learning import (
+    DELAY, evaluate, EvenMotion, fit_numbers, FitProblem, ModelParts, Prediction, processes,
+    steps_between, Windows)
+from hnn_vi_ros.learning.data.motions import smoothed
+from hnn_vi_ros.learning.fit.shooting import _INNER
+from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.gradients.dependences import difference
-from hnn_vi_ros.simulation.gradients.derivatives import DifferentiableRun
-from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation import build, difference, DifferentiableRun, Trajectory
 from hnn_vi_ros.sweeps import running as sweep
 from messages import refused
 import numpy as np

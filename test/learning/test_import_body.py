@@ -8,7 +8,7 @@ from helpers import long
 from hnn_vi_ros.errors import ModelError, ParameterError
 from hnn_vi_ros.learning.families.lie_group import HeldBody, LieGroupNetwork
 from hnn_vi_ros.learning.import_model import main
-from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models import load_checkpoint
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from lie_group_models import random_states
 from messages import refused

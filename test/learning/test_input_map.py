@@ -8,11 +8,10 @@ from belt import BELT, FAMILY, MAP, MASS, motion_by_a_belt, motions_by_a_belt
 from helpers import long
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ModelError
-from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.files import dump_yaml
+from hnn_vi_ros.hamiltonians import momentum
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning import evaluate
-from hnn_vi_ros.learning.data.arrays import ArraysData
+from hnn_vi_ros.learning import ArraysData, evaluate
 from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.choices import Structure
@@ -20,12 +19,10 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of
 from hnn_vi_ros.learning.tasks.machine import learn
-from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
+from hnn_vi_ros.models import FrictionCard, load_checkpoint, MechanicalCard, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
-from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Simulation
 from machines import compiled, from_file, machine_config, shaken
 from mechanical_models import random_mechanical, saved
 from messages import misfit, refused

@@ -11,7 +11,7 @@ from belt import BELT, motion_by_a_belt
 from ensembles import OSCILLATOR
 from helpers import random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError, ModelError, RecordingError, StepFailure
-from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.learning import train as training
 from hnn_vi_ros.learning.fit import loop
 from hnn_vi_ros.learning.fit.loop import Fit, kept
@@ -19,8 +19,8 @@ from hnn_vi_ros.learning.judging import ensemble as ensembles
 from hnn_vi_ros.learning.judging.evaluation import numbers, Scores
 from hnn_vi_ros.learning.tasks import field, machine
 from hnn_vi_ros.learning.train import main
-from hnn_vi_ros.models.checkpoint import complete_checkpoint, load_checkpoint, save_checkpoint
-from hnn_vi_ros.models.model_card import Box, PredictionError
+from hnn_vi_ros.models import (
+    Box, complete_checkpoint, load_checkpoint, PredictionError, save_checkpoint)
 from messages import refused
 import numpy as np
 import pytest

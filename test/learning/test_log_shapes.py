@@ -5,8 +5,8 @@
 from collections.abc import Callable, Sequence
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning import read_motions
 from hnn_vi_ros.learning.data.header import read_header
-from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.data.text import LogMotions
 from messages import refused
 import numpy as np

@@ -8,12 +8,11 @@ from pathlib import Path
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.hamiltonians import HAMILTONIANS, momentum
 from hnn_vi_ros.identify.identify import _arrays
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.arrays import ArraysData, split_runs
-from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed, train_and_test
+from hnn_vi_ros.learning import ArraysData, EvenMotion, split_runs
+from hnn_vi_ros.learning.data.motions import smoothed, train_and_test
 from hnn_vi_ros.learning.families.choices import combination, FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig

@@ -7,12 +7,10 @@ from pathlib import Path
 
 from bag_files import array, Message, state, write
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.arrays import ArraysData
+from hnn_vi_ros.learning import ArraysData, guessed, read_motions, steps_between
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import (
-    even_motions, increasing, Motion, MotionData, Recording, steps_between, unexplained,
-    unwound)
-from hnn_vi_ros.learning.data.sources import guessed, read_motions
+    even_motions, increasing, Motion, MotionData, Recording, unexplained, unwound)
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of

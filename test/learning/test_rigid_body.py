@@ -8,15 +8,15 @@ from helpers import long
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, Motion, smoothed
+from hnn_vi_ros.learning import EvenMotion
+from hnn_vi_ros.learning.data.motions import cutoff_of, Motion, smoothed
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import momentum
 from hnn_vi_ros.learning.judging.missing import missing_force
-from hnn_vi_ros.learning.judging.residuals import (
-    followed, is_noise, noise_text, residuals_of)
+from hnn_vi_ros.learning.judging.residuals import followed, is_noise, noise_text, residuals_of
 from hnn_vi_ros.learning.tasks.machine import learn, problem_of
 from hnn_vi_ros.simulation import Simulation
 from machines import driven, machine_config

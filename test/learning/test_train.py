@@ -10,7 +10,7 @@ import time
 
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
-from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.files import shipped_names
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.families.base import Scales
@@ -20,8 +20,7 @@ from hnn_vi_ros.learning.fit.loop import (
     Fit, Interrupted, Keeper, LossHistory, Stage, TrainingProblem)
 from hnn_vi_ros.learning.tasks.field import FieldProblem, mean_square, nonlinearity
 from hnn_vi_ros.learning.train import main
-from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.models import load_checkpoint, NeuralHamiltonian
 from hypothesis import given, settings, strategies as st
 from messages import refused
 import numpy as np

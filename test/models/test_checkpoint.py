@@ -12,10 +12,10 @@ import sys
 
 from helpers import Malicious
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.files.resources import shipped_file
-from hnn_vi_ros.models.checkpoint import (
-    Checkpoint, Layers, load_checkpoint, MAX_BYTES, save_checkpoint)
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.files import shipped_file
+from hnn_vi_ros.models import (
+    Box, Checkpoint, CoordinateCard, Layers, load_checkpoint, ModelCard, save_checkpoint)
+from hnn_vi_ros.models.checkpoint import MAX_BYTES
 from hypothesis import given, settings, strategies as st
 from messages import refused
 import numpy as np

@@ -7,13 +7,13 @@ from pathlib import Path
 from ensembles import OSCILLATOR
 from helpers import EPS, exact, jacobian, mostly_long, python_step, symplectic_defect, Uncompiled
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.files.resources import shipped_file, shipped_names
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.files import shipped_file, shipped_names
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.hamiltonians.tao import Tao
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.train import main as train
-from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
+from hnn_vi_ros.models import (
+    Checkpoint, ConfinedHamiltonian, load_checkpoint, load_learned, save_checkpoint)
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from messages import refused

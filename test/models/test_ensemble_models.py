@@ -11,11 +11,10 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.commands import scene_tool
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import ModelError, SceneError, UnsupportedSystem
-from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
-from hnn_vi_ros.models.confined import load_learned
-from hnn_vi_ros.models.model_card import EnsembleCard, ModelCard
-from hnn_vi_ros.run.companions.members import Members
+from hnn_vi_ros.files import dump_yaml
+from hnn_vi_ros.models import (
+    EnsembleCard, load_checkpoint, load_learned, ModelCard, save_checkpoint)
+from hnn_vi_ros.run import Members
 from messages import misfit, refused
 import numpy as np
 import pytest

@@ -8,20 +8,15 @@ import warnings
 
 from helpers import long, Uncompiled
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import EffectError
+from hnn_vi_ros.effects import EffectError, EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
 from hnn_vi_ros.learning.fit.config import FieldFamily
-from hnn_vi_ros.models import families
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
-from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
-from hnn_vi_ros.models.learned import LearnedHamiltonian
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.models import (
+    Box, Checkpoint, ConfinedHamiltonian, CoordinateCard, families, Layers, LearnedHamiltonian,
+    load_learned, ModelCard, save_checkpoint, Scheme)
+from hnn_vi_ros.simulation import build, Simulation, System
 from mechanical_models import assert_agrees_with_torch, network, random_mechanical
 from messages import misfit, refused
 import numpy as np

@@ -7,10 +7,10 @@ import json
 import math
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.models import Builder
+from hnn_vi_ros.models import Builder, graph_data, read_graph
 from hnn_vi_ros.models.graphs import machine
 from hnn_vi_ros.models.graphs.derivatives import dependence, gradient, tangent
-from hnn_vi_ros.models.graphs.graph import graph_data, MAX_PRODUCTS, read_graph
+from hnn_vi_ros.models.graphs.graph import MAX_PRODUCTS
 from hnn_vi_ros.models.graphs.operations import BINARY, KINKED, UNARY
 from hnn_vi_ros.models.graphs.tape import Assembler
 import numpy as np

@@ -6,18 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from helpers import long
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import EffectError
+from hnn_vi_ros.effects import EffectError, EFFECTS
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.families.lie_group import HeldBody, LieGroupNetwork
 from hnn_vi_ros.learning.tasks.body import BodyState, LieSteps
-from hnn_vi_ros.models.attitude_features import turn_matrices
-from hnn_vi_ros.models.checkpoint import save_checkpoint
-from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.models import LieGroupCard, load_learned, save_checkpoint, turn_matrices
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
-from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.simulation import Simulation
 from lie_group_models import CARDS, random_lie_group, random_states
 from messages import misfit, refused

@@ -8,14 +8,12 @@ from helpers import long, random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
-from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard, PriorCard, Quantity
-from hnn_vi_ros.models.model_card import ModelCard
-from hnn_vi_ros.models.planar_chain import chain_kernel, chain_terms, parameter_names
+from hnn_vi_ros.models import (
+    FAMILIES, FrictionCard, load_checkpoint, MechanicalCard, ModelCard, parameter_names, PriorCard,
+    Quantity, save_checkpoint)
+from hnn_vi_ros.models.planar_chain import chain_kernel, chain_terms
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Simulation
 from mechanical_models import (
     assert_agrees_with_torch, network, PRIOR, random_mechanical, ROUND_OFF, saved, seen, SHAPES)
 from messages import misfit, refused

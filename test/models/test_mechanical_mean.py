@@ -6,15 +6,13 @@ from pathlib import Path
 
 from ensembles import mechanisms, scaled, together
 from hnn_vi_ros import simulate_spread
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import EffectState
+from hnn_vi_ros.effects import EFFECTS, EffectState
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from hnn_vi_ros.models.confined import load_learned
-from hnn_vi_ros.models.ensemble import load_member
-from hnn_vi_ros.run.companions.members import Accompanied, Members
+from hnn_vi_ros.models import (
+    Checkpoint, load_checkpoint, load_learned, load_member, save_checkpoint)
+from hnn_vi_ros.run import Accompanied, Members
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 from mechanical_models import assert_agrees_with_torch, random_mechanical, ROUND_OFF
 from messages import refused
 import numpy as np

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 from helpers import EPS, random_checkpoint
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.models import NeuralHamiltonian, TorchHamiltonian
 from hnn_vi_ros.models.learned import rounding
 from hnn_vi_ros.models.networks.perceptron_memory import MAX_STATES
-from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.models.torch_module import TorchHamiltonian
 from hnn_vi_ros.simulation import Simulation
 from messages import refused
 import numba

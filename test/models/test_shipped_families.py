@@ -5,10 +5,9 @@
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.learning.data.dataset import sample_exact
 from hnn_vi_ros.learning.fit.config import find_config, load_config
-from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.models import FAMILIES
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Simulation
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shipped models: each has the field of the system that its training configuration names."""
 
-from hnn_vi_ros.files.resources import shipped_file, shipped_names
+from hnn_vi_ros.files import shipped_file, shipped_names
 from hnn_vi_ros.learning.data.dataset import Dataset, sample_exact
 from hnn_vi_ros.learning.fit.config import find_config, load_config
-from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.models import load_checkpoint, NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
 import numpy as np
 import pytest

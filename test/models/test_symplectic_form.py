@@ -8,20 +8,18 @@ from pathlib import Path
 from helpers import plain_steps, random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ModelError, UnsupportedSystem
-from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.files import shipped_file
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.learning.data.dataset import ExactData, sample_exact
 from hnn_vi_ros.learning.fit.config import find_config, load_config
 from hnn_vi_ros.learning.train import main
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, load_checkpoint, save_checkpoint
-from hnn_vi_ros.models.confined import load_learned
-from hnn_vi_ros.models.model_card import Box
-from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.models.symplectic_form import irregularity, SymplecticFormHamiltonian
+from hnn_vi_ros.models import (
+    Box, Checkpoint, irregularity, Layers, load_checkpoint, load_learned, NeuralHamiltonian,
+    save_checkpoint)
+from hnn_vi_ros.models.symplectic_form import SymplecticFormHamiltonian
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Simulation
 from messages import refused
 import numpy as np
 import pytest

@@ -5,7 +5,7 @@
 from collections.abc import Callable
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.models.torch_module import TorchHamiltonian
+from hnn_vi_ros.models import TorchHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 from messages import refused
 import numpy as np

@@ -20,7 +20,7 @@ from benchmarks.measurement import assert_close, compare, interleave, race, Row,
 from benchmarks.report import as_markdown, Group, measured_here, read_groups
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.simulation.accuracy.trials import Method
+from hnn_vi_ros.simulation import Method
 import numpy as np
 from packaging.utils import canonicalize_name
 import pytest

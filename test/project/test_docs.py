@@ -9,7 +9,7 @@ from textwrap import dedent
 from types import ModuleType
 
 import hnn_vi_ros
-from hnn_vi_ros.commands.table import COMMANDS, parser_of
+from hnn_vi_ros.commands import COMMANDS, parser_of
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros import settings as parameters

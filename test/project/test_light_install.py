@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What works without the extras `train`, `rerun` and `sweep`, and what names the missing one."""
 
-from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.files import shipped_names
 from sources import run_without
 
 IMPORTS = """

@@ -16,15 +16,14 @@ import hnn_vi_ros
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import (
     HnnViRosError, listed, ModelError, SceneError, StepFailure, StoppedByEvent)
-from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.files import shipped_names
 from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.phase_space import Event
-from hnn_vi_ros.run.companions.members import simulate_spread
-from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.scene.choices import load_code
-from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
+from hnn_vi_ros.run import simulate_spread
+from hnn_vi_ros.scene import load_code, load_scene, Scene
+from hnn_vi_ros.simulation import simulate, simulate_many
 import numpy as np
 import pytest
 

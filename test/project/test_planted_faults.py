@@ -10,7 +10,7 @@ import subprocess
 import sys
 
 import hnn_vi_ros
-from hnn_vi_ros.files.resources import share_folder
+from hnn_vi_ros.files import share_folder
 import pytest
 
 PACKAGE, TESTS = Path(hnn_vi_ros.__file__).parent, Path(__file__).resolve().parents[1]

@@ -7,7 +7,7 @@ from pathlib import Path
 import runpy
 import tomllib
 
-from hnn_vi_ros.commands.table import EXECUTABLES
+from hnn_vi_ros.commands import EXECUTABLES
 from hnn_vi_ros.errors import pip_command
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name

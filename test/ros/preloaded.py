@@ -10,11 +10,8 @@ from importlib import import_module
 import inspect
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.guards.selection import make_guards
-from hnn_vi_ros.simulation.guards.watch import SampledScale
+from hnn_vi_ros.run import Monitor, Sampler
+from hnn_vi_ros.simulation import build, make_guards, SampledScale
 
 # Each fork runs the main module of the tests again, which imports pytest.
 for name in ('pytest', 'hnn_vi_ros.recording.bags.mcap_sink', 'hnn_vi_ros.control.planning',

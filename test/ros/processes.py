@@ -12,9 +12,9 @@ import warnings
 
 from executables import Executable
 from hnn_vi_ros.cli import run_module
-from hnn_vi_ros.commands.table import module_of
-from hnn_vi_ros.files.standard_streams import ENDING
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.commands import module_of
+from hnn_vi_ros.files import ENDING
+from hnn_vi_ros.recording import BagReader
 from rosbags.highlevel import AnyReader
 
 # By the present test; see conftest.py.

@@ -8,21 +8,16 @@ from pathlib import Path
 
 from bag_content import content_of
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, Topic
-from hnn_vi_ros.recording.bags.cdr import serialize
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.recording import BagReader, BagTopics, Recorded, Sample, serialize, Topic
 from hnn_vi_ros.ros.recording import BagOutput, Beginning
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import OUTPUTS, SCENE, TICKS
-from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.run.run_folder import RunFiles
-from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run import RunFiles, Sampler, scene_report
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 from mcap.writer import Writer
 import numpy as np
 from rclpy.qos import QoSProfile

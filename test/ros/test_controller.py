@@ -8,12 +8,12 @@ import signal
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.files import shipped_file
 from hnn_vi_ros.ros.controller_node import state_of
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.topics.messages import encode_state
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.run import Sampler
+from hnn_vi_ros.simulation import build
 from messages import assert_message, refused
 import numpy as np
 from peer import peer, SIMULATOR

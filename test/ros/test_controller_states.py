@@ -9,7 +9,7 @@ from itertools import count
 from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.files import shipped_file
 from hnn_vi_ros.ros import controller_node
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.plumbing.graph import Lasting

@@ -12,7 +12,7 @@ import sys
 import time
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.standard_streams import ENDING
+from hnn_vi_ros.files import ENDING
 from hnn_vi_ros.ros.plumbing.starting import note_signals
 from hnn_vi_ros.run import run_folder
 from messages import refused

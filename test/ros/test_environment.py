@@ -9,7 +9,7 @@ import sys
 
 from hnn_vi_ros.commands import doctor
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
+from hnn_vi_ros.ros import settle_ros_environment
 from hnn_vi_ros.scene import load_scene
 from messages import refused
 from processes import simulator_words

@@ -3,7 +3,7 @@
 """Events of a scene on ~/events, in the bag, in the picture and in the end of the run."""
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.topics.outputs import EVENTS

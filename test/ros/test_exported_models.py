@@ -7,12 +7,11 @@ import sys
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.models import (
-    Box, Builder, Checkpoint, CoordinateCard, ModelCard, save_checkpoint)
-from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.scene.description import described_scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.files import dump_yaml
+from hnn_vi_ros.models import Box, Builder, Checkpoint, CoordinateCard, ModelCard, save_checkpoint
+from hnn_vi_ros.run import scene_report
+from hnn_vi_ros.scene import described_scene
+from hnn_vi_ros.simulation import build
 from messages import refused
 import numpy as np
 from processes import simulator_words

@@ -11,8 +11,8 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import DataError, RecordingError
 from hnn_vi_ros.learning.data.bags import BagData
 from hnn_vi_ros.learning.data.sources import make_dataset
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.mcap_file import McapFile
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from messages import refused

@@ -8,8 +8,7 @@ import re
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import printable, RecordingError
-from hnn_vi_ros.recording.bags.cdr import serialize
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader, serialize
 from processes import finish, start_executable
 import pytest
 from python_process import run_code

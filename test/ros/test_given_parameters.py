@@ -9,7 +9,7 @@ import signal
 from xml.etree import ElementTree
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, POLICIES

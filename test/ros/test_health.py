@@ -14,23 +14,18 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.run.health import Health
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, Status, WARN
-from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.run.timing import OverrunGuard, Pacer
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
-from hnn_vi_ros.simulation.guards.base import Alarm, Guard, SampleBlock
-from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.run import Monitor, OverrunGuard, Pacer, Sampler
+from hnn_vi_ros.simulation import (
+    Alarm, BoxGuard, build, EnergyGuard, Guard, make_guards, PoleGuard, SampledScale, Simulation)
+from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
+from hnn_vi_ros.simulation.guards.base import SampleBlock
 from hnn_vi_ros.simulation.guards.paths import PathGuard
-from hnn_vi_ros.simulation.guards.poles import PoleGuard
-from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
+from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
-from hnn_vi_ros.simulation.guards.watch import SampledScale
 import numpy as np
 from peer import hearing, values_of
 from processes import finish, read_bag, start

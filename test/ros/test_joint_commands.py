@@ -10,16 +10,15 @@ from hnn_vi_ros.effects.servo import Servo
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.topics.hearing import LONGEST_REASON
 from hnn_vi_ros.ros.topics.inputs import read_joints, read_path
 from hnn_vi_ros.ros.topics.messages import encode_feedback
-from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run import Sampler
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Simulation
 from messages import refused
 import numpy as np
 from peer import simulating, SIMULATOR, stamp

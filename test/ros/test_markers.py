@@ -5,9 +5,8 @@
 from collections.abc import Iterator
 import time
 
-from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, Cuboid, Trail
-from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.hamiltonians import Ball, Cuboid, MECHANISMS, Trail
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.topics.poses import MarkerEncoder
 import numpy as np
 from peer import nodes_of

@@ -9,7 +9,7 @@ import statistics
 import time
 
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 from peer import Peer, simulating
 import pytest
 

@@ -7,7 +7,7 @@ import sys
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.phase_space import Coordinate, Follower
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.topics import messages
 from hnn_vi_ros.ros.topics.inputs import places_of
 from messages import refused

@@ -4,9 +4,9 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.files.resources import share_folder
-from hnn_vi_ros.kernels.sources import identity
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.files import share_folder
+from hnn_vi_ros.kernels import identity
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 import pytest

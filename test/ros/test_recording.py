@@ -11,7 +11,7 @@ import signal
 from bag_content import content_of
 from diagnostic_msgs.msg import DiagnosticArray
 from executables import Executable
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.mcap_recovery import recover
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from peer import peer, simulating, TICK_TYPES

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.recording.bags.cdr import serialize
+from hnn_vi_ros.recording import serialize
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.listener_node import Listener
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume

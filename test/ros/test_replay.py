@@ -11,7 +11,7 @@ from executables import Executable
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros.replay.replay_node import find_type, recorded_qos
 from hnn_vi_ros.ros.topics.messages import qos_yaml
 from hnn_vi_ros.ros.topics.outputs import LATCHED

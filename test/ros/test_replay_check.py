@@ -8,17 +8,16 @@ import re
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ParameterError, RecordingError
-from hnn_vi_ros.kernels.sources import identity
+from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.learning.data.bag_signals import SignalReader
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.mcap_file import MAGIC
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.replay import replay_check
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays
 from hnn_vi_ros.ros.rerun_bridge import BridgePicture
-from hnn_vi_ros.run.held_state import restore_state, STATE_FILE, state_file
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.run import restore_state, Sampler, STATE_FILE, state_file
+from hnn_vi_ros.simulation import build
 from mcap.opcode import Opcode
 from messages import assert_message, refused
 import numpy as np

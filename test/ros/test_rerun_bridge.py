@@ -8,15 +8,15 @@ import signal
 from executables import Executable
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.files import dump_yaml
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.rerun_bridge import BridgePicture, RerunBridge, target_of
 from hnn_vi_ros.ros.settings import BridgeSettings
 from hnn_vi_ros.ros.topics.outputs import LATCHED
-from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.run import scene_report
+from hnn_vi_ros.simulation import build
 from messages import assert_message, refused
 import numpy as np
 from peer import ros

@@ -5,7 +5,7 @@
 from pathlib import Path
 import signal
 
-from hnn_vi_ros.simulation.trajectory.simulate import simulate
+from hnn_vi_ros.simulation import simulate
 import numpy as np
 from peer import peer
 from processes import finish, read_bag, standard_error, start, wait_until

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 from ament_index_python import packages
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 from launch_stand_ins import stand_in
 import numpy as np
 from processes import finish, read_bag, simulator_words, start_executable

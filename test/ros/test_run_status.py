@@ -14,10 +14,8 @@ from hnn_vi_ros.ros.recording import RunRecording
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, WARN
-from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.simulation.accuracy.trials import Tolerance
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.run import Monitor, Sampler
+from hnn_vi_ros.simulation import build, Tolerance
 from peer import hearing, values_of
 from processes import finish, read_bag, start
 import pytest

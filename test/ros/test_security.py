@@ -8,7 +8,7 @@ import signal
 from xml.etree import ElementTree
 
 from ensembles import ensemble
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.ros.services import ACTION, INTERFACES, service_name
 from hnn_vi_ros.ros.topics.messages import clock_message
 from peer import Peer, peer, simulating, SIMULATOR

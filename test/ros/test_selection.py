@@ -7,11 +7,9 @@ from pathlib import Path
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.run.preparation import report
-from hnn_vi_ros.run.report import scene_report
+from hnn_vi_ros.run import scene_report
+from hnn_vi_ros.simulation import build, Choice, resolve, Tolerance
 from hnn_vi_ros.simulation.accuracy import automatic_choice
-from hnn_vi_ros.simulation.accuracy.automatic_choice import Choice, resolve
-from hnn_vi_ros.simulation.accuracy.trials import Tolerance
-from hnn_vi_ros.simulation.construction import build
 from processes import finish, start
 import pytest
 from scene_files import scene_text

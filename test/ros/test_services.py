@@ -10,7 +10,7 @@ import time
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.topics.hearing import LARGEST_MESSAGE
 from lifecycle_msgs.srv import ChangeState

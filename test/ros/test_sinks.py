@@ -9,7 +9,7 @@ from unittest.mock import Mock
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.recording import RunRecording, Sink
 from hnn_vi_ros.ros.settings import Settings
-from hnn_vi_ros.run.run_folder import RunFiles
+from hnn_vi_ros.run import RunFiles
 import pytest
 
 ALL = [('write', (None, ())), ('write_other', (None, 0, b'')), ('event', ('text', 'INFO')),

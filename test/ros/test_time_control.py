@@ -14,8 +14,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.run import control
 from hnn_vi_ros.ros.topics.messages import CLOCK_QOS, ClockEncoder
-from hnn_vi_ros.run.timing import Pacer
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.run import Pacer
+from hnn_vi_ros.simulation import build
 import numpy as np
 from peer import Peer, peer, simulating, SIMULATOR, stamp, wait_for_way_back
 from processes import finish, read_bag, standard_error, start

@@ -7,19 +7,13 @@ from pathlib import Path
 
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.messages import ENTRIES
 from hnn_vi_ros.ros.topics.outputs import Material
 from hnn_vi_ros.ros.topics.topics import Topics
-from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.preview import look_ahead
-from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.diagnostics import local_error
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.guards.bands import EnergyGuard
-from hnn_vi_ros.simulation.guards.watch import SampledScale
+from hnn_vi_ros.run import look_ahead, Monitor, scene_report
+from hnn_vi_ros.simulation import build, EnergyGuard, local_error, SampledScale, Simulation
 from nav_msgs.msg import Odometry
 import numpy as np
 from peer import nodes_of

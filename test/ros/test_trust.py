@@ -11,18 +11,15 @@ from types import SimpleNamespace
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ModelError, RecordingError, SceneError
-from hnn_vi_ros.files import yaml_text
+from hnn_vi_ros.files import dump_yaml, shipped_file, yaml_text
 from hnn_vi_ros.files.named_code import trusting
-from hnn_vi_ros.files.resources import shipped_file
-from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import find_type, main as replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
-from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.description import described_scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.run import scene_report
+from hnn_vi_ros.scene import described_scene, Scene
+from hnn_vi_ros.simulation import build
 from messages import refused
 from peer import ros
 from processes import (

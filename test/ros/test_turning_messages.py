@@ -6,12 +6,9 @@ from dataclasses import replace
 
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
+from hnn_vi_ros.hamiltonians import HAMILTONIANS, MECHANISMS
 from hnn_vi_ros.phase_space import Coordinate, momentum_rates, rotations
-from hnn_vi_ros.recording.bags.cdr import decode_state
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
+from hnn_vi_ros.recording import decode_state, RerunSink, Sample
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.topics.inputs import body_of, command_of
 from hnn_vi_ros.ros.topics.poses import OdometryEncoder

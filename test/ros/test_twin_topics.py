@@ -9,14 +9,14 @@ from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray
 from ensembles import ensemble
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.topics import companions
 from hnn_vi_ros.ros.topics.companions import TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import OK, WARN
 from hnn_vi_ros.ros.topics.inputs import read_observation
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
-from hnn_vi_ros.run.companions.twin import Report
+from hnn_vi_ros.run import Report
 from messages import refused
 import numpy as np
 from peer import simulating, SIMULATOR, stamp

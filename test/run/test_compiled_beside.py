@@ -10,11 +10,9 @@ from subprocess import PIPE, Popen
 import sys
 import time
 
-from hnn_vi_ros.run import compilation as beside
-from hnn_vi_ros.run.compilation import compiled_beside
+from hnn_vi_ros.run import compilation as beside, compiled_beside
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import assembly
-from hnn_vi_ros.simulation.construction import build, compile_loop
+from hnn_vi_ros.simulation import assembly, build, compile_loop
 import pytest
 
 TELL = """

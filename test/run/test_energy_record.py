@@ -8,10 +8,9 @@ import math
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.run import Sampler
 from hnn_vi_ros.run.monitor import EnergyRecord
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.trials import Tolerance
+from hnn_vi_ros.simulation import Simulation, Tolerance
 import numpy as np
 import pytest
 

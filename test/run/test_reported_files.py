@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.run.run_folder import bag_lines, picture_lines, report_files
+from hnn_vi_ros.run import bag_lines, picture_lines, report_files
 import pytest
 
 

@@ -5,7 +5,7 @@
 from types import SimpleNamespace
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run import Sampler
 from messages import refused
 import pytest
 

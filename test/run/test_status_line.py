@@ -6,8 +6,8 @@ import io
 import re
 import sys
 
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.run.timing import StatusLine
+from hnn_vi_ros.recording import Sample
+from hnn_vi_ros.run import StatusLine
 import numpy as np
 import pytest
 

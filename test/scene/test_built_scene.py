@@ -3,9 +3,9 @@
 """Scenes that Python code builds, beside those that are read from YAML."""
 
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.files import shipped_names
 from hnn_vi_ros.scene import load_scene, plain_data, Scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 from messages import refused
 import numpy as np
 import pytest

@@ -5,9 +5,9 @@
 from pathlib import Path
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError, UnsupportedSystem
-from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.files import shipped_file
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build
 from messages import assert_message, refused
 import pytest
 from python_process import run_code

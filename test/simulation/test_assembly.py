@@ -16,7 +16,7 @@ from effect_table import create_effect
 from hnn_vi_ros.effects.base import StepEffect
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, step_addresses
-from hnn_vi_ros.kernels.compilation import NotKept
+from hnn_vi_ros.kernels import NotKept
 from hnn_vi_ros.simulation import assembly, Simulation
 from hnn_vi_ros.simulation.assembly import advance
 from numba.core.dispatcher import Dispatcher

@@ -7,11 +7,9 @@ from hnn_vi_ros.commands.scene_tool import explain
 from hnn_vi_ros.errors import SceneError, StoppedByEvent
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
-from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.scene.choices import Condition
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.events import EventFunction, WatchedSimulation
-from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
+from hnn_vi_ros.scene import Condition, load_scene
+from hnn_vi_ros.simulation import simulate, simulate_many, Simulation, WatchedSimulation
+from hnn_vi_ros.simulation.events import EventFunction
 from messages import refused
 import numpy as np
 import pytest

@@ -14,14 +14,12 @@ import time
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation, simulation as stepping
+from hnn_vi_ros.simulation import (
+    build, simulate, simulate_many, Simulation, simulation as stepping, watched)
 from hnn_vi_ros.simulation.assembly import Loop
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.processors import in_threads
-from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
 from numba.core.registry import CPUDispatcher
 import numpy as np
 import pytest

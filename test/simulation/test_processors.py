@@ -10,7 +10,7 @@ import sys
 from threading import Thread
 
 from hnn_vi_ros.commands import doctor
-from hnn_vi_ros.simulation.processors import ignore_sigint_in_children, usable_processors
+from hnn_vi_ros.simulation import ignore_sigint_in_children, usable_processors
 import pytest
 from sources import PACKAGE
 from studies import hard_cases

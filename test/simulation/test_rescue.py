@@ -7,12 +7,10 @@ from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, time_transformed
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import assembly, RescuePending, Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import (
+    assembly, build, look, RescuePending, simulate_many, Simulation, Watch)
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard
-from hnn_vi_ros.simulation.guards.watch import look, Watch
 from hnn_vi_ros.simulation.rescue import ON_FAILURE, stability_limit
-from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
 from messages import refused
 import numpy as np
 from plain_systems import Plain

@@ -7,16 +7,14 @@ from functools import cached_property
 from helpers import EPS, KINDS, mostly_long, plain_run, random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StepFailure
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.kernels import Kernel
+from hnn_vi_ros.models import NeuralHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import simulate, Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
-from hnn_vi_ros.simulation.trajectory.simulate import simulate
 from messages import refused
 import numba
 import numpy as np

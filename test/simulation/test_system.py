@@ -6,17 +6,13 @@ from pathlib import Path
 
 from effect_table import create_effect, EFFECT_ROWS
 from helpers import effect, EPS, free, long, plain_run
-from hnn_vi_ros.effects.base import EffectError
-from hnn_vi_ros.effects.commands import JointPath
+from hnn_vi_ros.effects import EffectError, JointPath
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels.addresses import original
+from hnn_vi_ros.kernels import original
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.system import System
-from hnn_vi_ros.simulation.trajectory.record import BLOCK
-from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
+from hnn_vi_ros.simulation import BLOCK, simulate, simulate_many, Simulation, System
 from messages import refused
 import numpy as np
 import pytest

@@ -8,11 +8,9 @@ from pathlib import Path
 import shutil
 
 from hnn_vi_ros.errors import ParameterError, StepFailure
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Requirements
+from hnn_vi_ros.integrators import INTEGRATORS, Requirements
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.guards.base import Alarm
+from hnn_vi_ros.simulation import Alarm, Simulation
 from hnn_vi_ros.simulation.guards.selection import BoxGuard
 from messages import refused
 import numpy as np

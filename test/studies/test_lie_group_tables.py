@@ -7,7 +7,7 @@ from pathlib import Path
 from shutil import copy
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models import load_checkpoint
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -5,7 +5,7 @@
 import json
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
+from hnn_vi_ros.hamiltonians import parse_urdf
 import numpy as np
 import pytest
 from studies import rigid_body_coverage, robot_tables

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import hnn_vi_ros
 from hnn_vi_ros.identify.free_numbers import free_scene
+from hnn_vi_ros.learning import load_machine, read_motions
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.motions import smoothed, train_and_test
-from hnn_vi_ros.learning.data.sources import read_motions
-from hnn_vi_ros.learning.fit.config import find_config, load_machine
+from hnn_vi_ros.learning.fit.config import find_config
 from hnn_vi_ros.learning.judging.evaluation import balance
 import numpy as np
 import pytest

@@ -5,10 +5,8 @@
 from helpers import GENERIC, Method, Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Requirements
-from hnn_vi_ros.integrators.composition import Composition, Yoshida4
-from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators import Composition, ImplicitMidpoint, INTEGRATORS, Requirements
+from hnn_vi_ros.integrators.composition import Yoshida4
 from messages import refused
 import numpy as np
 import pytest

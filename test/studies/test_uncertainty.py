@@ -5,9 +5,8 @@
 from pathlib import Path
 
 from ensembles import mechanisms, scaled, together
-from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.models.checkpoint import save_checkpoint
-from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.hamiltonians import momentum
+from hnn_vi_ros.models import load_learned, save_checkpoint
 from mechanical_models import random_mechanical
 import numpy as np
 import pytest

@@ -11,8 +11,7 @@ from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.models.box_error import EnergyError
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.models import EnergyError, NeuralHamiltonian
 from hnn_vi_ros.simulation.accuracy import cost
 from hnn_vi_ros.simulation.accuracy.cost import run_errors
 from messages import refused

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader
 
 
 def content_of(bag: Path) -> list[tuple[str, int, bytes]]:

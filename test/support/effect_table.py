@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from helpers import EPS, random_checkpoint, Uncompiled
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect, Potential
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.effects import Effect, EFFECTS, Potential
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
+from hnn_vi_ros.models import save_checkpoint
 from mechanical_models import saved
 import numpy as np
 import pytest

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from helpers import random_checkpoint
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.models.mechanical_card import FrictionCard, mean_card
-from hnn_vi_ros.models.model_card import EnsembleCard
+from hnn_vi_ros.models import Checkpoint, EnsembleCard, FrictionCard, Layers, mean_card
 from mechanical_models import random_mechanical
 import numpy as np
 

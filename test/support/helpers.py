@@ -13,21 +13,17 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import systems
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import INTEGRATORS, solvers
-from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Integrator, OK, PhasePoint
-from hnn_vi_ros.integrators.gauss import Gauss, in_fours, Tableau
+from hnn_vi_ros.effects import Effect, EFFECTS
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
+from hnn_vi_ros.integrators import (
+    copy_point, Gauss, Integrator, INTEGRATORS, OK, PhasePoint, solvers, Tableau)
+from hnn_vi_ros.integrators.gauss import in_fours
 from hnn_vi_ros.integrators.lie.equations import LieOptions
 from hnn_vi_ros.integrators.lie.lie_gauss import LieGauss
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
-from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, judge, Observed, Waiting
+from hnn_vi_ros.simulation import (
+    Alarm, BlockGuard, InitialValueProblem, judge, Observed, Simulation, Waiting)
 from mpmath import mp, mpf
 import numpy as np
 from numpy.typing import ArrayLike

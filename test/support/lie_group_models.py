@@ -4,9 +4,7 @@
 
 from itertools import pairwise
 
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.models.lie_group_card import LieGroupCard
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.models import Box, Checkpoint, CoordinateCard, Layers, LieGroupCard, ModelCard
 import numpy as np
 
 # Inputs of their networks by name; together they cover every part of the kernel.

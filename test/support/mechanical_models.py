@@ -6,11 +6,10 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
-from hnn_vi_ros.models.mechanical_card import (
-    CoulombTerm, FrictionCard, MechanicalCard, PriorCard, Quantity, StribeckTerm)
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.models import (
+    Box, Checkpoint, CoordinateCard, CoulombTerm, FrictionCard, Layers, MechanicalCard, ModelCard,
+    PriorCard, Quantity, save_checkpoint, StribeckTerm)
 import numpy as np
 import pytest
 import torch

@@ -17,8 +17,7 @@ from pathlib import Path
 import re
 import tempfile
 
-from hnn_vi_ros.files.resources import share_folder
-from hnn_vi_ros.files.yaml_file import in_plain_words
+from hnn_vi_ros.files import in_plain_words, share_folder
 from pydantic import ValidationError
 import pytest
 

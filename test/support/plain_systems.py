@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from benchmarks.systems import orbit, System, system, systems
 from helpers import Uncompiled
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

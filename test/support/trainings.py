@@ -12,7 +12,7 @@ from pathlib import Path
 import shutil
 
 import hnn_vi_ros
-from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.learning import train
 from matplotlib.figure import Figure
 import numpy as np

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.sweeps import sweep
 from hnn_vi_ros.sweeps.axes import read_posterior
 from hnn_vi_ros.sweeps.plan import make_plan
-from hnn_vi_ros.sweeps.running import sweep
 from messages import refused
 import numpy as np
 import pyarrow.parquet as pq

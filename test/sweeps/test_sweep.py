@@ -19,12 +19,11 @@ import time
 
 from hnn_vi_ros.errors import HnnViRosError, RecordingError
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time
-from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
-from hnn_vi_ros.sweeps import parquet, trajectories
+from hnn_vi_ros.simulation import lyapunov_time, simulate, simulate_many
+from hnn_vi_ros.sweeps import parquet, sweep, trajectories
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.plan import make_plan
-from hnn_vi_ros.sweeps.running import main, sweep
+from hnn_vi_ros.sweeps.running import main
 from hnn_vi_ros.sweeps.trajectories import Runner
 from messages import refused
 import numpy as np

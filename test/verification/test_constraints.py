@@ -5,19 +5,14 @@
 from collections.abc import Callable
 
 from helpers import EPS, free, long, mostly_long, Uncompiled
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import EffectError
+from hnn_vi_ros.effects import EffectError, EFFECTS
 from hnn_vi_ros.effects.gravity import Gravity
 from hnn_vi_ros.effects.holonomic_constraint import HolonomicConstraint
 from hnn_vi_ros.errors import SceneError, StepFailure
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.hamiltonians import Formula, Hamiltonian, HAMILTONIANS
+from hnn_vi_ros.integrators import Integrator, INTEGRATORS
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Simulation
 from messages import refused
 import numpy as np
 from pydantic import ValidationError

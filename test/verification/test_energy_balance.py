@@ -6,11 +6,10 @@ from pathlib import Path
 
 from effect_table import COMPILED, EFFECT_ROWS, EffectRow
 from helpers import EPS, long, Method, METHODS
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects import Effect, EFFECTS
 from hnn_vi_ros.effects.thermostat import Thermostat
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

@@ -5,8 +5,7 @@
 from collections.abc import Callable
 
 from helpers import EPS, free, Uncompiled
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects import Effect, EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation

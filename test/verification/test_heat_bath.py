@@ -5,9 +5,7 @@
 from helpers import Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.hamiltonians import Formula, Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 from messages import refused

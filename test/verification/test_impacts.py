@@ -3,8 +3,7 @@
 """Impacts against exact paths, also at steps much longer than the time between them."""
 
 from helpers import free, Uncompiled
-from hnn_vi_ros.effects import EFFECTS, stops
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects import Effect, EFFECTS, stops
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS

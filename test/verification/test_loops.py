@@ -8,20 +8,18 @@ import re
 import warnings
 
 from helpers import EPS, long
-from hnn_vi_ros.control.batch_step import BatchStep
+from hnn_vi_ros.control import BatchStep
 from hnn_vi_ros.errors import HnnViRosError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.identify import main
+from hnn_vi_ros.learning import Prediction
 from hnn_vi_ros.learning.data.motions import smoothed
-from hnn_vi_ros.learning.fit.windows import cut_windows, Prediction
+from hnn_vi_ros.learning.fit.windows import cut_windows
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.gradients.dependences import derivative
-from hnn_vi_ros.simulation.gradients.derivatives import Change, DifferentiableRun
-from hnn_vi_ros.simulation.gradients.scene_run import Numbers, SceneRun
-from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
+from hnn_vi_ros.simulation import (
+    build, Change, derivative, DifferentiableRun, lyapunov_time, Numbers, SceneRun, simulate,
+    simulate_many)
 from messages import refused
 import numpy as np
 import pytest

@@ -8,8 +8,7 @@ from helpers import (
     EPS, exact, exact_tableau, GENERIC, KINDS, Method, METHODS, mostly_long, python_step,
     Uncompiled)
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.gauss import gauss_tableau
+from hnn_vi_ros.integrators import gauss_tableau, INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 from mpmath import mp, mpf
 import numpy as np

@@ -5,8 +5,7 @@
 from helpers import (
     EPS, exact, GENERIC, KINDS, long, Method, METHODS, mostly_long, python_step, Uncompiled)
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.gauss import Gauss
+from hnn_vi_ros.integrators import Gauss, INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 from mpmath import mpf
 import numpy as np

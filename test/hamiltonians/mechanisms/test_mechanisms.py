@@ -4,10 +4,9 @@
 
 from itertools import pairwise
 
+from hnn_vi_ros.hamiltonians import Ball, bounds_of, COORDINATES, Cuboid, Line, MECHANISMS, Trail
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
-from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, bounds_of, Cuboid, Line, Trail
-from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -6,7 +6,7 @@ from itertools import zip_longest
 import struct
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from hnn_vi_ros.recording.bags.cdr import (
+from hnn_vi_ros.recording import (
     decode_float64_multi_array, decode_joint_state, decode_state, serialize, Template)
 from hnn_vi_ros.ros.topics.messages import array_message
 from hypothesis import given, settings, strategies as st

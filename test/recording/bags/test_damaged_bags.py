@@ -15,11 +15,9 @@ import socket
 from bag_content import content_of
 from bag_mutations import Mutant, mutants, records_of
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.recording.bags.bag_metadata import Topic
+from hnn_vi_ros.recording import BagReader, McapSink, Topic
 from hnn_vi_ros.recording.bags.mcap_file import MAGIC
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.recording.bags.mcap_recovery import recover, Recovery
-from hnn_vi_ros.recording.bags.mcap_sink import McapSink
 from hnn_vi_ros.recording.bags.recover_bag import main
 from mcap.opcode import Opcode
 from messages import refused

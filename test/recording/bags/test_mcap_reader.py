@@ -6,9 +6,8 @@ from pathlib import Path
 import random
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.recording import BagReader, McapSink
 from hnn_vi_ros.recording.bags import mcap_reader
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
-from hnn_vi_ros.recording.bags.mcap_sink import McapSink
 from mcap.writer import CompressionType, Writer
 from messages import refused
 import pytest

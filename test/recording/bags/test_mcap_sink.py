@@ -12,10 +12,10 @@ import tracemalloc
 
 import hnn_vi_ros
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.kernels.sources import identity
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.kernels import identity
+from hnn_vi_ros.recording import BagReader, McapSink
 from hnn_vi_ros.recording.bags.mcap_recovery import recover
-from hnn_vi_ros.recording.bags.mcap_sink import CHUNK_SIZE, McapSink, Topic
+from hnn_vi_ros.recording.bags.mcap_sink import CHUNK_SIZE, Topic
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader, McapReader
 from mcap.records import McapRecord, Message

@@ -13,9 +13,8 @@ import tempfile
 import time
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader, McapSink
 from hnn_vi_ros.recording.bags.mcap_recovery import recover
-from hnn_vi_ros.recording.bags.mcap_sink import McapSink
 from hypothesis import example, given, settings, strategies
 from mcap.reader import make_reader
 from mcap.records import Message

@@ -8,7 +8,7 @@ from pathlib import Path
 import sqlite3
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader
 from messages import refused
 import pytest
 

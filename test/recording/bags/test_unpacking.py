@@ -6,9 +6,9 @@ from pathlib import Path
 import struct
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags import mcap_reader
 from hnn_vi_ros.recording.bags.mcap_file import _unpack, MAX_RECORD_SIZE
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.recording.bags.mcap_recovery import recover
 import lz4.frame
 from mcap.data_stream import RecordBuilder

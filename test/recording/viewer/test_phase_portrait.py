@@ -4,8 +4,8 @@
 
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.hamiltonians.kepler import Kepler
-from hnn_vi_ros.recording.viewer.phase_portrait import (
-    box_of, contours, fitted, Frame, frame_of, GRID, ticks)
+from hnn_vi_ros.recording import box_of, contours, Frame
+from hnn_vi_ros.recording.viewer.phase_portrait import fitted, frame_of, GRID, ticks
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np

@@ -6,9 +6,8 @@ from pathlib import Path
 
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.hamiltonians import HAMILTONIANS, MECHANISMS
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.recording.viewer.rerun_entities import ForceArrows
 import numpy as np
 import pytest

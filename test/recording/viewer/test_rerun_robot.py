@@ -5,14 +5,10 @@
 import os
 from pathlib import Path
 
-from hnn_vi_ros.hamiltonians.mechanisms.skeleton import bones, skeleton
-from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.recording.viewer.phase_portrait import box_of
+from hnn_vi_ros.hamiltonians import bones, parse_urdf, RigidBodyTree, skeleton
+from hnn_vi_ros.recording import box_of, RerunSink, Sample
 from hnn_vi_ros.recording.viewer.rerun_entities import (
     bounds_of_path, bounds_of_robot, collisions_of)
-from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader

@@ -15,12 +15,11 @@ import time
 from types import SimpleNamespace
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.hamiltonians import MECHANISMS
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
-from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.recording import RerunSink, Sample
 from hnn_vi_ros.recording.viewer import rerun_sink, rerun_stream
 from hnn_vi_ros.recording.viewer.rerun_blueprint import BANDS, series_labels
-from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
 from hnn_vi_ros.recording.viewer.rerun_stream import RerunStream
 from messages import refused
 import numpy as np

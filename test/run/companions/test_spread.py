@@ -8,12 +8,11 @@ from pathlib import Path
 from ensembles import ensemble
 from hnn_vi_ros import load_scene, simulate, simulate_spread
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.models.checkpoint import save_checkpoint
-from hnn_vi_ros.run.companions.members import Accompanied, deviation, Members
+from hnn_vi_ros.models import save_checkpoint
+from hnn_vi_ros.run import Accompanied, deviation, Members
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, SpreadGuard
 from hnn_vi_ros.simulation.guards.base import Look
-from hnn_vi_ros.simulation.guards.bounds import SpreadGuard
 from messages import refused
 import numpy as np
 import pytest

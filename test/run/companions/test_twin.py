@@ -6,12 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hnn_vi_ros import load_scene, Scene
-from hnn_vi_ros.effects.commands import Observation
+from hnn_vi_ros.effects import Observation
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.run.companions.members import Accompanied
-from hnn_vi_ros.run.companions.twin import Twin, VALID
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.run import Accompanied, Twin, VALID
+from hnn_vi_ros.simulation import build, Simulation
 from messages import refused
 import numpy as np
 import pytest

@@ -13,11 +13,9 @@ from hnn_vi_ros.errors import CalibrationError, SceneError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.accuracy.automatic_choice import (
-    calibrate, CANDIDATES, Choice, remembered, resolve)
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, Method, Tolerance
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.trajectory.simulate import simulate
+from hnn_vi_ros.simulation import (
+    build, Choice, InitialValueProblem, Method, resolve, simulate, Tolerance)
+from hnn_vi_ros.simulation.accuracy.automatic_choice import calibrate, CANDIDATES, remembered
 from messages import refused
 import numpy as np
 from plain_systems import Plain

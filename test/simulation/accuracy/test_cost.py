@@ -9,11 +9,10 @@ from types import SimpleNamespace
 from helpers import exact_orbit, problem_of
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation import CostStudy, measure_costs, Method, MethodCost
 from hnn_vi_ros.simulation.accuracy import cost
-from hnn_vi_ros.simulation.accuracy.cost import (
-    CostStudy, fastest, measure_costs, MethodCost, run_errors)
+from hnn_vi_ros.simulation.accuracy.cost import fastest, run_errors
 from hnn_vi_ros.simulation.accuracy.path_reference import exact_path, Instants
-from hnn_vi_ros.simulation.accuracy.trials import Method
 import numpy as np
 import pytest
 

@@ -9,13 +9,12 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.scene.choices import Condition
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.scene import Condition
+from hnn_vi_ros.simulation import (
+    local_error, secular_change, Simulation, System, WatchedSimulation)
 from hnn_vi_ros.simulation.accuracy.diagnostics import (
-    energy_band, energy_scale, EnergyScale, local_error, rounding_walk, scales_along, scales_of,
-    secular_change)
-from hnn_vi_ros.simulation.events import EventFunction, WatchedSimulation
-from hnn_vi_ros.simulation.system import System
+    energy_band, energy_scale, EnergyScale, rounding_walk, scales_along, scales_of)
+from hnn_vi_ros.simulation.events import EventFunction
 import numpy as np
 from plain_systems import double_well, Motion, MOTIONS, pendulum, Plain
 import pytest

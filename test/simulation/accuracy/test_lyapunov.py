@@ -5,7 +5,7 @@
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time
+from hnn_vi_ros.simulation import lyapunov_time
 from messages import refused
 import numpy as np
 import pytest

@@ -8,7 +8,7 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation.gradients.derivatives import Change, DifferentiableRun
+from hnn_vi_ros.simulation import Change, DifferentiableRun
 from messages import refused
 from mpmath import mpf
 import numpy as np

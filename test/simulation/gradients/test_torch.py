@@ -12,12 +12,11 @@ import tracemalloc
 
 import hnn_vi_ros
 from hnn_vi_ros.errors import SceneError, StateError, UnsupportedSystem
-from hnn_vi_ros.integrators.gauss import gauss_tableau
-from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.integrators import gauss_tableau
+from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.gradients.dependences import StateSequence
+from hnn_vi_ros.simulation import BLOCK, StateSequence
 from hnn_vi_ros.simulation.gradients.scene_run import model_of, numbers_of_model
-from hnn_vi_ros.simulation.trajectory.record import BLOCK
 from hnn_vi_ros.torch import DifferentiableSimulation, OnWeights, simulate, SimulatedMotion
 from mechanical_models import random_mechanical, saved, SHAPES
 from messages import refused

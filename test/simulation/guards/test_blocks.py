@@ -5,12 +5,8 @@
 from dataclasses import replace
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.guards.bands import EnergyGuard
-from hnn_vi_ros.simulation.guards.selection import make_guards
-from hnn_vi_ros.simulation.guards.watch import SampledScale
+from hnn_vi_ros.run import Monitor, Sampler
+from hnn_vi_ros.simulation import build, EnergyGuard, make_guards, SampledScale
 import numpy as np
 import pytest
 

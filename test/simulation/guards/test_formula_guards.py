@@ -3,19 +3,14 @@
 """Runs of formulas with steps too large that keep their energy are told all the same."""
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.hamiltonians import Formula, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import (
+    build, judge, make_guards, PoleGuard, record_one, SampledScale, Simulation)
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard
-from hnn_vi_ros.simulation.guards.base import judge, SampleBlock
+from hnn_vi_ros.simulation.guards.base import SampleBlock
 from hnn_vi_ros.simulation.guards.paths import PathGuard
-from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.saddles import SaddleSearch
-from hnn_vi_ros.simulation.guards.selection import make_guards
-from hnn_vi_ros.simulation.guards.watch import SampledScale
-from hnn_vi_ros.simulation.trajectory.simulate import record_one
 import numpy as np
 import pytest
 

@@ -7,13 +7,12 @@ from helpers import long, mostly_long, Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import BoxGuard, look, Simulation, Watch
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.simulation.guards.bands import ResolutionGuard
-from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT
-from hnn_vi_ros.simulation.guards.watch import energies_of, look, Watch
+from hnn_vi_ros.simulation.guards.watch import energies_of
 import numpy as np
 from plain_systems import kepler, Motion, MOTIONS, pendulum
 import pytest

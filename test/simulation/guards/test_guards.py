@@ -7,11 +7,10 @@ import math
 
 from helpers import alarm_of
 from hnn_vi_ros import load_scene, simulate
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
-from hnn_vi_ros.simulation.guards.base import (
-    accounted_energy, BlockGuard, judge, SampleBlock, Waiting)
-from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.recording import Sample
+from hnn_vi_ros.simulation import BlockGuard, BoxGuard, EnergyGuard, judge, Waiting
+from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
+from hnn_vi_ros.simulation.guards.base import accounted_energy, SampleBlock
 import numpy as np
 import pytest
 

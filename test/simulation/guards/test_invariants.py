@@ -8,9 +8,9 @@ from ensembles import ensemble
 from helpers import alarm_of
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import AlarmWarning, SceneError
-from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.files import shipped_file
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.models import load_learned
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.guards.bands import InvariantGuard

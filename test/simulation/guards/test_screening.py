@@ -6,9 +6,9 @@ import warnings
 
 from helpers import long
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Watch
 from hnn_vi_ros.simulation.guards.paths import PathGuard
-from hnn_vi_ros.simulation.guards.watch import energies_of, suspects, Watch
+from hnn_vi_ros.simulation.guards.watch import energies_of, suspects
 import numpy as np
 import pytest
 

@@ -6,13 +6,10 @@ import math
 
 from helpers import Uncompiled
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.hamiltonians import Formula, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.guards.selection import make_guards
+from hnn_vi_ros.simulation import look, make_guards, Simulation
 from hnn_vi_ros.simulation.guards.steps import SolutionGuard
-from hnn_vi_ros.simulation.guards.watch import look
 import numpy as np
 import pytest
 from scipy.optimize import brentq

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, load_checkpoint, save_checkpoint
+from hnn_vi_ros.models import Checkpoint, Layers, load_checkpoint, save_checkpoint
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 

@@ -6,14 +6,10 @@ from pathlib import Path
 
 from helpers import EPS
 from hnn_vi_ros.errors import ParameterError, StepFailure, UnsupportedSystem
-from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
-from hnn_vi_ros.models.confined import ConfinedHamiltonian
-from hnn_vi_ros.models.neural import NeuralHamiltonian
+from hnn_vi_ros.models import Checkpoint, ConfinedHamiltonian, load_checkpoint, NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.lockstep.ensemble import LockstepEnsemble, open_device
+from hnn_vi_ros.simulation import LockstepEnsemble, open_device, simulate_many, Simulation
 from hnn_vi_ros.simulation.lockstep.gradient import captured, make_gradient
-from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
 from lockstep_scenes import random_network
 from messages import refused
 import numpy as np

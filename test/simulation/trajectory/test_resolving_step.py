@@ -7,11 +7,10 @@ import warnings
 
 from helpers import mostly_long
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.files import shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, simulate
 from hnn_vi_ros.simulation.guards.bands import ResolutionGuard
-from hnn_vi_ros.simulation.trajectory.simulate import simulate
 import pytest
 
 # Of the scenes whose energy is conserved, those in which it is by these steps too: most of bodies

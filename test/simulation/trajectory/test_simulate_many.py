@@ -7,12 +7,8 @@ import warnings
 from helpers import EPS, long
 from hnn_vi_ros.errors import AlarmWarning, SceneError, StepFailure
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.guards.watch import look, Watch
-from hnn_vi_ros.simulation.system import System
-from hnn_vi_ros.simulation.trajectory.record import BLOCK
-from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
+from hnn_vi_ros.simulation import (
+    BLOCK, build, look, simulate, simulate_many, Simulation, System, Watch)
 from messages import refused
 import numpy as np
 import pytest

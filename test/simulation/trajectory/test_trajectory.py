@@ -10,9 +10,8 @@ import sys
 from hnn_vi_ros.errors import MissingPackage, RecordingError
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation import simulate, simulate_many, Trajectory
 from hnn_vi_ros.simulation.trajectory.figures import ALARM, COLOURS, MOST_NAMED
-from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
-from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 from matplotlib.colors import to_rgb
 from messages import refused
 import numpy as np
