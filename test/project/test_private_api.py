@@ -1,23 +1,15 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is used of others that they keep to themselves: one file for each, and what it rests on."""
+"""Private names of other packages: one file uses those of each package."""
 
-import argparse
 import ast
 import inspect
-from io import BytesIO
 
-from mcap.writer import Writer
-import numba
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.lowering import Lower
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
-import pytest
-import rerun as rr
-from rerun import bindings
-import rerun.blueprint as rrb
 from sources import MODULES, PACKAGE, tree
 
 # By file: whose it is, and what; the file says why. What is documented in spite of its name, such
@@ -98,62 +90,6 @@ def test_what_others_keep_to_themselves_is_used_in_one_file_for_each():
     assert len(set(owners)) == len(owners)
 
 
-def test_argparse_keeps_all_options_by_their_words():
-    parser = argparse.ArgumentParser()
-    parser.add_argument_group('more').add_argument('--own')
-    assert {'--help', '--own'} <= {word for one in parser._actions for word in one.option_strings}
-
-
-def test_mcap_notes_the_chunks_of_a_file_in_a_list():
-    assert Writer(BytesIO())._Writer__chunk_indices == []
-
-
-def test_numba_calls_and_has_what_is_put_in_its_place():
+def test_numba_has_the_functions_that_ours_replace():
     assert {function: ', '.join(inspect.signature(function).parameters)
             for function in REPLACED} == REPLACED
-
-
-def test_numba_keeps_in_libraries_and_functions_what_is_read_of_them():
-    @numba.njit
-    def twice(x: float) -> float:
-        return 2.0 * x
-
-    twice(1.0)
-    (result,) = twice.overloads.values()
-    library = result.library
-    assert {'_linking_libraries', '_reload_init', '_final_module', '_codegen',
-            '_finalized'} <= vars(library).keys()
-    assert isinstance(library._codegen._tm_features, str)
-    assert library._finalized and isinstance(library._reload_init, set)
-    codegen = library._codegen
-    passes, _ = codegen._module_pass_manager(
-        loop_vectorize=codegen._loopvect, slp_vectorize=False, opt=codegen._opt_level,
-        cost='cheap')
-    assert callable(passes.run)
-    assert codegen._opt_level in range(4) and isinstance(codegen._loopvect, bool)
-    assert hasattr(twice, '_cache') and not twice._cache_hits
-    assert [*inspect.signature(FunctionCache.load_overload).parameters] == [
-        'self', 'sig', 'target_context']
-    files = FunctionCache(twice.py_func)
-    assert {'_py_func', '_cache_path', '_cache_file'} <= vars(files).keys()
-    assert {'_index_name', '_source_stamp'} <= vars(files._cache_file).keys()
-    assert callable(numba._dynfunc.make_function)
-
-
-def test_rerun_makes_and_logs_a_blueprint_by_itself():
-    assert [*inspect.signature(rr.RecordingStream._from_native).parameters] == [
-        'native_recording']
-    assert [*inspect.signature(rrb.Blueprint._log_to_stream).parameters] == ['self', 'stream']
-    for function in (bindings.new_blueprint, bindings.send_blueprint):
-        assert callable(function)
-
-
-def test_rclpy_has_the_errors_the_logger_and_the_machine_of_a_managed_node():
-    internals = pytest.importorskip(
-        'hnn_vi_ros.ros.plumbing.rclpy_internals', reason='needs rclpy')
-    from rclpy.lifecycle import LifecycleNodeMixin
-    assert issubclass(internals.RCLError, Exception)
-    assert issubclass(internals.UnknownROSArgsError, Exception)
-    assert callable(internals.Logger.warning)
-    assert {'_state_machine', '_service_change_state'} <= {
-        *LifecycleNodeMixin.__init__.__code__.co_names}
