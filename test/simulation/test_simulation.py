@@ -201,18 +201,6 @@ def test_step_failure_for_a_state_that_is_not_finite():
         simulation.advance(1)
 
 
-def test_simulation_is_bit_identical_when_repeated_and_when_cut_in_pieces():
-    whole, pieces, again = (tao(0.05) for _ in range(3))
-    whole.advance(1000)
-    again.advance(1000)
-    for n in (1, 333, 0, 666):
-        pieces.advance(n)
-    for other in (pieces, again):
-        assert (other.steps, other.time) == (1000, 1000 * 0.05)
-        assert np.array_equal(other.q, whole.q)
-        assert np.array_equal(other.p, whole.p)
-
-
 @pytest.mark.parametrize('name', mostly_long(sorted(set(INTEGRATORS) - {
     'stormer_verlet', 'dop853', 'taylor', 'discrete_euler_lagrange', 'variational_midpoint'} - {
         name for name in INTEGRATORS if name.startswith('lie_')}), *KINDS, 'time_transformed'))

@@ -149,6 +149,11 @@ def test_command_is_refused_where_no_effect_takes_one():
 
 # Repeatability.
 
+def plain() -> Simulation:
+    """Return a simulation without effects."""
+    return plain_run('tao', 'variational_euler', 0.05, [1.0], [-1.0])
+
+
 def brownian(seed: int = 1) -> Simulation:
     """Return a pendulum in a heat bath."""
     return plain_run('pendulum', 'stormer_verlet', 0.05, [0.7], [0.0],
@@ -186,7 +191,7 @@ def following() -> Simulation:
     return simulation
 
 
-SIMULATIONS = [brownian, rods, resting, commanded, following]
+SIMULATIONS = [plain, brownian, rods, resting, commanded, following]
 
 
 def assert_same(one: Simulation, other: Simulation) -> None:
@@ -198,7 +203,7 @@ def assert_same(one: Simulation, other: Simulation) -> None:
 
 
 @pytest.mark.parametrize('make', SIMULATIONS, ids=lambda make: make.__name__)
-def test_simulation_with_effects_is_bit_identical_when_repeated_and_when_cut_in_pieces(make):
+def test_simulation_is_bit_identical_when_repeated_and_when_cut_in_pieces(make):
     whole, pieces = make(), make()
     whole.advance(120)
     for n in (1, 0, 58, 1, 60):
