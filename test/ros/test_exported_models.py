@@ -16,7 +16,6 @@ from messages import refused
 import numpy as np
 from processes import simulator_words
 import pytest
-from recorded import assert_agrees, record_run
 from scene_files import write_scene
 from sources import run_without
 
@@ -45,10 +44,6 @@ def test_node_runs_an_exported_model_and_replay_verifies_it_without_torch(tmp_pa
                            f'cli.{executable}()', *map(str, arguments))
         assert done.returncode == 0, done.stderr
     assert 'bit' in done.stdout
-
-
-def test_bag_of_an_exported_model_agrees_bit_by_bit_with_its_run(tmp_path, scene_file):
-    assert_agrees(record_run(tmp_path / 'bag', load_scene(scene_file), 100), 100)
 
 
 def test_exported_model_that_a_topic_names_is_the_recorded_one_or_refused(tmp_path, scene_file):
