@@ -29,7 +29,6 @@ import argparse
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
-import re
 import shlex
 from typing import Any
 import zipfile
@@ -51,13 +50,11 @@ import torch
 # Maximum size of the file, of its unpacked content, and of all tensors in double precision.
 MAX_BYTES = 64 << 20
 _TYPES = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
-_NAME = re.compile(r'(.*\.)?linear([1-9]\d?)\.(weight|bias)')
 # Prefixes that wrappers of modules add to all names.
 _PREFIXES = ('module.', '_orig_mod.', 'module.')
 _SAVE = 'save the state_dict of the module'
 _BY_CODE = 'give the module itself, as module.py:make with --weights'
-_SHAPES = ('expected the state_dict of a network whose layers are named linear1, linear2, ... '
-           'with weights and biases')
+_BODY_FILE = 'give the state_dict of tanh networks of linear layers'
 
 
 def read_state(path: Path) -> tuple[dict[str, torch.Tensor], str]:
@@ -134,6 +131,15 @@ def perceptron_of(path: Path, state: Mapping[str, torch.Tensor], activation: str
         The tensors are not the weights and biases of consecutive linear layers.
 
     """
+    layers = _layers(path, state, _BY_CODE)
+    if len(layers.weights[-1]) != 1:
+        raise ModelError(f'{path}: its last layer has {len(layers.weights[-1])} outputs, and H is '
+                         f'one number; {_BY_CODE}')
+    return Network(layers, activation)
+
+
+def _layers(path: Path, state: Mapping[str, torch.Tensor], remedy: str) -> Layers:
+    """Return the consecutive linear layers of a state_dict, or raise ModelError."""
     weights, biases = list[np.ndarray](), list[np.ndarray]()
     for name, tensor in state.items():
         owner, _, kind = name.rpartition('.')
@@ -141,18 +147,15 @@ def perceptron_of(path: Path, state: Mapping[str, torch.Tensor], activation: str
             continue
         if kind != 'weight' or tensor.ndim != 2 or (
                 weights and tensor.shape[1] != len(weights[-1])):
-            raise ModelError(f'{path}: {name} of shape {(*tensor.shape,)} is not the weight of '
-                             f'the next linear layer; {_BY_CODE}')
+            raise ModelError(f'{path}: {name[:80]} of shape {(*tensor.shape,)} is not the weight '
+                             f'of the next linear layer; {remedy}')
         weights.append(tensor.double().numpy())
         bias = state.get(f'{owner}.bias')
         biases.append(np.zeros(len(tensor)) if bias is None else bias.double().numpy())
         if biases[-1].shape != (len(tensor),):
             raise ModelError(f'{path}: {owner}.bias has shape {biases[-1].shape}, expected '
                              f'{(len(tensor),)}')
-    if len(weights[-1]) != 1:
-        raise ModelError(f'{path}: its last layer has {len(weights[-1])} outputs, and H is one '
-                         f'number; {_BY_CODE}')
-    return Network(Layers(tuple(weights), tuple(biases)), activation)
+    return Layers(tuple(weights), tuple(biases))
 
 
 def _unpacked_size(path: Path) -> int:
@@ -164,33 +167,10 @@ def _unpacked_size(path: Path) -> int:
 
 def _networks(path: Path, state: Mapping[str, torch.Tensor]) -> dict[str, Layers]:
     """Return the layers of all networks, keyed by the prefix of the layer names, '' for none."""
-    found: dict[str, dict[tuple[int, str], np.ndarray]] = {}
+    found: dict[str, dict[str, torch.Tensor]] = {}
     for name, tensor in state.items():
-        match = _NAME.fullmatch(name)
-        if match is None:
-            raise ModelError(f'{path}: holds {name[:80]!r}; {_SHAPES}')
-        network = found.setdefault((match[1] or '').removesuffix('.'), {})
-        network[int(match[2]), match[3]] = tensor.double().numpy().copy()
-    return {name: _layers(path, f'{name}.' if name else '', network)
-            for name, network in found.items()}
-
-
-def _layers(path: Path, prefix: str, found: dict[tuple[int, str], np.ndarray]) -> Layers:
-    depth = max(layer for layer, _ in found)
-    weights, biases = list[np.ndarray](), list[np.ndarray]()
-    for layer in range(1, depth + 1):
-        name, weight = f'{prefix}linear{layer}', found.get((layer, 'weight'))
-        if weight is None or weight.ndim != 2 or not weight.size or (
-                weights and weight.shape[1] != weights[-1].shape[0]):
-            raise ModelError(f'{path}: {name}.weight is missing or does not match the previous '
-                             f'layer; {_SHAPES}')
-        bias = found.get((layer, 'bias'), np.zeros(len(weight)))
-        if bias.shape != weight.shape[:1]:
-            raise ModelError(f'{path}: {name}.bias has shape {bias.shape}, expected '
-                             f'{weight.shape[:1]}')
-        weights.append(weight)
-        biases.append(bias)
-    return Layers(tuple(weights), tuple(biases))
+        found.setdefault('.'.join(name.split('.')[:-2]), {})[name] = tensor
+    return {name: _layers(path, network, _BODY_FILE) for name, network in found.items()}
 
 
 def _check_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
