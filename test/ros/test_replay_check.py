@@ -8,15 +8,14 @@ import re
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ParameterError, RecordingError
-from hnn_vi_ros.files.resources import share_folder
+from hnn_vi_ros.files import share_folder
 from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.learning.data.bag_signals import SignalReader
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.mcap_file import MAGIC
 from hnn_vi_ros.ros.replay import replay_check
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
-from hnn_vi_ros.ros.replay.replay_check import (
-    check_replay, check_replays, Missing, missing_stamps)
+from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays, Missing, missing_stamps
 from hnn_vi_ros.ros.rerun_bridge import BridgePicture
 from hnn_vi_ros.run import restore_state, Sampler, STATE_FILE, state_file
 from hnn_vi_ros.simulation import build
