@@ -5,7 +5,6 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 import re
 import tracemalloc
@@ -612,7 +611,7 @@ ARGUMENTS = {'q0': 1.3, 'p0': 0.7, 'commands': 0.4, 'step_size': 0.02, 'hamilton
              'effects.0.rate': 0.4, 'hamiltonian.linear1.bias': 0.1}
 
 
-def loss_of(argument: str, linear: bool, prepared: bool) -> Loss:
+def loss_of(argument: str, linear: bool) -> Loss:
     """Return a loss of the last state as a function of one number that the run depends on."""
     learned, h, weight = 'linear1' in argument, 0.02, 0.0
     scene = load_scene('pendulum' if learned else 'exact_pendulum').with_overrides(step_size=h)
@@ -631,18 +630,17 @@ def loss_of(argument: str, linear: bool, prepared: bool) -> Loss:
         else:
             given[argument] = {'commands': x.expand(5, 1), 'step_size': x}.get(
                 argument, x.reshape(1))
-        run = DifferentiableSimulation(scene, names) if prepared else partial(simulate, scene)
-        motion = run(**given, duration=5 * 2 * h, every=2)
+        # simulate() calls the same.
+        motion = DifferentiableSimulation(scene, names)(**given, duration=5 * 2 * h, every=2)
         last = motion.q[-1, 0] + 0.3 * motion.p[-1, 0]
         return last if linear else last.square()
     return loss
 
 
-@pytest.mark.parametrize('prepared', [False, True], ids=['simulate', 'prepared'])
 @pytest.mark.parametrize('linear', [False, True], ids=['square', 'linear'])
 @pytest.mark.parametrize('argument', ARGUMENTS)
-def test_second_derivatives_are_refused_however_they_are_asked_for(argument, linear, prepared):
-    f = loss_of(argument, linear, prepared)
+def test_second_derivatives_are_refused_however_they_are_asked_for(argument, linear):
+    f = loss_of(argument, linear)
     x = torch.tensor(ARGUMENTS[argument], dtype=torch.float64)
     for way in TWICE:
         with pytest.raises(UnsupportedSystem, match='only once|weights in torch.func'):
@@ -655,7 +653,7 @@ def test_second_derivatives_are_refused_however_they_are_asked_for(argument, lin
 
 @pytest.mark.parametrize('argument', [name for name in ARGUMENTS if 'linear1' not in name])
 def test_first_derivatives_are_the_same_however_they_are_asked_for(argument):
-    f = loss_of(argument, False, True)
+    f = loss_of(argument, False)
     x = torch.tensor(ARGUMENTS[argument], dtype=torch.float64)
     own = x.clone().requires_grad_()
     (expected,) = torch.autograd.grad(f(own), own)
