@@ -28,12 +28,12 @@ def json_schema(model: type[BaseModel], title: str) -> str:
         Description of the file.
 
     """
-    schema = model.model_json_schema(schema_generator=_Plain)
-    schema = {'$schema': _Plain.schema_dialect, **schema, 'title': title}
+    schema = model.model_json_schema(schema_generator=_Untitled)
+    schema = {'$schema': _Untitled.schema_dialect, **schema, 'title': title}
     return json.dumps(schema, indent=2, ensure_ascii=False)
 
 
-class _Plain(GenerateJsonSchema):
+class _Untitled(GenerateJsonSchema):
     """A JSON schema without titles of keys, which would only repeat their names."""
 
     def field_title_should_be_set(self, schema: object) -> bool:

@@ -59,7 +59,7 @@ def main(argv: Sequence[str]) -> None:
                              ) from problem
 
 
-class _Judged(NamedTuple):
+class _Judgement(NamedTuple):
     """A table with remarks, the same as numbers, and predictions to draw."""
 
     text: str
@@ -68,7 +68,7 @@ class _Judged(NamedTuple):
     coordinates: Sequence[Coordinate]
 
 
-def _judged(arguments: Namespace) -> _Judged:
+def _judged(arguments: Namespace) -> _Judgement:
     """Judge a model or scene with scalar coordinates."""
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
     names = names_of(hamiltonian)
@@ -117,7 +117,7 @@ def _judged(arguments: Namespace) -> _Judged:
         beyond = outside(domain, fans, arguments.horizons)
         text += f'\n{beyond.text}'
         numbers['outside'] = beyond.numbers
-    return _Judged(text, numbers, fans, hamiltonian.coordinates)
+    return _Judgement(text, numbers, fans, hamiltonian.coordinates)
 
 
 def _effects_for(model: str, effects: list[Effect], motions: Sequence[EvenMotion],
@@ -182,7 +182,7 @@ def _whole(errors: Sequence[np.ndarray], motions: Sequence[EvenMotion], names: S
     return '\n'.join(lines)
 
 
-def _write(arguments: Namespace, found: _Judged, text: str) -> None:
+def _write(arguments: Namespace, found: _Judgement, text: str) -> None:
     """Write the files requested on the command line."""
     if arguments.json is not None:
         write_text(arguments.json, json.dumps(found.numbers, indent=2, allow_nan=False) + '\n')
