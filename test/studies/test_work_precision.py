@@ -44,8 +44,9 @@ def test_study_has_rows_of_methods_and_peers_for_each_horizon(tmp_path, monkeypa
     monkeypatch.setattr(cost, 'INTEGRATORS', {
         kind: INTEGRATORS[kind] for kind in ('gauss8', 'rk4')})
     monkeypatch.setattr(work_precision, '_peers', lambda problem: scipy_peers(problem.hamiltonian))
-    assert work_precision.main(['--scenes', 'exact_pendulum', '--horizons', '2', '1', '--seconds',
-                                '5', '--docs', str(tmp_path), '--peers']) == 0
+    # Two methods end long before the default budget of time.
+    assert work_precision.main(['--scenes', 'exact_pendulum', '--horizons', '2', '1', '--docs',
+                                str(tmp_path), '--peers']) == 0
     results = accuracy_page.results_of(tmp_path)['exact_pendulum']
     assert results.horizons == [1.0, 2.0] == [*results.floors]
     for horizon, floor in results.floors.items():
@@ -250,8 +251,3 @@ def test_page_shows_no_horizon_that_most_rows_were_not_run_to():
     assert '## T = 100000 s' in pages['henon_heiles']
     assert '## T = 100000 s' not in pages['kepler']
     assert re.search(r'Not shown anywhere: T = 100000 s of kepler, pendulum;', text)
-
-
-def test_pages_of_what_is_not_measured_are_refused(tmp_path):
-    with refused(HnnViRosError):
-        accuracy_page.write_pages(tmp_path)
