@@ -243,13 +243,6 @@ def test_unusable_bag_gives_one_line_that_says_what_is_in_it(tmp_path, messages,
         dataset([path], bag(**changes))
 
 
-def test_what_is_no_bag_is_refused(tmp_path):
-    (tmp_path / 'notes.mcap').write_text('notes')
-    for path in (tmp_path / 'none', tmp_path / 'notes.mcap', tmp_path / 'empty'):
-        with refused(DataError):
-            dataset([path], bag())
-
-
 @pytest.mark.parametrize('changes', [
     {'joints': ['a', 'a']}, {'columns': [0, 1]}, {'p': 'p', 'mass': [1.0]},
     {'velocity': 'v', 'estimate_velocity': True}, {'mass': [1.0, 2.0]}, {'spacing': 0.0}])

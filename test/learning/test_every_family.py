@@ -201,10 +201,3 @@ def test_model_is_evaluated_by_motions_that_a_configuration_computes(files: Path
         evaluate.main(['harmonic_oscillator'])
     with pytest.raises(DataError, match='are motions of a rotating body'):
         evaluate.main(['harmonic_oscillator', '--config', 'turning_pendulum'])
-
-
-def test_log_that_lacks_what_a_family_learns_from_is_refused_in_one_line(files: Path):
-    (files / 'log.yaml').write_text(dump_yaml(
-        LOG | {'family': {'kind': 'control_affine'}, 'loss': {'kind': 'vector_field'}}))
-    with refused(DataError):
-        train.main(words(files, 'log', 'm'))

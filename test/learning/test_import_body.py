@@ -156,12 +156,3 @@ def test_import_without_friction_or_of_other_networks(tmp_path: Path):
 def test_option_that_bodies_do_not_take_is_one_line(tmp_path: Path, option: tuple):
     with refused(ParameterError):
         imported(tmp_path, 'so3', save(tmp_path, source('so3')), *option)
-
-
-def test_epsilon_must_be_given_and_is_of_bodies_alone(tmp_path: Path):
-    path = save(tmp_path, source('so3'))
-    words = [str(path), '--coordinates', 'body', '--box=-1:1']
-    with refused(ParameterError):
-        main([*words, '--layout', 'so3'])
-    with refused(ParameterError):
-        main([*words, '--epsilon=0.1'])

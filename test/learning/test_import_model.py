@@ -5,7 +5,6 @@
 from itertools import pairwise
 from pathlib import Path
 import pickle
-import tarfile
 import zipfile
 
 from helpers import Malicious
@@ -201,15 +200,6 @@ def test_file_that_is_not_one_of_torch_is_refused(tmp_path):
     for raw in (b'', b'PK\x03\x04' + bytes(100), pickle.dumps({'a': 1})[:5], b'\x80\x02' * 50):
         path.write_bytes(raw)
         assert_refused(path)
-
-
-def test_tar_archive_of_ancient_torch_is_refused(tmp_path):
-    (tmp_path / 'pickle').write_bytes(pickle.dumps(Malicious(tmp_path / 'executed')))
-    with tarfile.open(tmp_path / 'source.tar', 'w') as archive:
-        for name in ('sys_info', 'storages', 'tensors', 'pickle'):
-            archive.add(tmp_path / 'pickle', name)
-    assert_refused(tmp_path / 'source.tar')
-    assert not (tmp_path / 'executed').exists()
 
 
 def test_file_that_unpacks_to_more_than_the_limit_is_refused(tmp_path):

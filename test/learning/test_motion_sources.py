@@ -112,13 +112,6 @@ def test_commands_are_the_forces_where_they_are_named(tmp_path):
         read(write(tmp_path / 'b.mcap', [*driver(), *wide]), forces='forces')
 
 
-def test_bag_in_which_no_message_holds_all_joints_is_refused(tmp_path):
-    messages = [state(T[i] + 0.001 * j, ['ab'[j]], [Q[i, j]], [V[i, j]])
-                for i in range(len(T)) for j in range(2)]
-    with refused(DataError):
-        read(write(tmp_path / 'a.mcap', messages))
-
-
 def test_arrays_that_lack_numbers_are_read_without_them(tmp_path):
     q, dq = Q.copy(), np.full_like(V, np.nan)
     q[10], q[200, 1] = np.nan, np.inf
@@ -432,11 +425,6 @@ def test_efforts_of_joints_without_a_motor_are_zero_and_told(tmp_path):
     assert 'no efforts published' in described and not motion.tau.any()
     with refused(DataError):
         read(path, forces='effort')
-
-
-def test_forces_are_left_out_where_there_are_to_be_none(tmp_path):
-    (motion,), described = read(write(tmp_path / 'a.mcap', driver()), forces='none')
-    assert not motion.tau.any() and 'effort' not in described
 
 
 def commands(rows, stamp=lambda i: T[i] + 0.005, names=('b', 'a'), tau=lambda i: TAU[i, ::-1]):

@@ -10,11 +10,10 @@ from helpers import random_checkpoint
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.commands import scene_tool
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.errors import ModelError, SceneError, UnsupportedSystem
+from hnn_vi_ros.errors import ModelError, UnsupportedSystem
 from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.models import (
     EnsembleCard, load_checkpoint, load_learned, ModelCard, save_checkpoint)
-from hnn_vi_ros.run import Members
 from messages import misfit, refused
 import numpy as np
 import pytest
@@ -145,13 +144,3 @@ def test_check_of_a_scene_finds_uncertainty_that_no_ensemble_has(
     (tmp_path / 'scene.yaml').write_text(dump_yaml(scene.model_dump(exclude_none=True)))
     assert scene_tool.main(['--check', str(tmp_path / 'scene.yaml')]) == 1
     assert 'hamiltonian: is not the mean of an ensemble' in capsys.readouterr().err
-
-
-def test_uncertainty_of_one_model_is_refused(tmp_path: Path):
-    save_checkpoint(tmp_path / 'one.safetensors', random_checkpoint([2, 4, 1], 0))
-    (tmp_path / 'scene.yaml').write_text(
-        'hamiltonian: {kind: learned, model: one.safetensors}\n'
-        'integrator: {kind: implicit_midpoint}\nstep_size: 0.1\n'
-        'initial_state: {q: [0.1], p: [0.0]}\nuncertainty: {limit: 0.2}\n')
-    with refused(SceneError):
-        Members(load_scene(tmp_path / 'scene.yaml').parts())

@@ -68,7 +68,7 @@ def test_simulate_every_keeps_each_nth_state(scene):
     ({'scene': 'nowhere'}, SceneError), ({'initial_state': {'q': [1.0]}}, TypeError),
     ({'initial_state': 3}, TypeError), ({'initial_state': ([1.0, 2.0], [0.0, 0.0])}, SceneError),
     ({'effects': [{'kind': 'dampin'}]}, SceneError), ({'commands': [[1.0]]}, ValueError),
-    ({'commands': lambda t: [1.0]}, ValueError)])
+    ({'commands': lambda t: [1.0]}, ValueError), ({'duration': 10 ** 400}, ValueError)])
 def test_simulate_refuses_an_argument_in_a_sentence(scene, arguments, error):
     with refused(error):
         simulate(**{'scene': scene, 'duration': 1.0} | arguments)

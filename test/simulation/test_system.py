@@ -142,11 +142,6 @@ def test_initial_state_that_an_effect_cannot_take_is_refused(names, q, p, effect
                   *(effect(kind, **arguments) for kind, arguments in effects))
 
 
-def test_command_is_refused_where_no_effect_takes_one():
-    with refused(ValueError):
-        plain_run('pendulum', 'rk4', 0.1, [1.0], [0.0]).set_command([1.0])
-
-
 # Repeatability.
 
 def plain() -> Simulation:

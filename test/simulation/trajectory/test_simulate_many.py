@@ -240,11 +240,6 @@ def test_sample_at_the_duration_is_taken_however_large_every_is(every):
     assert simulate(free_particle(), 0.2, every=every).t.tolist() == [0.0, 0.2]
 
 
-def test_duration_that_no_float_holds_is_refused():
-    with refused(ValueError):
-        simulate(free_particle(), 10 ** 400)
-
-
 def test_trajectories_that_step_together_raise_no_slow_step_that_none_raises_alone():
     """Newton's method of a block takes a column of the Jacobian for each of its unknowns."""
     q, p = np.random.default_rng(0).uniform(-0.8, 0.8, (2, BLOCK, 2))
