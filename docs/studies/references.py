@@ -110,10 +110,10 @@ def floor_of(reference: PathReference, hamiltonian: Hamiltonian, q0: np.ndarray,
         return Floor(reference.how, accuracy)
     assert isinstance(hamiltonian, NeuralHamiltonian), 'only such were taught'
     energies = truth.energy(*np.split(reference.states, 2, axis=1))
-    exact = make_reference(truth, q0, p0, reference.horizon)
-    path = math.nan
+    instants, path = reference.instants, math.nan
+    exact = make_reference(truth, q0, p0, instants.count * instants.gap)
     if reference.verified and exact.verified:
-        path = float(np.abs(reference.states - exact.states).max())
+        path = float(np.abs(reference.states - exact.states[:len(reference.states)]).max())
     return Floor(reference.how, accuracy, ModelDiscrepancy(
         path, float(np.abs(energies - truth.energy(q0, p0)).max(initial=0.0)),
         hamiltonian.checkpoint.card.energy_error))

@@ -105,6 +105,15 @@ def test_learned_pendulum_carries_the_error_of_the_model():
     assert model.energy == pytest.approx(max(energies), rel=0.1)
 
 
+def test_error_of_a_model_is_known_as_far_as_gradients_let_a_path_reach():
+    problem = problem_of('pendulum')
+    whole = make_reference(problem.hamiltonian, problem.q, problem.p, 1.0)
+    part = dataclasses.replace(whole, states=whole.states[:600])
+    errors = [floor_of(reference, problem.hamiltonian, problem.q, problem.p).model.path
+              for reference in (part, whole)]
+    assert 0.0 < errors[0] < errors[1]
+
+
 def test_scipy_peer_is_measured_with_our_gradient():
     problem = problem_of('exact_pendulum')
     reference = make_reference(problem.hamiltonian, problem.q, problem.p, 10.0)
