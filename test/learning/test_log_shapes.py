@@ -122,6 +122,8 @@ READ: dict[str, Callable[[], tuple[str | bytes, np.ndarray]]] = {
                                        TURNING),
     'wrapped at 360 degrees': lambda: (rows(T, wrapped(np.degrees(TURNING), 0.0, 360.0),
                                             head='t,angle [deg]'), TURNING),
+    'wrapped at two pi': lambda: (rows(T, wrapped(TURNING, 0.0, 2.0 * np.pi)), TURNING),
+    'large angle': lambda: (rows(T, 3.0 * Q), 3.0 * Q),
     'wrapped at pi': lambda: (rows(T, wrapped(TURNING, -np.pi, 2.0 * np.pi)), TURNING),
     'without a header, wrapped': lambda: (rows(T, wrapped(np.degrees(TURNING), 0.0, 360.0),
                                                head=''), TURNING),
@@ -140,6 +142,7 @@ READ: dict[str, Callable[[], tuple[str | bytes, np.ndarray]]] = {
 REFUSED: dict[str, Callable[[], str | bytes]] = {
     'without a header': lambda: rows(T, Q, head=''),
     'angle of a range for degrees or radians': lambda: rows(T, DEG),
+    'angle of a small swing in degrees': lambda: rows(T, DEG / 11.0),
     'length of a range for m or mm': lambda: rows(T, 1e3 * Q, head='t,x'),
     'angle or length': lambda: rows(T, Q, head='t,q'),
     'milliseconds without a unit': lambda: rows(1e3 * T, Q),
@@ -147,7 +150,7 @@ REFUSED: dict[str, Callable[[], str | bytes]] = {
     'points and commas': lambda: rows(comma(T), Q, mark=';', head='t;theta'),
     'separators of thousands': lambda: rows(T, [f'"{1e5 * (q + 2):,.1f}"' for q in Q],
                                             head='t,x [mm]'),
-    'many glitches': lambda: rows(T, put(Q, AT[:90], lambda q: q + 2.9)),
+    'many glitches': lambda: rows(T, put(Q, AT[:90], lambda q: q + 2.9), head='t,theta [rad]'),
     'stuck at the start': lambda: rows(T, np.where(T < 2.5, Q[50], Q), form='{:.6f}'),
     'stuck for seconds': lambda: rows(T, np.where((T > 5.0) & (T < 9.0), Q[101], Q)),
     'cosine': lambda: rows(T, np.cos(Q), head='t,cos_theta'),
@@ -157,6 +160,7 @@ REFUSED: dict[str, Callable[[], str | bytes]] = {
     'JSON': lambda: rows([f'{{"t": {t}, "theta": {q}}}' for t, q in zip(T, Q, strict=True)],
                          head=''),
     'whole seconds': lambda: rows(np.floor(T), Q),
+    'whole seconds in a column with a unit': lambda: rows(np.floor(T), Q, head='t [s],theta'),
     'two motions in one': lambda: rows(0.01 * np.arange(2 * len(T)), np.concatenate([
         np.sin(0.6 * T), np.sin(0.6 * T + 2.0)])),
     'times that never increase': lambda: rows(T[::-1], Q),

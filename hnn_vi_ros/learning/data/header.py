@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.learning.data.faults import unwrapped
-from hnn_vi_ros.learning.data.motions import unexplained
+from hnn_vi_ros.learning.data.motions import repeated_text, unexplained
 from hnn_vi_ros.learning.data.text import COLUMN, lacking, LogFormat, read_log
 from hnn_vi_ros.learning.data.units import parsed, split_unit
 import numpy as np
@@ -49,8 +49,8 @@ _LETTERS = frozenset((
     'theta', 'th', 'phi', 'psi', 'alpha', 'beta', 'pitch', 'roll', 'yaw', 'x', 'y', 'z', 's'))
 _DERIVED = re.compile(r'(?P<before>d*?)(?P<of>q|theta|th|phi|psi|alpha|beta|x|y|z|angle|pos)'
                       r'(?P<after>(?:dot|d)*)')
-# Largest angle [rad] and length [m] that need no unit.
-_MOST = {ANGLE: 2.0 * np.pi * 1.01, LENGTH: 10.0}
+# Largest angle [rad] and length [m] that need no unit: degrees of a small swing go further.
+_MOST = {ANGLE: np.pi * 1.01, LENGTH: 10.0}
 # Intervals [s] of samples that are usual, the shortest that may be another unit, and the times [s]
 # since 1970 of the years 2000 to 2100.
 _USUAL, _DOUBTFUL, _DATES = (1e-4, 10.0), 0.5, (9.4e8, 4.2e9)
@@ -308,6 +308,8 @@ def _time_of(path: Path, columns: Sequence[Column], values: Mapping[str, np.ndar
         steps = np.diff(values[one.name][np.isfinite(values[one.name])])
         if one.role == TIME and (steps > 0.0).sum() > 0.5 * len(steps):
             return one
+        if one.role == TIME and (text := repeated_text(values[one.name])):
+            raise DataError(f'{path}: column {one.name!r}: {text}')
     raise DataError(f'{path}: no column of times that increase: '
                     f'{listed(one.name for one in columns)}; name it t [s], and write seconds')
 
@@ -422,8 +424,8 @@ def _unit(path: Path, one: Column, x: np.ndarray) -> dict[str, str]:
             np.nanquantile(np.abs(x), 0.99) <= _MOST[one.kind]):
         return {}
     other = 'deg' if one.kind == ANGLE else 'mm'
-    if _wrapped(x) == other:
-        return {one.name: f'{one.name} [deg]'}
+    if one.kind == ANGLE and (unit := _wrapped(x)):
+        return {one.name: f'{one.name} [{unit}]'}
     raise DataError(f'{path}: {one.name!r} goes from {np.nanmin(x):.4g} to {np.nanmax(x):.4g}, in '
                     f"{one.kind} or {other}; name the column '{one.name} [{one.kind}]' or "
                     f"'{one.name} [{other}]'")

@@ -356,16 +356,26 @@ def _kept(motion: Motion, on_bad: str, report: ReadingReport) -> np.ndarray:
     if wrong.size > _MOST_BAD * len(motion.t):
         counts = ', '.join(f'{part.sum()} lack a number of {name}'
                            for name, part in lacks.items() if part.any())
-        raise DataError(f'{motion.where}: of {len(motion.t)} samples '
-                        f'{counts or "none lacks a number"}, and {late.sum()} are not later than '
-                        'the previous one: they are not states of one motion; check the columns '
-                        'or topics')
+        raise DataError(f'{motion.where}: ' + (repeated_text(motion.t) or (
+            f'of {len(motion.t)} samples {counts or "none lacks a number"}, and {late.sum()} are '
+            'not later than the previous one: they are not states of one motion; check the '
+            'columns or topics')))
     report.lacking += int(lacking.sum())
     report.late += int(late.sum())
     if len(kept) < report.least:
         raise DataError(f'{motion.where}: {len(kept)} samples, expected at least {report.least}; '
                         'record for longer')
     return _without_faults(motion, parts, on_bad, report) if report.least > 1 else kept
+
+
+def repeated_text(t: np.ndarray) -> str:
+    """Describe times of which most repeat the previous one, as rounded ones do; '' for others."""
+    steps = np.diff(t[np.isfinite(t)])
+    repeated, longer = int((steps == 0.0).sum()), steps[steps > 0.0]
+    if not longer.size or repeated <= _MOST_BAD * len(steps):
+        return ''
+    return (f'{repeated} of {len(t)} times repeat the previous one, as times rounded to '
+            f'{longer.min():.4g} do; log them with more digits')
 
 
 def _without_faults(motion: Motion, parts: Sequence[np.ndarray], on_bad: str,
