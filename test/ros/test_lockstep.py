@@ -115,3 +115,10 @@ def test_period_of_lockstep_is_a_whole_number_of_samples():
     for period in (0.004, 0.025):
         with refused(ParameterError):
             Lockstep(Settings(lockstep_period=period), 10, 0.001)
+
+
+def test_period_without_lockstep_is_refused(tmp_path):
+    status, _, error = finish(start(
+        tmp_path, scene='motor_pendulum', lockstep_period=0.02, duration=0.03, record=False,
+        rerun_sink='none'))
+    assert status == 1 and 'parameter lockstep_period: has no effect without lockstep' in error

@@ -166,6 +166,9 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
         begin(line)
         logger.info(line)
 
+    if settings.lockstep_period and not settings.lockstep:
+        raise ParameterError('parameter lockstep_period: has no effect without lockstep; set '
+                             'lockstep:=true, or remove lockstep_period')
     begin('loading the scene')
     factor = settings.real_time_factor
     scene, step, origin, damage = _load(settings)
@@ -230,8 +233,9 @@ def _load(settings: Settings) -> tuple[Scene, int, int, str]:
 def check_pace(real_time_factor: float, tick: float) -> None:
     """Raise ParameterError for a pace at which samples would be too far apart."""
     if real_time_factor * _MAX_SAMPLE_INTERVAL < tick and real_time_factor > 0.0:
-        raise ParameterError(f'parameter real_time_factor = {real_time_factor:g}: more than '
-                             f'{_MAX_SAMPLE_INTERVAL:.0e} s would pass between two samples')
+        raise ParameterError(
+            f'parameter real_time_factor = {real_time_factor:g}: more than '
+            f'{_MAX_SAMPLE_INTERVAL:.0e} s would pass between two samples; increase it')
 
 
 class _Built(NamedTuple):
