@@ -17,7 +17,7 @@ import numpy as np
 @dataclass(frozen=True)
 class EffectCosts:
     """
-    Wall times of one step.
+    Processor times of one step.
 
     Parameters
     ----------
@@ -41,7 +41,8 @@ def measure_effects(parts: Parts, batches: int = 15, batch_time: float = 0.02) -
     Measure the scene, its bare integrator, and the scene without each of its effects.
 
     Each variant is compiled as a separate scene. The variants run in turns, so that other load on
-    the machine affects all of them; a cost is the median of the differences within a turn.
+    the machine affects all of them; a cost is the median of the differences within a turn. Times
+    are processor times, as in ``measure_costs``.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def measure_effects(parts: Parts, batches: int = 15, batch_time: float = 0.02) -
     batches : int, optional
         Number of turns.
     batch_time : float, optional
-        Approximate wall time of the whole scene in each turn [s].
+        Approximate time of the whole scene in each turn [s].
 
     Raises
     ------
@@ -79,6 +80,8 @@ def measure_effects(parts: Parts, batches: int = 15, batch_time: float = 0.02) -
 def _calibrate(simulation: Simulation, scene: Scene, batch_time: float) -> int:
     """Compile, and return a number of steps that takes about the given time [s]."""
     simulation.compile()
+    # The first run also loads code, which would look like the time of its steps.
+    _run(simulation, scene, 4)
     # At least four: a step may fail late.
     steps, seconds = 2, 0.0
     while seconds < 0.5 * batch_time:
@@ -99,11 +102,11 @@ def _try_to_run(parts: Parts, steps: int) -> Simulation | None:
 
 
 def _run(simulation: Simulation, scene: Scene, steps: int) -> float:
-    """Take steps from the initial state; return their wall time [s]."""
+    """Take steps from the initial state; return their processor time [s]."""
     simulation.restart(scene.initial_state.q, scene.initial_state.p)
-    start = time.perf_counter()
+    start = time.process_time()
     simulation.advance(steps)
-    return time.perf_counter() - start
+    return time.process_time() - start
 
 
 def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,

@@ -13,8 +13,9 @@ from hnn_vi_ros.commands.scene_tool import explain, lyapunov_line, main
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.files import json_schema, shipped_file, shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.run import measure_effects
+from hnn_vi_ros.run import measure_effects, report
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation import Simulation
 from messages import assert_message
 import pytest
 from python_process import run_code
@@ -233,6 +234,17 @@ def test_measure_effects_of_a_scene_without_effects_is_its_bare_integrator():
     parts = load_scene('exact_harmonic_oscillator').parts()
     costs = measure_effects(parts, batches=3, batch_time=1e-3)
     assert costs.added == {} and costs.total > 0.0 and costs.bare > 0.0
+
+
+def test_measure_effects_takes_the_loading_of_code_for_no_step(monkeypatch):
+    given, taken = [1.0], list[int]()
+
+    def run(simulation: Simulation, scene: Scene, steps: int) -> float:
+        taken.append(steps)
+        return given.pop() if given else 1e-6 * steps
+    monkeypatch.setattr(report, '_run', run)
+    costs = measure_effects(load_scene('exact_pendulum').parts(), batches=3, batch_time=1e-3)
+    assert costs.total == pytest.approx(1e-6, rel=1e-12) and taken[-1] >= 500
 
 
 def test_measure_effects_knows_no_time_of_a_scene_that_cannot_do_without_an_effect(tmp_path):
