@@ -86,7 +86,7 @@ def make_reference(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray, hor
     """Return the path from an initial state up to a horizon [s], without a time limit."""
     problem = InitialValueProblem(hamiltonian, (), q0, p0)
     known = survey(problem, horizon, horizon, EVERY_SURVEYOR)
-    return best_reference(problem, horizon, known, math.inf)
+    return best_reference(problem, horizon, horizon, known, math.inf)
 
 
 def true_hamiltonian(hamiltonian: Hamiltonian) -> Hamiltonian | None:

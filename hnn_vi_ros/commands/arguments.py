@@ -111,14 +111,18 @@ def cost() -> Parser:
         'Measure the cost of accuracy in a scene. The table and the figure show the error and the '
         'run time of methods and step sizes.'), [
             'hnn cost pendulum', 'hnn cost kepler --error 1e-6 --plot kepler.png',
-            'hnn cost my_scene.yaml --duration 60 --seconds 300 --csv costs.csv'], (
+            'hnn cost my_scene.yaml --duration 60 --rate 100 --csv costs.csv'], (
         'The error is the largest deviation of a coordinate or momentum from a reference, in SI '
         'units. If no\nreference is known for so long, as in chaos, it is the energy error '
-        'relative to the energy scale.\nTimes are processor times. Exit status: 0; 1 if no method '
-        'reaches --error.'))
+        'relative to the energy scale.\nTimes are processor times. `integrator: auto` counts '
+        'gradients and steps instead, so that its choice\nis reproducible, and considers only '
+        'methods whose energy does not drift. Exit status: 0; 1 if no\nmethod reaches --error.'))
     _add_run(parser)
     parser.add_argument('--error', type=float, metavar='E', help=(
         'recommend a method and step size for this error'))
+    parser.add_argument('--rate', type=float, metavar='HZ', help=(
+        'compare only step sizes that divide the interval of samples at this rate, as a '
+        'publish_rate of the simulator requires'))
     parser.add_argument('--seconds', type=seconds, default=60.0, metavar='SECONDS', help=(
         'approximate limit of the processor time, including compilation [s] (default: 60)'))
     _add_files(parser, {

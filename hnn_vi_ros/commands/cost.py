@@ -27,7 +27,7 @@ _FIELDS = ('method', 'step_size', 'path_error', 'energy_error', 'seconds_per_sim
 def main(argv: list[str]) -> int:
     """Measure, print the table, and write the requested files."""
     options = arguments.cost().parse_args(argv)
-    for name in ('error', 'duration', 'seconds'):
+    for name in ('error', 'duration', 'seconds', 'rate'):
         value = getattr(options, name)
         if value is not None and not 0.0 < value < math.inf:
             raise ParameterError(f'--{name} {value:g}: must be a positive number')
@@ -38,7 +38,8 @@ def main(argv: list[str]) -> int:
         from hnn_vi_ros.commands.cost_figure import draw
     scene = load_scene(options.scene)
     duration = scene.duration if options.duration is None else options.duration
-    study = _measured(scene, duration, options.seconds, options.error)
+    base = None if options.rate is None else 1.0 / options.rate
+    study = _measured(scene, duration, options.seconds, options.error, base)
     for line in _lines(scene, study, options.error):
         print(line)
     write_outputs(paths, {'--csv': partial(_write_csv, study)} | (
@@ -47,7 +48,8 @@ def main(argv: list[str]) -> int:
     return 0 if options.error is None else _recommend(study, options.error)
 
 
-def _measured(scene: Scene, duration: float, seconds: float, error: float | None) -> CostStudy:
+def _measured(scene: Scene, duration: float, seconds: float, error: float | None,
+              base: float | None) -> CostStudy:
     own, problem = None, problem_of(scene)
     if not isinstance(scene.integrator, AutoChoice):
         # Errors in the scene itself are reported with their place in the file.
@@ -56,7 +58,7 @@ def _measured(scene: Scene, duration: float, seconds: float, error: float | None
         own = Method(scene.integrator.kind, given)
     line = ProgressLine()
     try:
-        return measure_costs(problem, duration, seconds, own, error, line.show)
+        return measure_costs(problem, duration, seconds, own, error, base, line.show)
     finally:
         line.close()
 
@@ -119,8 +121,9 @@ def _recommend(study: CostStudy, error: float) -> int:
               f'{study.error(nearest):.2g} (the reference is accurate to {study.floor:.1e}); '
               'allow a larger error, a shorter --duration or more --seconds', file=sys.stderr)
         return 1
-    print(f'\nRecommended for error {error:g} (measured error {study.error(best):.2g}, energy '
-          f'error {best.energy_error:.1e}, {1e6 * best.seconds:.3g} us per simulated second):\n')
+    print(f'\nRecommended for error {error:g} up to {study.reference.horizon:g} s (measured error '
+          f'{study.error(best):.2g}, energy error {best.energy_error:.1e}, '
+          f'{1e6 * best.seconds:.3g} us per simulated second):\n')
     chosen = {'kind': best.method.kind, **best.method.arguments}
     print(dump_yaml({'integrator': chosen, 'step_size': best.step_size}), end='')
     return 0

@@ -99,6 +99,16 @@ def test_what_is_recommended_can_be_pasted_and_holds(study):
     assert np.abs(np.hstack([q, p]) - exact).max() <= 1e-6
 
 
+def test_steps_for_a_rate_divide_its_interval(tmp_path):
+    rows = tmp_path / 'rows.csv'
+    assert cost.main(['exact_pendulum', '--duration', '1', '--rate', '30', '--seconds', '5',
+                      '--csv', str(rows)]) == 0
+    with rows.open() as file:
+        parts = [1.0 / (30.0 * float(line['step_size'])) for line in csv.DictReader(file)]
+    assert len(parts) > 3 and parts == pytest.approx(np.round(parts), rel=1e-12)
+    assert min(parts) >= 1.0 - 1e-12
+
+
 def test_error_that_nothing_holds_is_one_line_with_the_nearest(capsys):
     assert cost.main(['exact_pendulum', '--error', '1e-15', '--duration', '1']) == 1
     out, err = capsys.readouterr()
@@ -128,7 +138,8 @@ def test_scene_with_auto_effects_and_events_is_measured(tmp_path, capsys):
 
 @pytest.mark.parametrize('words', [
     'nothing', 'exact_pendulum --error 0', 'exact_pendulum --error nan',
-    'exact_pendulum --duration -1', 'exact_pendulum --seconds inf', 'exact_pendulum --plot a.jpg',
+    'exact_pendulum --rate 0', 'exact_pendulum --duration -1',
+    'exact_pendulum --seconds inf', 'exact_pendulum --plot a.jpg',
     'exact_pendulum --csv no/folder.csv', 'exact_pendulum --csv there.csv', 'mine.yaml'])
 def test_bad_input_is_one_line_before_any_time_is_spent(words, monkeypatch, tmp_path):
     monkeypatch.setattr(cost, 'measure_costs', lambda *arguments: pytest.fail('it was measured'))

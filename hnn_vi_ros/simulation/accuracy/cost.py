@@ -205,6 +205,7 @@ class CostStudy:
 
 def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
                   own: Method | None = None, error: float | None = None,
+                  base: float | None = None,
                   show: Callable[[float, str], None] = lambda share, what: None) -> CostStudy:
     """
     Run the methods that support a problem, with decreasing step sizes.
@@ -221,6 +222,8 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
         Method of the scene, with its arguments; measured right after the baselines.
     error : float, optional
         Error near which additional step sizes are tried.
+    base : float, optional
+        Time that step sizes divide [s], such as a sampling interval; by default the horizon.
     show : callable, optional
         Progress callback; takes the share done and a description of the current task.
 
@@ -237,8 +240,9 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
         # Each simulation of an H in plain Python emits a warning.
         warnings.simplefilter('ignore')
         show(0.0, 'the reference')
-        known = survey(problem, horizon, horizon, EVERY_SURVEYOR)
-        reference = best_reference(problem, horizon, known, PATIENCE * problem.gradients)
+        known = survey(problem, horizon, base or horizon, EVERY_SURVEYOR)
+        reference = best_reference(
+            problem, horizon, base or horizon, known, PATIENCE * problem.gradients)
         why = _why_no_path(problem, reference, known.method)
         study = CostStudy(problem, known, reference, why)
         methods = list(_fitting(study, own))

@@ -142,7 +142,7 @@ def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: flo
     return best
 
 
-def best_reference(problem: InitialValueProblem, horizon: float, known: PathSurvey,
+def best_reference(problem: InitialValueProblem, horizon: float, base: float, known: PathSurvey,
                    limit: float) -> PathReference:
     """
     Return the most accurate path: from an exact formula, or refined until it converges.
@@ -153,6 +153,8 @@ def best_reference(problem: InitialValueProblem, horizon: float, known: PathSurv
         The problem to simulate.
     horizon : float
         End of the path [s].
+    base : float
+        Time that step sizes divide [s].
     known : PathSurvey
         Survey of the path.
     limit : float
@@ -164,7 +166,7 @@ def best_reference(problem: InitialValueProblem, horizon: float, known: PathSurv
         The path; without states if none can be determined.
 
     """
-    instants = Instants.of(horizon, horizon, _MIN_SLOW_INSTANTS)
+    instants = Instants.of(horizon, base, _MIN_SLOW_INSTANTS)
     found = None
     # Random effects draw different numbers at each step size.
     if not any(effect.random for effect in problem.effects):

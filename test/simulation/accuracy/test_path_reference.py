@@ -21,8 +21,8 @@ def reference_of(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, horizon
                  limit: float = math.inf) -> PathReference:
     """Return the best reference of a motion."""
     problem = InitialValueProblem(hamiltonian, effects, q, p)
-    return best_reference(problem, horizon, survey(problem, horizon, horizon, EVERY_SURVEYOR),
-                          limit)
+    return best_reference(
+        problem, horizon, horizon, survey(problem, horizon, horizon, EVERY_SURVEYOR), limit)
 
 
 @pytest.mark.parametrize('q0, p0', [(2.5, 0.0), (0.3, -1.0), (1.0, 9.0), (-3.0, 0.5)])
