@@ -206,6 +206,15 @@ def test_momenta_are_a_mass_matrix_times_the_velocities(tmp_path):
     assert np.allclose(log.p, rows[:, 3:] @ matrix, rtol=0.0, atol=1e-9)
 
 
+def test_momenta_that_a_log_of_positions_lacks_are_masses_times_velocities(tmp_path):
+    path = write(tmp_path / 'log.txt', oscillation()[:, :2])
+    found = dataset(path, measured(columns=['t', 'x'], p=None, mass=[3.0]))
+    # The filter's error of the rate, degree 3: (omega window)^4 / 24 of it, twice for its rate.
+    assert np.abs(found.p[:, 0] - 3.0 * OMEGA * np.cos(OMEGA * found.t)).max() < 0.05 * 3.0 * OMEGA
+    assert np.abs(found.dp_dt[:, 0] + 3.0 * OMEGA**2 * np.sin(OMEGA * found.t)).max() \
+        < 0.1 * 3.0 * OMEGA**2
+
+
 @pytest.mark.parametrize('degree', [3, 4])
 def test_savitzky_golay_recovers_a_known_derivative_within_its_bound(degree):
     window, noise = 9, 1e-4

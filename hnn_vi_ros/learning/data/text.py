@@ -113,7 +113,8 @@ class MeasuredData(LogColumns, StateOptions):
     kind: Literal['measured']
     source: str = Field('', max_length=1000, description=(
         'origin of the log, for users who need to get it'))
-    p: Names = Field(min_length=1, description='columns of the momenta, or of the velocities')
+    p: Names | None = Field(None, min_length=1, description=(
+        'columns of the momenta, or of the velocities; none: mass times dq/dt'))
     dq_dt: Names | None = Field(None, description='columns of dq/dt, if the log has them')
     dp_dt: Names | None = Field(None, description='columns of dp/dt, if the log has them')
 
@@ -126,9 +127,10 @@ class MeasuredData(LogColumns, StateOptions):
                                  'one for each coordinate')
         mass_matrix(self.mass, len(self.q))
         self.check_columns()
-        if self.derivatives is None and not (self.dq_dt and self.dp_dt):
-            raise ValueError('derivatives is missing but required, since the log lacks dq_dt or '
-                             'dp_dt; for example derivatives: {kind: savitzky_golay, window: 0.3}')
+        if self.derivatives is None and not (self.p and self.dq_dt and self.dp_dt):
+            raise ValueError('derivatives is missing but required, since the log lacks p, dq_dt '
+                             'or dp_dt; for example derivatives: {kind: savitzky_golay, '
+                             'window: 0.3}')
         return self
 
     @property
@@ -137,8 +139,8 @@ class MeasuredData(LogColumns, StateOptions):
         return 1 if self.method(1.0) is None else 5
 
     def method(self, spacing: float) -> Derivatives | None:
-        """Return the differentiation method; None if the log has both rates."""
-        return None if self.dq_dt and self.dp_dt else self.derivatives
+        """Return the differentiation method; None if the log has momenta and both rates."""
+        return None if self.p and self.dq_dt and self.dp_dt else self.derivatives
 
     def blocks(self, t: np.ndarray, window: int) -> np.ndarray:
         """Return blocks of one window each, or of one row if no rate is estimated."""
