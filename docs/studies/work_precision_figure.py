@@ -350,10 +350,11 @@ def _draw_floor(ax: Axes, floor: float) -> None:
 
 
 def _draw_box_error(ax: Axes, error: EnergyError) -> None:
-    """Draw the RMS and the largest error of H in its box, with their intervals, at the right."""
+    """Draw the RMS, with its interval, and the largest error of H in its box, at the right."""
     across = ax.get_yaxis_transform()
-    for value, interval in ((error.rms, error.rms_interval), (error.sup, error.sup_interval)):
-        if interval is not None:
-            ax.axhspan(*interval, xmin=0.9, color='#8a5a00', alpha=0.2, linewidth=0.0, zorder=1)
+    if error.rms_interval is not None:
+        ax.axhspan(*error.rms_interval, xmin=0.9, color='#8a5a00', alpha=0.2, linewidth=0.0,
+                   zorder=1)
+    for value in (error.rms, error.sup):
         ax.plot([0.9, 1.0], [value, value], color='#8a5a00', linewidth=1.6, transform=across,
                 zorder=3)

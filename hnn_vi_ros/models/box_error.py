@@ -31,7 +31,7 @@ class EnergyError(StrictModel):
         'none if the errors of too few blocks of time are independent'))
     sup: float = Field(ge=0.0, description='largest error [J]')
     sup_interval: Interval | None = Field(None, description=(
-        'interval of the largest error of as many states'))
+        'no longer computed: no resampling tells how much larger errors of other states are'))
     spread: float = Field(ge=0.0, description='standard deviation of the reference [J]')
     states: int = Field(gt=0, description='number of states')
     friction_power: float | None = Field(None, ge=0.0, description=(
@@ -65,10 +65,8 @@ def energy_error(learned: np.ndarray, true: np.ndarray, seed: int) -> EnergyErro
 
     """
     rng, errors = np.random.default_rng(seed), learned - true
-    n, estimates = len(errors), np.empty((_RESAMPLES, 2))
-    for k in range(_RESAMPLES):
-        chosen = errors[rng.integers(0, n, n)]
-        estimates[k] = _statistics(chosen - chosen.mean())
+    estimates = np.array([np.std(errors[rng.integers(0, len(errors), len(errors))])
+                          for _ in range(_RESAMPLES)])
     return _error(errors - errors.mean(), estimates, 'true energy', float(np.std(true)))
 
 
@@ -113,10 +111,9 @@ def energy_spread(learned: np.ndarray, trajectory: np.ndarray, seed: int,
     estimates = None
     if len(blocks) >= _MIN_BLOCKS:
         drawn = np.random.default_rng(seed).integers(0, len(blocks), (_RESAMPLES, len(blocks)))
-        sums, largest, sizes = (np.array([function(squares[rows]) for rows in blocks])
-                                for function in (np.sum, np.max, len))
-        estimates = np.sqrt(np.column_stack([
-            sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1), largest[drawn].max(axis=1)]))
+        sums, sizes = (np.array([function(squares[rows]) for rows in blocks])
+                       for function in (np.sum, len))
+        estimates = np.sqrt(sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1))
     return _error(errors, estimates, against, float(np.std(reference)))
 
 
@@ -147,16 +144,12 @@ def _correlation(pieces: Sequence[np.ndarray]) -> int:
 
 def _error(errors: np.ndarray, estimates: np.ndarray | None, against: Reference, spread: float
            ) -> EnergyError:
-    """Return statistics of errors, with intervals from resampled statistics, shape (m, 2)."""
-    rms, sup = _statistics(errors)
-    found = EnergyError(against=against, rms=rms, sup=sup, spread=spread, states=len(errors))
+    """Return statistics of errors, with the interval of the RMS, from resamplings (m,)."""
+    found = EnergyError(
+        against=against, rms=float(np.sqrt(np.mean(errors**2))), sup=float(np.abs(errors).max()),
+        spread=spread, states=len(errors))
     if estimates is None:
         return found
-    bounds = np.percentile(estimates, [50.0 - _LEVEL / 2.0, 50.0 + _LEVEL / 2.0], axis=0)
+    low, high = np.percentile(estimates, [50.0 - _LEVEL / 2.0, 50.0 + _LEVEL / 2.0]).tolist()
     # An interval of zero width contains no information about the variation.
-    intervals = [ends.tolist() if ends[0] < ends[1] else None for ends in bounds.T]
-    return found.model_copy(update={'rms_interval': intervals[0], 'sup_interval': intervals[1]})
-
-
-def _statistics(errors: np.ndarray) -> tuple[float, float]:
-    return float(np.sqrt(np.mean(errors**2))), float(np.abs(errors).max())
+    return found.model_copy(update={'rms_interval': [low, high] if low < high else None})

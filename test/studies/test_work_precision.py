@@ -178,7 +178,7 @@ def test_formula_in_jax_is_the_compiled_one():
 
 
 BOX_ERROR = EnergyError(against='true energy', rms=2e-4, rms_interval=[1e-4, 3e-4], sup=8e-4,
-                        sup_interval=[5e-4, 8e-4], spread=2.0, states=2000)
+                        spread=2.0, states=2000)
 
 
 def invent(scene: str) -> Results:

@@ -135,10 +135,9 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
     if card.energy_error is not None:
         error = card.energy_error
         facts |= {
-            f'energy error, {name} [J]': f'{value:.3g} ({interval_text(interval)}), against the '
-            f'{error.compared_with} at {error.states} states, which vary by {error.spread:.3g}'
-            for name, value, interval in (('RMS', error.rms, error.rms_interval),
-                                          ('largest', error.sup, error.sup_interval))}
+            'energy error, RMS [J]': f'{error.rms:.3g} ({interval_text(error.rms_interval)}), '
+            f'against the {error.compared_with}, which varies by {error.spread:.3g}',
+            'energy error, largest [J]': f'{error.sup:.3g} of {error.states} states'}
     table = '\n'.join(['| | |', '|---|---|', *(
         f'| {key} | {value} |' for key, value in facts.items())])
     settings = dump_yaml(config.model_dump(mode='json', exclude_unset=True))
