@@ -103,7 +103,8 @@ def _judged(arguments: Namespace) -> _Judgement:
     text = (f'{arguments.model} on {description}, simulated from a measured state every '
             f'{arguments.every:g} s:\nRMS error at the end of each horizon, median of the valid '
             'prediction time, and energy mismatch\n(change of energy minus work over each '
-            f'horizon, relative to its range){_left_out(effects)}\n\n'
+            'horizon, relative to its range; - if that is below a tenth of the kinetic energy)'
+            f'{_left_out(effects)}\n\n'
             f'{table(scores, names)}\n\n{verdict(scores)}')
     if arguments.whole:
         whole = whole_records(simulated(

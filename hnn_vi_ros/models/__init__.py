@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
     from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
     from hnn_vi_ros.models.mechanical_card import (
-        check_prior, check_row, CoulombTerm, entries_of, FrictionCard, is_periodic, Kind,
-        mean_card, MechanicalCard, MOST_MEMBERS, PriorCard, Quantity, StribeckTerm)
+        check_prior, check_row, CoulombTerm, entries_of, FittedNumber, FrictionCard, is_periodic,
+        Kind, mean_card, MechanicalCard, MOST_MEMBERS, PriorCard, Quantity, StribeckTerm)
     from hnn_vi_ros.models.model_card import (
         averaged_families, Box, CoordinateCard, EnsembleCard, ModelCard, PredictionError, Scheme,
         Units)
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
         BaseParameter, EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, tree_card,
         TreeCard, values_of)
     from hnn_vi_ros.models.seen import (
-        CandidateCard, Domain, domain_of, DomainCard, Errors, SelectionCard)
+        CandidateCard, Domain, domain_of, DomainCard, Errors, force_unit, SelectionCard)
     from hnn_vi_ros.models.separable import SeparableHamiltonian
     from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
     from hnn_vi_ros.models.torch_module import TorchHamiltonian

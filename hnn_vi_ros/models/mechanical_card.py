@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.hamiltonians import Bodies, HAMILTONIANS
+from hnn_vi_ros.models.box_error import Interval
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.families import NetworkShape
 from hnn_vi_ros.models.planar_chain import (
@@ -86,6 +87,12 @@ class Quantity(StrictModel):
     unit: str
 
 
+class FittedNumber(Quantity):
+    """A fitted number with its 95 % confidence interval."""
+
+    interval: Interval
+
+
 class PriorCard(StrictModel):
     """A parametric system whose M and V are added to those of the networks."""
 
@@ -100,6 +107,9 @@ class PriorCard(StrictModel):
     alone: bool = Field(False, description=(
         'whether it is all of M and V, without networks'))
     identification: Identification | None = Field(None, description='fit of a rigid_body')
+    estimates: dict[str, FittedNumber] = Field({}, description=(
+        'parameters, friction and motors of links fitted to positions; friction that is not among '
+        'them is not in the data'))
 
     @model_validator(mode='after')
     def _check(self) -> 'PriorCard':
@@ -120,6 +130,16 @@ class PriorCard(StrictModel):
     def values(self) -> dict[str, float]:
         """Return the parameters without their units."""
         return {name: quantity.value for name, quantity in self.parameters.items()}
+
+    @property
+    def text(self) -> str:
+        """Return the estimates as a table in Markdown; '' without estimates."""
+        rows = [f'| {name} | {one.value:.6g} | {one.interval[0]:.6g} to {one.interval[1]:.6g} | '
+                f'{one.unit} |' for name, one in self.estimates.items()]
+        return '\n'.join([
+            '| parameter | value | 95 % interval | unit |', '|---|---|---|---|', *rows, '',
+            'The intervals hold if the noise of the sensors is the only error. Friction without a '
+            'row is not in the data.']) if rows else ''
 
     @property
     def table(self) -> np.ndarray:
@@ -316,7 +336,7 @@ def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:
         stribeck=[term for card in cards for term in shared(card.friction.stribeck)])
     prior, priors = first.prior, [card.prior for card in cards if card.prior is not None]
     if prior is not None:
-        prior = prior.model_copy(update={'identification': None, 'parameters': {
+        prior = prior.model_copy(update={'identification': None, 'estimates': {}, 'parameters': {
             name: Quantity(value=mean([one.values[name] for one in priors]), unit=quantity.unit)
             for name, quantity in prior.parameters.items()}})
     return first.model_copy(update={

@@ -16,6 +16,12 @@ _FORCES = {'kg m/s': 'N', 'kg m2/s': 'N m', '1': '1'}
 Errors = dict[str, list[float | None]]
 
 
+def force_unit(p_unit: str) -> str:
+    """Return the unit of forces that change momenta in this unit."""
+    return _FORCES.get(
+        p_unit, p_unit.removesuffix(' s') if p_unit.endswith(' s') else f'{p_unit}/s')
+
+
 class DomainCard(StrictModel):
     """Ranges [low, high] of the motions that a model was trained on."""
 
@@ -88,8 +94,7 @@ class Domain:
                 break
             name, unit, p_unit = self._names[i % d]
             if i >= 2 * d:
-                name, unit = f'force {i - 2 * d + 1}', _FORCES.get(
-                    p_unit, p_unit.removesuffix(' s') if p_unit.endswith(' s') else f'{p_unit}/s')
+                name, unit = f'force {i - 2 * d + 1}', force_unit(p_unit)
             elif i >= d:
                 unit += '/s'
             at = values[excess[:, i].argmax(), i]
@@ -141,4 +146,6 @@ class SelectionCard(StrictModel):
                      for part in (one.ordinary, one.furthest) for errors in part.values()]
             name = f'**{one.name}**' if one.name == self.chosen else one.name
             lines.append(f'| {name} | {" | ".join(cells) or one.failed} |')
-        return '\n'.join([f'Chosen by {self.held_out}:', '', *lines, '', self.trust])
+        return '\n'.join([
+            f'Chosen by {self.held_out}. RMS errors, which include the noise of the sensors:', '',
+            *lines, '', self.trust])

@@ -18,6 +18,7 @@ from hnn_vi_ros.learning.judging.evaluation import momentum
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.residuals import followed, is_noise, noise_text, residuals_of
 from hnn_vi_ros.learning.tasks.machine import learn, problem_of
+from hnn_vi_ros.models import CoordinateCard
 from hnn_vi_ros.simulation import Simulation
 from machines import driven, machine_config
 from messages import misfit
@@ -145,7 +146,34 @@ def test_noise_of_positions_biases_neither_gravity_nor_friction():
     assert problem.noise == pytest.approx(np.deg2rad([0.5]), rel=0.1)
     residuals = residuals_of(problem.known(), [motion], problem.noise)
     assert is_noise(residuals) and followed(residuals) == pytest.approx(motion.t[-1], rel=0.01)
-    assert 'of the noise in windows of up to 12 s' in noise_text(residuals)
+    assert 'times the noise of the sensors in windows of up to 12 s' in noise_text(residuals)
+
+
+def test_intervals_of_a_fit_to_positions_are_those_of_the_noise():
+    motion = swing(0.5)
+    problem = problem_of(config('a', **PENDULUM, friction={'coulomb': 0}), [motion])
+    coordinates = [CoordinateCard(name='a', q_unit='rad', p_unit='N m s')]
+    found = problem.estimates(coordinates, motion.q_smooth)
+    assert [(name, one.unit) for name, one in found.items()] == [
+        ('inertia1', 'kg m2'), ('gravity1', 'N m'),
+        ('viscous friction of a', 'N m / (rad/s)')]
+    inertia, gravity, viscous = found.values()
+    # No force tells the inertia, which is 1.
+    assert np.ptp(inertia.interval) < 1e-9 and inertia.value == pytest.approx(1.0, rel=1e-12)
+
+    def path(x: np.ndarray) -> np.ndarray:
+        return solve_ivp(lambda _, z: [z[1], -x[0] * np.sin(z[0]) - x[1] * z[1]],
+                         (0.0, motion.t[-1]), x[2:], t_eval=motion.t, rtol=1e-11, atol=1e-11,
+                         method='DOP853').y[0]
+    true, steps = np.array([9.0, 0.1, 1.8, 0.0]), 1e-5 * np.eye(4)
+    slopes = np.stack([(path(true + e) - path(true - e)) / 2e-5 for e in steps], axis=1)
+    bound = np.deg2rad(0.5) * np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    for one, expected, least in zip((gravity, viscous), true, bound, strict=False):
+        half = 0.5 * np.ptp(one.interval)
+        # The robust loss loses 5 % of the information, and 600 samples tell the noise to 3 %.
+        assert half / 1.96 == pytest.approx(least, rel=0.2)
+        # Four standard deviations.
+        assert abs(one.value - expected) < 2.0 * half
 
 
 def test_what_a_rigid_body_misses_is_not_taken_for_noise():

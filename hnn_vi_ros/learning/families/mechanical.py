@@ -700,7 +700,7 @@ class MechanicalNetwork(torch.nn.Module):
         return PriorCard(
             kind=structure.prior, parameters=self.prior.quantities(p_unit), tree=structure.tree,
             angles=structure.angles, identification=self.prior.identification,
-            alone=not structure.residual)
+            estimates=dict(self.prior.estimates), alone=not structure.residual)
 
 
 def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | RigidTree | None:

@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Priors of a mechanical network in torch: rigid bodies, planar links, and exact systems."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models import (
-    EACH, exact_system, functions_of, Identification, INERTIAL, parameter_names, pseudo_inertia,
-    Quantity, TreeCard, unit_terms)
+    EACH, exact_system, FittedNumber, functions_of, Identification, INERTIAL, parameter_names,
+    pseudo_inertia, Quantity, TreeCard, unit_terms)
 import numpy as np
 import torch
 
@@ -35,6 +35,8 @@ class PriorModule(torch.nn.Module):
     linear = False
     # Identification result of a robot, once available.
     identification: Identification | None = None
+    # Numbers of links with intervals, once fitted to positions.
+    estimates: Mapping[str, FittedNumber] = {}
 
     def mass(self, q: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""

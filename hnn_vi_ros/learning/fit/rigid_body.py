@@ -28,14 +28,15 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, mean_forces, Samples, samples_of, scales_of, window_errors, windows_of)
-from hnn_vi_ros.learning.fit.noise import covariances
+from hnn_vi_ros.learning.fit.noise import covariances, Process
 from hnn_vi_ros.learning.fit.shooting import (
     cost_at_start, fit_numbers, Fitted, projected, refitted, units_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.learning.fit.windows import (
     CannotFollow, FOREVER, KnownModel, ModelParts, Number)
 from hnn_vi_ros.models import (
-    chain_angles, Checkpoint, MechanicalCard, ModelCard, PLANAR_CHAIN, prior_kernel)
+    chain_angles, Checkpoint, CoordinateCard, FittedNumber, force_unit, MechanicalCard, ModelCard,
+    PLANAR_CHAIN, prior_kernel)
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
@@ -61,6 +62,9 @@ _OVERLAP = 20
 _TOLERANCE = 1e-5
 # Method of the windows of positions, so accurate that the parameters are those of the machine.
 _METHOD = 'gauss4'
+# Half-width of 95 % intervals in standard deviations, and singular values of normalised columns
+# below which a direction, such as the scale of the energy, is open.
+_QUANTILE, _OPEN = 1.96, 1e-12
 
 
 class RigidProblem(TrainingProblem):
@@ -88,6 +92,36 @@ class RigidProblem(TrainingProblem):
         assert self.fitted is not None
         model = self.fitted.problem.model
         return KnownModel(model.name, model.parts_at(self.fitted.solution.values))
+
+    def estimates(self, coordinates: Sequence[CoordinateCard], q: np.ndarray | None
+                  ) -> dict[str, FittedNumber]:
+        """
+        Return the numbers of a rigid body that was fitted to positions, with 95 % intervals.
+
+        Parameters
+        ----------
+        coordinates : sequence of CoordinateCard
+            Names and units of the coordinates.
+        q : np.ndarray, shape (N, d), or None
+            Coordinates whose mean first inertia is 1, if no forces fix the scale of the energy.
+
+        """
+        assert self.fitted is not None
+        solution, model = self.fitted.solution, self.fitted.problem.model
+        assert isinstance(model, RigidModel)
+        values, covariance = solution.values, covariance_of(self.fitted)
+        labels = model.unknowns.labels(coordinates)
+        own = [labels[int(number.name)] for number in model.numbers]
+        if q is not None:
+            # Numbers x / (w . x): the common factor, which is open, does not change them.
+            inertia = model.unknowns.mean_inertia(q)
+            w = np.array([inertia[int(number.name)] for number in model.numbers])
+            values = values / (w @ values)
+            slopes = (np.eye(len(w)) - np.outer(values, w)) / (w @ solution.values)
+            covariance = slopes @ covariance @ slopes.T
+        half = _QUANTILE * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return {name: FittedNumber(value=x, unit=unit, interval=[x - e, x + e])
+                for (name, unit), x, e in zip(own, values.tolist(), half.tolist(), strict=True)}
 
 
 def positions_alone(motions: Sequence[EvenMotion]) -> bool:
@@ -155,6 +189,26 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
         f'rigid_body_{length:.3g}': misfit for length, misfit in fitted.stages}, fitted)
 
 
+def covariance_of(fitted: Fitted) -> np.ndarray:
+    """Return the covariance of fitted numbers under the noise of the sensors, shape (n, n)."""
+    solution = fitted.solution
+    weights = fitted.problem.weights(solution.residuals)
+    units = units_of(solution)
+    slopes = projected(solution, weights)[0] / units
+    matrix = slopes.reshape(-1, len(units))
+    inverse = np.linalg.pinv(matrix.T @ matrix, rcond=_OPEN, hermitian=True)
+    found = covariances(slopes @ inverse, sensors_of(fitted))[0]
+    # For the robust loss psi = w r has slope w^3.
+    bend = float((weights[solution.windows.there]**3).mean())
+    return found / bend**2 / np.outer(units, units)
+
+
+def sensors_of(fitted: Fitted) -> list[list[Process]]:
+    """Return the noise of the sensors in units of that of the fit."""
+    return [[one._replace(variance=one.variance / scale**2)]
+            for one, scale in zip(fitted.sensor, fitted.solution.noise, strict=True)]
+
+
 def _without_idle_friction(fitted: Fitted) -> Fitted:
     """
     Return the fit without the friction that the data do not show.
@@ -170,9 +224,7 @@ def _without_idle_friction(fitted: Fitted) -> Fitted:
     n = len(units)
     _, R = np.linalg.qr(slopes.reshape(-1, n))
     C = np.linalg.pinv(R.T @ R, hermitian=True) / np.outer(units, units)
-    B = np.outer(units, units) * covariances(slopes, [
-        [one._replace(variance=one.variance / scale**2)]
-        for one, scale in zip(fitted.sensor, solution.noise, strict=True)])[0]
+    B = np.outer(units, units) * covariances(slopes, sensors_of(fitted))[0]
     x, price, idle = solution.values.copy(), math.log(solution.freedom), list[int]()
     low = np.array([number.low for number in model.numbers])
     least = np.maximum(low, 0.0)
@@ -469,6 +521,32 @@ class RigidUnknowns(ABC):
             'friction.raw_speed': lambda x: torch.logit(x.reshape(-1, d) / friction.speed_unit)}
         return self.raw_prior(prior) | {
             name: raw[name](part) for name, part in zip(raw, others, strict=True) if len(part)}
+
+    def labels(self, coordinates: Sequence[CoordinateCard]) -> list[tuple[str, str]]:
+        """Return name and unit of each number."""
+        prior = self.network.prior
+        assert prior is not None
+        forces = [force_unit(one.p_unit) for one in coordinates]
+        speeds = [f'{one.q_unit}/s' for one in coordinates]
+        found = [(name, one.unit) for name, one in prior.quantities(
+            coordinates[0].p_unit).items()]
+        for kind, count, units in zip(
+                ('viscous friction', 'dry friction', 'offset', 'input map', 'fade',
+                 'Stribeck speed'), self.sizes[1:], (
+                     [f'{force} / ({speed})' for force, speed in zip(forces, speeds, strict=True)],
+                     forces, forces, ['1'], ['1'], speeds), strict=True):
+            for k in range(count):
+                of = f' of {coordinates[k].name}' if count == len(coordinates) else f' {k + 1}'
+                found.append((kind + of, units[k % len(units)]))
+        return found
+
+    def mean_inertia(self, q: np.ndarray) -> np.ndarray:
+        """Return the mean first inertia at coordinates (N, d) per unit of each number."""
+        prior, found = self.network.prior, np.zeros(sum(self.sizes))
+        assert prior is not None and prior.linear
+        found[:self.sizes[0]] = [float(prior.mass(torch.tensor(q), unit)[:, 0, 0].mean())
+                                 for unit in torch.eye(self.sizes[0], dtype=torch.float64)]
+        return found
 
     def give(self, values: np.ndarray) -> None:
         """Set the network's parameters from numbers in SI units."""

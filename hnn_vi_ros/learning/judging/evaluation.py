@@ -36,11 +36,14 @@ class EnergyBalance(NamedTuple):
         H(q, p(v)) [J].
     work : np.ndarray
         Work of all forces, including friction, since the first sample [J].
+    kinetic : np.ndarray
+        v . p(v) / 2 [J].
 
     """
 
     energy: np.ndarray
     work: np.ndarray
+    kinetic: np.ndarray
 
 
 def unaccounted(effects: Sequence[Effect]) -> list[str]:
@@ -84,7 +87,8 @@ def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: EvenMot
     ends = [_power(hamiltonian, forces, motion.t[rows], q[rows], p[rows], motion.forces)
             for rows in (slice(None, -1), slice(1, None))]
     steps = 0.5 * motion.spacing * (ends[0] + ends[1])
-    return EnergyBalance(hamiltonian.energy(q, p), np.concatenate([[0.0], np.cumsum(steps)]))
+    return EnergyBalance(hamiltonian.energy(q, p), np.concatenate([[0.0], np.cumsum(steps)]),
+                         0.5 * (motion.v_smooth * p).sum(axis=1))
 
 
 def _power(hamiltonian: Hamiltonian, forces: Sequence[tuple[Any, Any]], t: np.ndarray,
@@ -124,13 +128,14 @@ def energy_mismatch(balances: Sequence[EnergyBalance], spacing: float, horizons:
     -------
     dict of float to float, or None
         For each horizon, the RMS over all samples of the change of (H - work) in that time,
-        divided by max H - min H over all motions; None if H is constant.
+        divided by max H - min H over all motions; None if that is less than a tenth of the
+        largest kinetic energy, which noise could explain.
 
     """
-    energies = np.concatenate([found.energy for found in balances])
+    energies, kinetic = (np.concatenate(parts) for parts in zip(*(
+        (found.energy, found.kinetic) for found in balances), strict=True))
     size = float(np.ptp(energies))
-    # A range at rounding level counts as constant.
-    if size <= 1e3 * np.finfo(np.float64).eps * np.abs(energies).max():
+    if size <= _LEAST_RANGE * kinetic.max():
         return None
     shares = {}
     for horizon in horizons:
@@ -191,6 +196,8 @@ def integrated(rates: np.ndarray, trajectory: np.ndarray, t: np.ndarray) -> np.n
     return integral
 
 
+# Least range of H, as a share of the kinetic energy, that energy mismatches can be relative to.
+_LEAST_RANGE = 0.1
 # Timeout of external_force; commands hold to the end of the simulation [s].
 _FOREVER = 1e9
 

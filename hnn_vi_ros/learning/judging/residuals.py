@@ -64,11 +64,13 @@ def noise_text(residuals: Mapping[str, Sequence[float]]) -> str:
     within, (last, ratios) = followed(residuals), [*residuals.items()][-1]
     worst = max(ratios)
     if is_noise(residuals):
-        return f'its residuals are {worst:.2f} of the noise in windows of up to {last} s'
-    growing = f'{worst:.2g} of it in windows of {last} s'
+        return (f'its residuals are {worst:.2f} times the noise of the sensors in windows of up '
+                f'to {last} s, so its own error is below the noise')
+    growing = f'{worst:.2g} times the noise in windows of {last} s'
     if not within:
-        return f'its residuals exceed the noise: {growing}'
-    return f'its residuals are those of the noise in windows of up to {within:g} s, and {growing}'
+        return f'its residuals exceed the noise of the sensors: {growing}'
+    return ('its residuals are those of the noise of the sensors in windows of up to '
+            f'{within:g} s, and {growing}')
 
 
 def judged_model(hamiltonian: Hamiltonian, effects: Sequence[Effect],

@@ -329,9 +329,21 @@ class FieldTask(TrainingTask):
         if error is not None:
             lines.append(f'energy error: RMS {error.rms:.3g} J, maximum {error.sup:.3g} J, '
                          f'compared with the {error.compared_with}')
-        lines.append(ensemble_text(card))
-        return Judged(checkpoint, '\n'.join(filter(None, lines)), ensemble_text(card),
+        notes = '\n'.join(filter(None, (_where_valid(
+            checkpoint, problem.module, config, self._known), ensemble_text(card))))
+        return Judged(checkpoint, '\n'.join(filter(None, (*lines, notes))), notes,
                       lambda path: plot_field(problem.compare(), card, path))
+
+
+def _where_valid(checkpoint: Checkpoint, family: Trainable, config: FieldConfig, dataset: Dataset
+                 ) -> str:
+    """Return a note on the part of its training domain that a model has seen; '' for all."""
+    if isinstance(config.data, ExactData):
+        return ''
+    energies = load_member(checkpoint, None).energy(dataset.q, family.momenta(dataset))
+    return (f'H is known near the states of the data, from {energies.min():.4g} to '
+            f'{energies.max():.4g} J; elsewhere in the training domain it is extrapolated without '
+            'an alarm')
 
 
 def describe(problem: FieldProblem, config: FieldConfig, name: str, command: str) -> Checkpoint:

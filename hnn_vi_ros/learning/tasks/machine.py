@@ -104,14 +104,17 @@ class MachineTask(TrainingTask):
                  ) -> Checkpoint:
         """Return a trained network with its card; see Task."""
         config = self._chosen(config)
-        if _opens_scale(config, self._train):
+        opens = _opens_scale(config, self._train)
+        if opens:
             fix_scale(problem.module, self._train)
+        if isinstance(problem, RigidProblem) and problem.fitted is not None:
+            problem.module.prior.estimates = problem.estimates(
+                config.coordinates, _joined(self._train) if opens else None)
         return describe(problem.module, config, self._train, self._description, problem.losses,
                         name, command, self._selection, self._delay * self._train[0].spacing)
 
     def judged(self, checkpoint: Checkpoint, problem: TrainingProblem) -> Judged:
         """Return the model with the prediction errors of itself and of the baselines; see Task."""
-        checkpoint = with_energy_error(checkpoint, self._test)
         if self._ensemble:
             checkpoint = calibrated(checkpoint, lambda: machine_calibration(
                 checkpoint, self._held, self._test))
@@ -128,18 +131,25 @@ class MachineTask(TrainingTask):
             residuals = residuals_of(model, test, noise)
             test = with_fitted_states(model, test, noise, residuals)
             known = {'residuals': residuals, 'noise': noise.tolist()}
-            said = f'On what was held out {noise_text(residuals)}.' + (
+            sizes = ', '.join(f'{x:.3g} {one.q_unit} of {one.name}' for x, one in zip(
+                noise.tolist(), config.coordinates, strict=False))
+            said = (f'On held-out data {noise_text(residuals)}. The noise, {sizes}, is part of '
+                    'the errors above.') + (
                 '' if is_noise(residuals) else '\n' + missing_force(network, self._test, names))
         scores, fans = judge(
             simulation_of(hamiltonian, ImplicitMidpoint(), effects, test, step_size),
             effects, test, horizons, _EVERY, _LONGEST, self._baselines(network))
         domain = domain_of(hamiltonian)
+        checkpoint = with_energy_error(checkpoint, test)
         card = checkpoint.card.model_copy(update={
             'prediction_error': PredictionError.model_validate(numbers(scores['model']) | known)})
+        prior = None if card.mechanical is None else card.mechanical.prior
         text = '\n\n'.join(filter(None, (
             table(scores, names), verdict(scores), said.rstrip(),
             '' if domain is None else outside(domain, fans, horizons).text,
-            '' if card.selection is None else card.selection.text, ensemble_text(card))))
+            '' if card.selection is None else card.selection.text,
+            '' if prior is None else prior.text,
+            ensemble_text(card))))
         return Judged(
             replace(checkpoint, card=card), text,
             f'{text}\n\n{_remarks(config, card)}\n{identified_text(card)}'.rstrip(),
@@ -299,9 +309,13 @@ def learn(config: MachineConfig, motions: Sequence[EvenMotion]
 
 def fix_scale(network: MechanicalNetwork, motions: Sequence[EvenMotion]) -> None:
     """Scale the mean inertia of the first coordinate to 1, for motions without forces."""
-    q = torch.tensor(np.concatenate([motion.q_smooth for motion in motions]))
+    q = torch.tensor(_joined(motions))
     with torch.no_grad():
         network.scale_energy(1.0 / float(network.masses(q)[:, 0, 0].mean()))
+
+
+def _joined(motions: Sequence[EvenMotion]) -> np.ndarray:
+    return np.concatenate([motion.q_smooth for motion in motions])
 
 
 def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[EvenMotion],
@@ -376,9 +390,9 @@ def _remarks(config: MachineConfig, card: ModelCard) -> str:
     return (f'Held out: {held}. The table contains the RMS error at the end of each horizon, in '
             'simulations of the held-out data with the measured forces, started every '
             f'{_EVERY:g} s. The energy mismatch is the change of H over each horizon minus the '
-            'work of forces and friction, relative to its range. A plain network of (q, v, tau) '
-            'has the same hidden layers; a rigid body is a chain of links '
-            f'fitted by least squares.\n\n{energy}')
+            'work of forces and friction, relative to its range; it is omitted if that is below a '
+            'tenth of the kinetic energy. A plain network of (q, v, tau) has the same hidden '
+            f'layers; a rigid body is a chain of links fitted by least squares.\n\n{energy}')
 
 
 def _of_plain_network(config: MachineConfig) -> MachineConfig:

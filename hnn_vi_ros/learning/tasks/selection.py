@@ -428,10 +428,14 @@ def _line(errors: Errors, config: MachineConfig) -> str:
 
 def _trust(best: CandidateCard, config: MachineConfig) -> str:
     """Return advice on how far to trust the selected model."""
-    beyond = 'outside of its training domain its errors are unbounded' if best.name == ALONE else \
+    beyond = 'elsewhere, also within its training domain, its errors are unbounded' \
+        if best.name == ALONE else \
         'outside of its training domain it returns to the rigid body' if best.name != RIGID else \
         'it has no networks that could fail outside of its training domain'
     noise = f' On both {noise_text(best.residuals)}.' if best.residuals else ''
+    if is_noise(best.residuals):
+        return ('Trust it for motions like those of its data and for those that go further: on '
+                f'held-out ones of both kinds {noise_text(best.residuals)}; {beyond}.')
     return ('Trust it for motions like those of its data: RMS error '
             f'{_line(best.ordinary, config)}; for motions that go further: '
             f'{_line(best.furthest, config)}; {beyond}.{noise}')
