@@ -29,8 +29,6 @@ NOTEBOOKS = sorted(DOCS.glob('tutorials/*.ipynb'))
 PAGES = [ROOT / 'README.md', *sorted(DOCS.glob('*.md')), *OWN, *NOTEBOOKS]
 # What `make docs` has built, if it has.
 INDEX = DOCS / '_build' / 'html' / 'searchindex.js'
-# Pages that `make docs` writes have no file before it.
-WRITTEN = re.compile(r'(^|/)(generated|gallery)/')
 
 
 def text(name: str) -> str:
@@ -63,8 +61,9 @@ def test_pages_are_short_and_their_links_lead_to_files():
     for page in PAGES:
         words = page.read_text(encoding='utf-8')
         links = re.findall(r'\]\((?!http)([^)#\s]+)', words)
-        wrong += [f'{page}: no {link}' for link in links
-                  if not WRITTEN.search(link) and not (page.parent / link).exists()]
+        # A forge lacks the pages that `make docs` writes.
+        wrong += [f'{page}: no {link}' for link in links if not (page.parent / link).exists()
+                  or re.search('(generated|gallery)/', link)]
         if len(words.splitlines()) > (150 if page.name == 'README.md' else 400):
             wrong.append(f'{page} is too long')
     assert not wrong, '\n'.join(wrong)
