@@ -362,7 +362,7 @@ def _bounds(limits: ArrayLike, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the minimum and the maximum action, shape (c,); raise an error if invalid."""
     largest = check_numbers('limits', limits)
     if largest.shape not in ((), (size,)) or not (largest > 0.0).all():
-        raise ValueError(f'limits = {largest.tolist()} must be a positive number, or one for each '
-                         f'of the {size} numbers of an action')
+        raise ValueError(f'limits = {largest.tolist()} must be a positive number, or a list of '
+                         f'{size}, one for each component of an action')
     high = np.broadcast_to(largest, size).copy()
     return -high, high

@@ -267,7 +267,7 @@ def _measured(hamiltonian: Hamiltonian, given: Sequence[str]) -> list[str]:
     names = [coordinate.name for coordinate in hamiltonian.coordinates]
     for name in given:
         if name not in names or list(given).count(name) > 1:
-            raise ParameterError(f'measured coordinate {name!r}: name each once; valid: '
+            raise ParameterError(f'measured coordinate {name!r}: unknown, or named twice; valid: '
                                  f'{", ".join(names)}')
     return [*given] or [one.name for one in hamiltonian.coordinates if not one.rotor_of]
 

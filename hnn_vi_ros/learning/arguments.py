@@ -39,7 +39,9 @@ def train() -> Parser:
     parser.add_argument('--out', type=Path, metavar='FILE',
                         help='write the model to this file (default: models/<name>.safetensors)')
     parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
-                        help='read this log, or these bags, instead of data.path')
+                        help=(
+                            'read this log (.csv, ...), these bags or arrays (.npz); overrides '
+                            'the data of the configuration'))
     parser.add_argument('--seed', type=int, help='override the seed of the configuration')
     parser.add_argument('--ensemble', type=int, metavar='N', help=(
         'train N members on resampled data; their mean is the model, and their spread measures '

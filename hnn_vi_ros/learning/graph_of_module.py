@@ -126,8 +126,8 @@ def _trace(function: Callable[[torch.Tensor], torch.Tensor], state: torch.Tensor
         text, place = ' '.join(str(problem).split()), _place(problem)
         if 'tracing tensor' in text or 'data-dependent' in text:
             raise ModelError(
-                f'Python code in it{place} decides by values of its input (if, float(x), .item(), '
-                'one_hot): write it with torch.where') from problem
+                f'Python code in it{place} branches on values of its input (if, float(x), '
+                '.item(), one_hot): write it with torch.where') from problem
         if 'alias annotations' in text and (op := re.search(r'aten::(\w+)', text)):
             raise ModelError(f'uses {op[1]}, which torch does not trace: write it without'
                              ) from problem
@@ -259,7 +259,7 @@ class _Translator:
             return begin - 1 if isinstance(value, (int, float)) else numbers
         places = _PLACES_OF_VALUES.get(name, (0,))
         if _depends([part for k, part in enumerate(args) if k not in places]):
-            raise ModelError(f'indexes by values of its input ({target}): write it with '
+            raise ModelError(f'indexes with values of its input ({target}): write it with '
                              'torch.where')
         if name == 'index_put' and (kwargs.get('accumulate') or any(args[3:])):
             return _Dependent(self._accumulated(args[0], lambda numbers: numbers[tuple(

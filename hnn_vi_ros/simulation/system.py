@@ -97,7 +97,7 @@ class Motors:
                 if name in self._leaders and (isinstance(command, JointPath) or not np.isnan(
                         [values[i] for values in command[1:]]).all()):
                     raise ValueError(f'joint {name!r} follows {self._leaders[name]!r} and takes '
-                                     'no commands; command only that one')
+                                     f'no commands; command {self._leaders[name]!r} instead')
         prepared = [effect.prepare(command, own, q) for effect, own in self._effects
                     if effect.takes & held]
         if limited and isinstance(command, JointCommand):

@@ -351,8 +351,8 @@ class MechanicalChoice(FamilyChoice):
                              f'2 + V(q); valid: {", ".join(valid)}')
         check_prior(self.prior, kinds, angles or [*chain_angles(kinds), []][0])
         if self.prior not in CHAINS and self.input_map != 'identity':
-            raise ValueError(f'input_map: {self.prior} has its own energy scale, which the norm '
-                             'of the map would fix again; use input_map: identity')
+            raise ValueError(f'input_map: {self.prior} has its own energy scale, which a '
+                             'learned input map would change; use input_map: identity')
         if self.friction.network and not self.residual:
             raise ValueError('friction.network: residual: false disables all networks; remove one '
                              'of the two')

@@ -162,9 +162,9 @@ class BagReader:
                     size += len(message.data) + _MESSAGE_OVERHEAD
                 if size > _MAX_BUFFERED:
                     raise RecordingError(
-                        f'{self.path}: too many of its messages are in one place or too far out '
-                        f'of order: sorting needs more than {in_bytes(_MAX_BUFFERED)}; sort it '
-                        'with `mcap sort`')
+                        f'{self.path}: its messages are too far out of order: sorting them '
+                        f'needs more than {in_bytes(_MAX_BUFFERED)} of memory; run `mcap sort` '
+                        'on it')
             buffered.sort(key=lambda message: message.time)
             # Hold messages back that a later piece may precede.
             until = parts[i + 1].piece.first if i + 1 < len(parts) else 2**64
