@@ -201,7 +201,8 @@ def magnets(random: np.random.Generator, count: int) -> System:
 
 
 SYSTEMS = {
-    **{f'{n} links': lambda random, count, n=n: chain(n, random, count) for n in (1, 2, 3, 5)},
+    **{f'{n} link{"s" * (n > 1)}': lambda random, count, n=n: chain(n, random, count)
+       for n in (1, 2, 3, 5)},
     'gyroscope': gyroscope, 'rotor': rotor, 'magnet pendulum': magnets}
 
 

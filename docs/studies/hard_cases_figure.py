@@ -135,7 +135,7 @@ def draw_case(path: Path, case: Case, rows: Sequence[CaseRow]) -> Path:
     if any(row.verdict == _STOPPED for row in rows):
         handles.append(Line2D([], [], label='stopped: a step failed', **_END))
     title, _ = _SECOND.get(case.check, (None, ()))
-    legend = figure.legend(handles=handles, loc='outside right upper', frameon=False,
+    legend = figure.legend(handles=handles, loc='outside right center', frameon=False,
                            fontsize=8.5, title=title, title_fontsize=8.5)
     legend.set_alignment('left')
     figure.savefig(path, dpi=_DPI)

@@ -56,7 +56,7 @@ OWN = (
         ('pendulum (q, p)', 'formula', 4.31), ('pendulum (cos, sin)', 'formula', 0.0948),
         ('cart-pole', 'formula', 4.16), ('acrobot', 'formula', 0.809))),
     Row('chnn', 'CHNN, 1, 2, 3, 5 links', tuple(
-        (f'{links} links', 'rigid bodies', published)
+        (f'{links} link{"s" * (links > 1)}', 'rigid bodies', published)
         for links, published in ((1, 5.2e-5), (2, 1.1e-4), (3, 3.3e-4), (5, 9.3e-4)))),
     Row('chnn', 'CHNN, gyroscope, rotor, magnet pendulum', (
         ('gyroscope', 'rigid bodies', 1.7e-5), ('rotor', 'rigid bodies', 5.8e-6),
