@@ -149,8 +149,11 @@ def test_card_of_a_measured_motion_tells_the_energy_that_work_accounts_for(
     config = CONFIG.replace('FAMILY', f'{family}, friction: true' if family == 'dgnet' else family)
     (tmp_path / 'log.yaml').write_text(config)
     main(['--config', str(tmp_path / 'log.yaml'), '--out', str(tmp_path / 'm.safetensors')])
-    error = load_checkpoint(tmp_path / 'm.safetensors').card.energy_error
+    card = load_checkpoint(tmp_path / 'm.safetensors').card
+    error = card.energy_error
     assert error.against == against
+    # The motions surround a part of the box that they never enter.
+    assert 'H is known near the states of the data, from ' in card.dataset
     assert (error.friction_power is None) == (family == 'dgnet')
     page = (tmp_path / 'm.report.md').read_text()
     assert f'against the {against}' in page

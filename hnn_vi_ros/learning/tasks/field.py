@@ -320,7 +320,9 @@ class FieldTask(TrainingTask):
         """Return the model with its energy error, if the energy is known; see Task."""
         config, card = self._config, checkpoint.card
         error = judge_energy(checkpoint, problem.module, config, self._known)
-        checkpoint = replace(checkpoint, card=card.model_copy(update={'energy_error': error}))
+        where = _where_valid(checkpoint, problem.module, config, self._known)
+        checkpoint = replace(checkpoint, card=card.model_copy(update={
+            'energy_error': error, 'dataset': '; '.join(filter(None, (card.dataset, where)))}))
         if self._ensemble:
             checkpoint = calibrated(checkpoint, lambda: field_calibration(
                 checkpoint, config, self._test))
@@ -329,9 +331,8 @@ class FieldTask(TrainingTask):
         if error is not None:
             lines.append(f'energy error: RMS {error.rms:.3g} J, maximum {error.sup:.3g} J, '
                          f'compared with the {error.compared_with}')
-        notes = '\n'.join(filter(None, (_where_valid(
-            checkpoint, problem.module, config, self._known), ensemble_text(card))))
-        return Judged(checkpoint, '\n'.join(filter(None, (*lines, notes))), notes,
+        lines += [where, ensemble_text(card)]
+        return Judged(checkpoint, '\n'.join(filter(None, lines)), ensemble_text(card),
                       lambda path: plot_field(problem.compare(), card, path))
 
 
