@@ -30,7 +30,7 @@ from hnn_vi_ros.learning.judging.evaluation import (
     as_json, Fan, finite, judge, linear_model, names_of, outside, parts_of, Predict, predicted_by,
     simulated, simulation_of, table, unaccounted, variance_of, verdict, whole_records)
 from hnn_vi_ros.learning.judging.residuals import (
-    judged_model, residuals_of, STEP, with_fitted_states)
+    errors_text, judged_model, residuals_of, STEP, with_fitted_states)
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models import domain_of, load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
@@ -85,6 +85,7 @@ def _judged(arguments: Namespace) -> _Judgement:
     card = None if checkpoint is None or checkpoint.card.mechanical is None else checkpoint.card
     judged = card is not None and positions_alone(motions)
     known: dict[str, Any] = {} if card is None else {'noise': [], 'residuals': {}}
+    said = ''
     simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions,
                              STEP if judged else step_size)
     if judged and card is not None:
@@ -95,6 +96,7 @@ def _judged(arguments: Namespace) -> _Judgement:
         residuals = residuals_of(model, motions, noise)
         motions = with_fitted_states(model, motions, noise, residuals)
         known = {'noise': noise.tolist(), 'residuals': residuals}
+        said = '\n' + errors_text(residuals, noise, card.coordinates)
     others = _baselines(arguments, hamiltonian)
     with elapsed('simulating'):
         scores, fans = judge(simulation, effects, motions, arguments.horizons, arguments.every,
@@ -105,7 +107,7 @@ def _judged(arguments: Namespace) -> _Judgement:
             'prediction time, and energy mismatch\n(change of energy minus work over each '
             'horizon, relative to its range; - if that is below a tenth of the kinetic energy)'
             f'{_left_out(effects)}\n\n'
-            f'{table(scores, names)}\n\n{verdict(scores)}')
+            f'{table(scores, names)}\n\n{verdict(scores)}{said}')
     if arguments.whole:
         whole = whole_records(simulated(
             simulation, motions[0].spacing, math.inf, variance_of(motions)), motions,

@@ -111,6 +111,10 @@ def test_model_is_judged_in_a_second_command(made, tmp_path, capsys):
     assert one['run'] == 'c' and f'| c | 3.99 | {one["rms"][0]:.4g} |' in capsys.readouterr().out
     with refused(DataError):
         evaluate.main([str(out), '--data', f'{data}:a,b', '--config', made.config, '--held-out'])
+    # Positions alone tell their noise.
+    evaluate.main([str(out), '--data', f'{data}:c', '--keys', 't,q,,tau'])
+    said = capsys.readouterr().out
+    assert 'On these motions its residuals' in said and 'is part of the errors above.' in said
 
 
 def check_report(folder: Path) -> None:

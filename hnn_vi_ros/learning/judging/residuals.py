@@ -3,6 +3,7 @@
 """Residuals of a model on measured motions, in units of the noise of their sensors."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.hamiltonians import Hamiltonian
@@ -71,6 +72,15 @@ def noise_text(residuals: Mapping[str, Sequence[float]]) -> str:
         return f'its residuals exceed the noise of the sensors: {growing}'
     return ('its residuals are those of the noise of the sensors in windows of up to '
             f'{within:g} s, and {growing}')
+
+
+def errors_text(residuals: Mapping[str, Sequence[float]], noise: np.ndarray,
+                coordinates: Sequence[Any]) -> str:
+    """Return the sentences on errors and noise; the coordinates have a name and a unit."""
+    sizes = ', '.join(f'{x:.3g} {one.q_unit} of {one.name}' for x, one in zip(
+        noise.tolist(), coordinates, strict=False))
+    return (f'On these motions {noise_text(residuals)}. The noise, {sizes}, is part of the errors '
+            'above.')
 
 
 def judged_model(hamiltonian: Hamiltonian, effects: Sequence[Effect],

@@ -29,7 +29,7 @@ from hnn_vi_ros.learning.judging.evaluation import (
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.judging.residuals import (
-    is_noise, judged_model, noise_text, residuals_of, STEP, with_fitted_states)
+    errors_text, is_noise, judged_model, residuals_of, STEP, with_fitted_states)
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, TrainingTask
 from hnn_vi_ros.learning.tasks.records import Records
 from hnn_vi_ros.learning.tasks.selection import selected
@@ -131,10 +131,7 @@ class MachineTask(TrainingTask):
             residuals = residuals_of(model, test, noise)
             test = with_fitted_states(model, test, noise, residuals)
             known = {'residuals': residuals, 'noise': noise.tolist()}
-            sizes = ', '.join(f'{x:.3g} {one.q_unit} of {one.name}' for x, one in zip(
-                noise.tolist(), config.coordinates, strict=False))
-            said = (f'On held-out data {noise_text(residuals)}. The noise, {sizes}, is part of '
-                    'the errors above.') + (
+            said = errors_text(residuals, noise, config.coordinates) + (
                 '' if is_noise(residuals) else '\n' + missing_force(network, self._test, names))
         scores, fans = judge(
             simulation_of(hamiltonian, ImplicitMidpoint(), effects, test, step_size),
