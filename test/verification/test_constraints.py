@@ -270,8 +270,9 @@ def test_spherical_pendulum_converges_with_order_2_for_every_hamiltonian(
     hamiltonian, shape = CASES[case]
     slope = order_of(lambda h: on_surface(hamiltonian, shape, method, h),
                      exact_end(hamiltonian, shape, 1.0), 1.0)
-    measured('order of convergence', f'RATTLE, {method}, {case}', slope, '2 ± 0.35')
-    assert slope == pytest.approx(2.0, abs=0.35)
+    # The next term is smaller by (h rate)^2, with h = 0.05 s and a frame that turns at 3 rad/s.
+    measured('order of convergence', f'RATTLE, {method}, {case}', slope, '2 ± 0.1')
+    assert slope == pytest.approx(2.0, abs=0.1)
 
 
 @pytest.mark.parametrize('method', ['generalized_leapfrog', long('implicit_midpoint')])
