@@ -8,6 +8,7 @@ from helpers import alarm_of
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import AUTO, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.fit import rigid_body
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import Fading, scales_of
 from hnn_vi_ros.learning.tasks.machine import problem_of
@@ -163,6 +164,22 @@ def test_friction_has_the_terms_that_held_out_motions_need(back: float, directed
     assert ('friction with' in card.held_out) is directed
     assert card.candidates[0].name == RIGID
     assert any('plain' in one.name for one in card.candidates) is directed
+
+
+def test_more_friction_never_fits_windows_worse_than_less(monkeypatch):
+    """Accelerations gave a start at which windows diverged, or ended at a local minimum."""
+    first = rigid_body._first
+
+    def diverging(physical, samples):
+        numbers, loss = first(physical, samples)
+        more = physical.network.friction.choice.directed
+        return (np.nan * numbers if more else numbers), loss
+    monkeypatch.setattr(rigid_body, '_first', diverging)
+    errors = [[*problem_of(sliding(prior='planar_chain', residual=False, friction=friction),
+                           [carriage(1, 2.5)]).losses.values()][-1]
+              for friction in ({}, {'directed': True, 'offset': True, 'load': True})]
+    # Its friction is 2.5 N back and 1 N ahead.
+    assert errors[1] < 0.5 * errors[0]
 
 
 def test_fit_of_a_weight_and_an_offset_that_are_one_force_is_not_lost_in_rounding():

@@ -52,6 +52,8 @@ _COARSE = 0.3, 0.1
 _RIDGE = 1e-6
 # Smallest inertia and friction, relative to the usual ones, and smallest initial distance from it.
 LEAST, ABOVE = 1e-7, 1e-3
+# Plain friction, without the terms of drives.
+_PLAIN = {'stribeck': 0, 'directed': False, 'offset': False, 'fade': False, 'load': False}
 # Finite-difference step for whole motions, far above the rounding error.
 _DIFFERENCE = 1e-5
 # Bounds of the Stribeck speed: this share of the usual speed, and one minus this share.
@@ -160,7 +162,7 @@ def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
               if np.isfinite([*losses.values()]).all()]
     if not usable:
         return None
-    losses, network = min(usable, key=lambda one: [*one[0].values()][-1])
+    losses, network = min(usable, key=lambda one: _last(one[0]))
     return RigidProblem(network, losses)
 
 
@@ -263,13 +265,46 @@ def fit_smoothed(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequ
         Loss after each fit, inf if windows diverge at its initial values.
 
     """
-    samples = samples_of(motions, loss.step_size)
-    physical, losses = _Physical(network), {}
-    found, losses['rigid_body_forward'] = _first(physical, samples)
-    for name, _, errors in window_fits(network, loss, samples, _WINDOWS):
-        found, losses[name] = _least_squares(physical, found, errors)
+    samples, physical = samples_of(motions, loss.step_size), _Physical(network)
+    found, first = _first(physical, samples)
+    found, losses = _in_windows(physical, found, loss, samples)
+    choice = network.friction.choice
+    simple = choice.model_copy(update=_PLAIN)
+    if simple != choice:
+        plain = _Physical(MechanicalNetwork(replace(network.structure, friction=simple), [1],
+                                            network.scales, 0))
+        numbers, least = _in_windows(plain, _first(plain, samples)[0], loss, samples)
+        # More friction contains less, so an end above it is a local minimum.
+        if _last(least) < _last(losses):
+            found, losses = _in_windows(
+                physical, _with_more_friction(physical, plain, numbers), loss, samples)
     physical.give(found)
-    return losses
+    return {'rigid_body_forward': first} | losses
+
+
+def _in_windows(physical: '_Physical', found: np.ndarray, loss: TrajectoryLoss, samples: Samples
+                ) -> tuple[np.ndarray, dict[str, float]]:
+    """Fit numbers to the windows of each stage; return them and the losses."""
+    losses = {}
+    for name, _, errors in window_fits(physical.network, loss, samples, _WINDOWS):
+        found, losses[name] = _least_squares(physical, found, errors)
+    return found, losses
+
+
+def _with_more_friction(physical: '_Physical', plain: '_Physical', numbers: np.ndarray
+                        ) -> np.ndarray:
+    """Return the numbers of plain friction in a model with more: both sides alike, the rest 0."""
+    d, sides = physical.network.d, 1 + physical.network.friction.choice.directed
+    known, found = (np.split(x, np.cumsum(one.sizes)[:-1]) for x, one in (
+        (numbers, plain), (physical.now(), physical)))
+    force = np.repeat(known[2].reshape(-1, d), sides, axis=0).ravel()
+    added = len(found[2]) - len(force)
+    return np.concatenate([known[0], np.tile(known[1], sides), force, np.zeros(added),
+                           0.0 * found[3], known[4], 0.0 * found[5], found[6]])
+
+
+def _last(losses: Mapping[str, float]) -> float:
+    return [*losses.values()][-1]
 
 
 def fit_records(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequence[EvenMotion],
