@@ -1,8 +1,8 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Train models of machines on slow motions, and test them on motions twice as fast."""
+"""Train models of machines on slow, small or weak motions, test on the others, and reversed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import json
 from pathlib import Path
 import tempfile
@@ -17,8 +17,9 @@ from hnn_vi_ros.learning.families.mechanical import PlainNetwork
 from hnn_vi_ros.learning.fit.config import find_config, MachineConfig
 from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
 from hnn_vi_ros.learning.judging.evaluation import Predict, predicted_by, score
-from hnn_vi_ros.learning.tasks.machine import describe, learn
-from hnn_vi_ros.models import save_checkpoint
+from hnn_vi_ros.learning.tasks.machine import describe, problem_of
+from hnn_vi_ros.learning.tasks.selection import RIGID, selected
+from hnn_vi_ros.models import PLANAR_CHAIN, save_checkpoint
 import numpy as np
 from studies.machine_tables import CASES, predicted
 
@@ -32,6 +33,12 @@ _FALL = 9.81
 # Predictions begin so often, and are followed for this long at most [s].
 _EVERY, _LONGEST = 0.25, 4.0
 SIMULATED, REAL = 'simulated geared arm', 'real actuated double pendulum'
+# Arrays whose peaks order the runs of the real machine. The half with the smaller ones is trained
+# on, or the other half.
+_PEAKS = {'speed': 'dq', 'range': 'q', 'force': 'tau'}
+_RISING, _BACK = 'rising', 'falling'
+SPLITS = [*(f'{REAL}, {way} {name}' for name in _PEAKS for way in (_RISING, _BACK)),
+            *(f'{SIMULATED} {k}' for k in range(3))]
 MODELS: dict[str, dict[str, object] | None] = {
     'default': {'prior': 'auto'},
     'rigid body': {'prior': 'planar_chain', 'residual': False},
@@ -155,13 +162,21 @@ def step(machine: Machine, q: np.ndarray, v: np.ndarray, tau: np.ndarray, h: flo
     return q + h * v + h**2 / 6.0 * (a1 + a2 + a3), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
 
 
+def tested_runs(case: str, arrays: Mapping[str, np.ndarray]) -> list[str]:
+    """Return the runs of a case to test on: those with the largest, or smallest, peaks."""
+    *_, way, quantity = [_RISING, 'speed'] if SIMULATED in case else case.split()
+    peak = {key.partition('/')[0]: float(np.abs(values).max()) for key, values in arrays.items()
+            if key.endswith(f'/{_PEAKS[quantity]}')}
+    return sorted(peak, key=peak.__getitem__, reverse=way == _BACK)[len(peak) // 2:]
+
+
 def motions_of(case: str, data: Path
                ) -> tuple[MachineConfig, list[EvenMotion], list[EvenMotion], str]:
-    """Return configuration, slow motions, fast motions and description of a case."""
+    """Return configuration, training motions, test motions and description of a case."""
     config = load_machine(find_config('dfki_double_pendulum'))
     names = [coordinate.name for coordinate in config.coordinates]
     with tempfile.TemporaryDirectory() as folder:
-        if case == REAL:
+        if case.startswith(REAL):
             file = data / 'dfki_double_pendulum' / 'sysid.npz'
         else:
             file = Path(folder) / 'machine.npz'
@@ -170,12 +185,10 @@ def motions_of(case: str, data: Path
                 'loss': _LOSS, 'learning_rate': 0.03,
                 'data': {'kind': 'arrays', 'inputs': 'held'}})
         arrays = Archive(file).arrays
-        peak = {key.partition('/')[0]: np.abs(values).max() for key, values in arrays.items()
-                if key.endswith('/dq')}
-        fast = sorted(peak, key=peak.__getitem__)[len(peak) // 2:]
+        tested = tested_runs(case, arrays)
         assert not isinstance(config.data, ExcitationData), 'they are read'
         motions, text = read_motions(file, config.data, names, [str(file)])
-    return config, *train_and_test(motions, fast), text
+    return config, *train_and_test(motions, tested), text
 
 
 def measure(case: str, model: str, seed: int, data: Path) -> dict[str, Any]:
@@ -191,14 +204,27 @@ def measure(case: str, model: str, seed: int, data: Path) -> dict[str, Any]:
         found = _judged(predict, test)
     else:
         config = config.model_copy(update={'family': config.family.model_copy(update=family)})
-        network, losses = learn(config, train)
-        checkpoint = describe(network, config, train, text, losses, 'beyond_data', '')
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / 'model.safetensors'
-            save_checkpoint(file, checkpoint)
-            found = _judged(predicted(CASES[REAL], file, checkpoint, train, test), test)
+        config, selection = selected(config, train, problem_of)
+        found = _trained(config, train, test, text)
+        if selection is not None:
+            found['chosen'] = selection.chosen
+            found['rigid body with its friction'] = found['rms'] if selection.chosen == RIGID \
+                else _trained(config.model_copy(update={'family': config.family.model_copy(
+                    update={'prior': PLANAR_CHAIN, 'residual': False})}), train, test, text)['rms']
     return {'case': case, 'model': model, 'seed': seed, **found,
             'minutes': (time.process_time() - begin) / 60.0}
+
+
+def _trained(config: MachineConfig, train: Sequence[EvenMotion], test: Sequence[EvenMotion],
+             text: str) -> dict[str, Any]:
+    """Return the errors of a model that is trained on these motions."""
+    problem = problem_of(config, train)
+    losses = problem.fit()
+    checkpoint = describe(problem.module, config, train, text, losses, 'beyond_data', '')
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / 'model.safetensors'
+        save_checkpoint(file, checkpoint)
+        return _judged(predicted(CASES[REAL], file, checkpoint, train, test), test)
 
 
 def _judged(predict: Predict, test: Sequence[EvenMotion]) -> dict[str, Any]:
@@ -211,10 +237,9 @@ def parser() -> Parser:
     """Return the parser of the command line."""
     found = Parser('beyond_data', __doc__, [
         "make study NAME=beyond_data ARGS='--data ../data --seeds 0'"])
-    cases = [REAL, *(f'{SIMULATED} {k}' for k in range(3))]
     found.add_argument('--data', type=Path, default=Path(), metavar='DIR',
                        help='folder of the data sets')
-    found.add_argument('--cases', nargs='+', default=cases, choices=cases,
+    found.add_argument('--cases', nargs='+', default=SPLITS, choices=SPLITS,
                        help='data sets to learn (default: all)')
     found.add_argument('--models', nargs='+', default=[*MODELS], choices=[*MODELS],
                        help='models to train (default: all)')
