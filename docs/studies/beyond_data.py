@@ -162,7 +162,7 @@ def step(machine: Machine, q: np.ndarray, v: np.ndarray, tau: np.ndarray, h: flo
     return q + h * v + h**2 / 6.0 * (a1 + a2 + a3), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
 
 
-def tested_runs(case: str, arrays: Mapping[str, np.ndarray]) -> list[str]:
+def runs_for_test(case: str, arrays: Mapping[str, np.ndarray]) -> list[str]:
     """Return the runs of a case to test on: those with the largest, or smallest, peaks."""
     *_, way, quantity = [_RISING, 'speed'] if SIMULATED in case else case.split()
     peak = {key.partition('/')[0]: float(np.abs(values).max()) for key, values in arrays.items()
@@ -185,7 +185,7 @@ def motions_of(case: str, data: Path
                 'loss': _LOSS, 'learning_rate': 0.03,
                 'data': {'kind': 'arrays', 'inputs': 'held'}})
         arrays = Archive(file).arrays
-        tested = tested_runs(case, arrays)
+        tested = runs_for_test(case, arrays)
         assert not isinstance(config.data, ExcitationData), 'they are read'
         motions, text = read_motions(file, config.data, names, [str(file)])
     return config, *train_and_test(motions, tested), text

@@ -15,7 +15,7 @@ from hnn_vi_ros.learning.judging.evaluation import balance
 import numpy as np
 import pytest
 from studies import simulated_arm
-from studies.beyond_data import Machine, REAL, step, tested_runs, write_machine
+from studies.beyond_data import Machine, REAL, runs_for_test, step, write_machine
 from studies.identify_real import CASES, motions_of, predicted, scene_of
 from studies.simulated_arm import followed_times, JOINTS, LEAST, MEAN, the_arm, write_arm
 
@@ -60,7 +60,7 @@ def test_runs_are_split_by_peaks_in_both_directions():
     """The runs differ in the force only; its sign does not matter."""
     arrays = {f'{run}/{key}': np.array([0.0, peak if key == 'tau' else 1.0]) for run, peak in zip(
         'abcd', (1.0, -4.0, 3.0, 2.0), strict=True) for key in ('t', 'q', 'dq', 'tau')}
-    assert [tested_runs(f'{REAL}, {way} force', arrays) for way in ('rising', 'falling')] == [
+    assert [runs_for_test(f'{REAL}, {way} force', arrays) for way in ('rising', 'falling')] == [
         ['c', 'b'], ['d', 'a']]
 
 
