@@ -155,7 +155,7 @@ class ControllerNode(ManagedNode):
             columns(assignment.hamiltonian.coordinates)[0], 0.5 * self._silence, self._now)
         # A reset simulator publishes its scene again, and its stamps may then be older.
         self._hearing.hear(Input(f'{self._simulator}/scene', String, frozenset(), None, NEWEST),
-                           lambda message: self._stamps.reset())
+                           self._on_scene, then=self._answer)
         self._hearing.hear(Input(self._states, JointState, frozenset(), None, _STATES),
                            self._on_state, then=self._answer)
         self._timers = [steady_timer(self, 0.25 * self._silence, self._watch),
@@ -218,6 +218,8 @@ class ControllerNode(ManagedNode):
             self._assigned.controller.reset()
         self._due = -1
         self._next: tuple[int, np.ndarray, np.ndarray] | None = None
+        # The newest state since the last accepted one whose stamp is too old.
+        self._older: tuple[int, np.ndarray, np.ndarray] | None = None
         self._lags: deque[float] = deque(maxlen=_LAGS)
         self._gaps: deque[float] = deque(maxlen=_INTERVALS)
 
@@ -233,8 +235,17 @@ class ControllerNode(ManagedNode):
             # The simulator repeats a state whose answer it still awaits.
             self._send(self._last)
         else:
+            self._older = stamp, q, v
             self._next = self._stamps.accept(stamp), q, v
+            self._older = None
         self._refused = False
+
+    def _on_scene(self, message: String) -> None:
+        """Accept an older stamp next, also that of a state that has just arrived."""
+        self._stamps.reset()
+        if self._older is not None and time.monotonic() - self._heard < self._silence:
+            (stamp, q, v), self._older = self._older, None
+            self._next = self._stamps.accept(stamp), q, v
 
     def _answer(self) -> None:
         """Answer the newest state, unless that was done or the period has not passed."""

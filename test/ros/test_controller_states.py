@@ -171,6 +171,20 @@ def test_older_stamps_are_answered_after_a_reset_or_a_silence(driven: Driven):
     assert len(driven.hear(*take(rising(SECOND // 100), 10))) == 10
 
 
+def test_first_state_after_a_reset_is_answered_if_it_arrives_before_the_scene(driven: Driven):
+    """The two topics have no common order, and a simulator that is stepped then waits."""
+    assert len(driven.hear(*take(rising(100 * SECOND), 10))) == 10
+    assert driven.hear(state(SECOND)) == []
+    driven.reset()
+    assert nanoseconds(driven.commands[-1].header.stamp) == SECOND and len(driven.commands) == 11
+    assert len(driven.hear(*take(rising(SECOND + SECOND // 100), 10))) == 10
+    # A stray state of long ago is not the first after a reset.
+    assert driven.hear(state(SECOND)) == []
+    driven.time += 2 * SILENCE
+    driven.reset()
+    assert len(driven.commands) == 21
+
+
 def test_of_states_that_wait_the_newest_is_answered_and_each_is_heard(
         driven: Driven, monkeypatch: pytest.MonkeyPatch):
     states = rising(SECOND)
