@@ -39,7 +39,7 @@ _EPS = float(np.finfo(np.float64).eps)
 _CACHE_SIZE = 32
 
 
-class _Cache(threading.local):
+class _SeriesCache(threading.local):
     """Compiled series of the thread: by kernel, which is kept alive, and by formula."""
 
     def __init__(self) -> None:
@@ -55,7 +55,7 @@ class _Cache(threading.local):
         return self._known[key][1]
 
 
-_CACHE = _Cache()
+_CACHE = _SeriesCache()
 
 
 class TaylorWork:
