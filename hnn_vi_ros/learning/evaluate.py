@@ -18,7 +18,8 @@ from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
 from hnn_vi_ros.learning.data.bags import BagMotions
-from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, MotionData, train_and_test
+from hnn_vi_ros.learning.data.motions import (
+    delayed, EvenMotion, MotionData, of_positions, train_and_test)
 from hnn_vi_ros.learning.data.sources import (
     guessed, make_dataset, motions_of, MotionSource, read_motions)
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
@@ -83,6 +84,8 @@ def _judged(arguments: Namespace) -> _Judgement:
         motions = [delayed(motion, delay / motion.spacing) for motion in motions]
         description += f'; forces delayed by {delay:.3g} s, as in the data of the model'
     card = None if checkpoint is None or checkpoint.card.mechanical is None else checkpoint.card
+    if card is not None and card.prediction_error is not None and card.prediction_error.noise:
+        motions = of_positions(motions)
     judged = card is not None and positions_alone(motions)
     known: dict[str, Any] = {} if card is None else {'noise': [], 'residuals': {}}
     said = ''

@@ -12,7 +12,8 @@ from hnn_vi_ros.learning.fit import rigid_body
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import Fading, scales_of
 from hnn_vi_ros.learning.tasks.machine import problem_of
-from hnn_vi_ros.learning.tasks.selection import best_of, held_out, RIGID, selected
+from hnn_vi_ros.learning.tasks.selection import (
+    best_of, held_out, OF_VELOCITIES, RIGID, selected)
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
 from hnn_vi_ros.models.seen import CandidateCard, Domain, DomainCard
 from hnn_vi_ros.simulation.guards.base import Look
@@ -220,6 +221,29 @@ def test_rigid_body_is_enough_unless_accelerations_show_a_force(magnet: float, c
         'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
     selected(config, [smoothed('run', t, q, None, 0.0 * q, 5.0)], problem_of)
     assert ('nothing more is tried' in capsys.readouterr().out) is (magnet == 0.0)
+
+
+def test_velocities_that_a_filter_delays_are_left_out():
+    """A filter of first order, as in a motor driver."""
+    t = 0.02 * np.arange(1000)
+
+    def rates(time: float, z: np.ndarray) -> list[float]:
+        return [z[1], np.sin(1.7 * time) - 9.0 * np.sin(z[0]) - 0.05 * z[1]]
+    q, v = solve_ivp(rates, (0.0, t[-1]), [1.4, 0.0], t_eval=t, rtol=1e-8, atol=1e-8).y[..., None]
+    for k in range(1, len(v)):
+        v[k] = v[k - 1] + 0.02 / (0.02 + 0.15) * (v[k] - v[k - 1])
+    noise = np.random.default_rng(1).normal(size=(2, *q.shape))
+    motion = smoothed('run', t, q + 0.02 * noise[0], v + 2e-3 * noise[1],
+                      np.sin(1.7 * t)[:, None], 40.0)
+    config = machine_config('a', 'revolute', {'hidden': [4], 'loss': {
+        'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
+        'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
+    chosen, card = selected(config, [motion], problem_of)
+    assert chosen.data.velocities == 'none' and 'from positions alone' in card.held_out
+    right, wrong = card.candidates
+    # The noise of the positions is a part of the errors.
+    assert right.furthest['0.2'][0] < 1.2 * 0.02 and wrong.furthest['0.2'][0] > 5.0 * 0.02
+    assert (right.name, wrong.name) == (RIGID, OF_VELOCITIES)
 
 
 @pytest.mark.long

@@ -91,6 +91,8 @@ class MotionData(StrictModel):
         'bodies to the training data'))
     forces: str | None = Field(None, pattern='^none$', description=(
         'none: no forces act, although there are some'))
+    velocities: str | None = Field(None, pattern='^none$', description=(
+        'none: positions alone are used, although there are velocities'))
     test_runs: list[str] = TEST_RUNS
 
 
@@ -243,8 +245,9 @@ class ReadingReport:
 def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotion], str]:
     """Return the pieces of motions at even times, and their description for the model card."""
     report = ReadingReport()
-    motions = recording.motions if data.forces != NONE else [
-        replace(motion, tau=None) for motion in recording.motions]
+    motions = [replace(motion, tau=None if data.forces == NONE else motion.tau,
+                       v=None if data.velocities == NONE else motion.v)
+               for motion in recording.motions]
     cut = [pieces_of(motion, data.on_bad, report) for motion in motions]
     # The interval of most samples is used for motions at different rates.
     usual = float(np.quantile(np.repeat([one.spacing for one in cut], [
@@ -545,6 +548,14 @@ def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau:
     return EvenMotion(
         name=name, where=name, t=t, q=q, v=v, tau=tau, a=a, q_smooth=q_smooth, v_smooth=v_smooth,
         a_smooth=rate(v_smooth) if a is None else smooth(a), cutoff=cutoff)
+
+
+def of_positions(motions: Sequence[EvenMotion]) -> list[EvenMotion]:
+    """Return motions as if velocities had not been measured."""
+    bare, chosen = [replace(motion, v=None) for motion in motions], motions[0].cutoff
+    cutoff = chosen if chosen != _FASTEST else cutoff_of(bare, motions[0].spacing)
+    return [replace(smoothed(one.name, one.t, one.q, None, one.tau, cutoff, one.a),
+                    where=one.where, inputs=one.inputs, idle=one.idle) for one in bare]
 
 
 def clock_resets(t: np.ndarray) -> np.ndarray:

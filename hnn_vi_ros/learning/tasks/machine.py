@@ -10,7 +10,8 @@ from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint
-from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, train_and_test
+from hnn_vi_ros.learning.data.motions import (
+    delayed, EvenMotion, of_positions, train_and_test)
 from hnn_vi_ros.learning.families.choices import (
     AUTO, Forward, RigidBodyChoice, Structure, TrajectoryLoss)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
@@ -79,6 +80,8 @@ class MachineTask(TrainingTask):
         print(f'data: {description}; {_ranges(config, self._train)}', flush=True)
         _check_motors(config, self._train)
         self._config, self._selection = selected(config, self._train, problem_of)
+        if self._config.data.velocities and not positions_alone(self._train):
+            self._train, self._test = of_positions(self._train), of_positions(self._test)
         self._known, self._held = kept_and_held(self._train, config) if ensemble else (
             self._train, [])
         # Source and licence of the data are stored with the model.
@@ -300,7 +303,8 @@ def whole(network: MechanicalNetwork, config: MachineConfig, motion: EvenMotion)
 def learn(config: MachineConfig, motions: Sequence[EvenMotion]
           ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Fit a network, after its prior if it has one; return it and its losses."""
-    problem = problem_of(selected(config, motions, problem_of)[0], motions)
+    config, _ = selected(config, motions, problem_of)
+    problem = problem_of(config, of_positions(motions) if config.data.velocities else motions)
     return problem.module, problem.fit()
 
 

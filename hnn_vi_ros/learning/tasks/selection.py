@@ -7,13 +7,14 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of, run_of
+from hnn_vi_ros.learning.data.motions import (
+    EvenMotion, MIN_SAMPLES, NONE, of_positions, part_of, run_of)
 from hnn_vi_ros.learning.families.choices import (
     AUTO, MechanicalChoice, RigidBodyChoice, TrajectoryLoss)
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of, slowness
-from hnn_vi_ros.learning.fit.rigid_body import RigidProblem
+from hnn_vi_ros.learning.fit.rigid_body import positions_alone, RigidProblem
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.residuals import (
     is_noise, noise_text, ONLY_NOISE, Residuals, residuals_of, with_fitted_states)
@@ -40,6 +41,7 @@ _WORSE, _GAIN = 0.02, 0.08
 _TERMS = {'load': True, 'fade': True, 'stribeck': 1, 'directed': True, 'offset': True}
 _NEEDED = 0.02
 RIGID, ALONE = 'rigid body', 'networks alone'
+OF_VELOCITIES, OF_POSITIONS = 'rigid body of measured velocities', 'rigid body of positions alone'
 _CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
     'mechanical': {
         RIGID: {'prior': PLANAR_CHAIN, 'residual': False},
@@ -76,6 +78,7 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     """
     config = _paced(config, motions)
     family, kinds = config.family, [coordinate.kind for coordinate in config.coordinates]
+    given = config.data.velocities
     rigid_body = isinstance(family, RigidBodyChoice)
     if (family.residual if rigid_body else family.prior) != AUTO:
         return config, None
@@ -95,6 +98,9 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     if config.family.friction != family.friction:
         terms = ', '.join(term for term in _TERMS if getattr(config.family.friction, term))
         text += f'; friction with {terms}, selected on the same motions'
+    if config.data.velocities and not given:
+        text += ('; from positions alone, since a rigid body of the measured velocities predicts '
+                 'them worse')
     return _named(config, best.name), SelectionCard(
         held_out=text, candidates=found, chosen=best.name, trust=_trust(best, config))
 
@@ -175,17 +181,18 @@ class _Trials(NamedTuple):
         far = len(self.furthest)
         return self._replace(furthest=pieces[:far], ordinary=pieces[far:]), residuals
 
+    def of_positions(self) -> '_Trials':
+        """Return the same pieces as if velocities had not been measured."""
+        bare = of_positions(self.motions)
+        return _Trials(self.make, bare, *held_out(self.motions, bare))
+
 
 def _candidates(config: MachineConfig, trials: _Trials
                 ) -> tuple[MachineConfig, list[CandidateCard]]:
     """Return a configuration with fitting angles and friction, and all candidates' results."""
-    first, rigid = trials.tried(RIGID, _named(config, RIGID))
-    found, kind = [first], config.family.kind
+    kind = config.family.kind
+    config, trials, rigid, found, explained = _rigid_bodies(config, trials)
     if isinstance(rigid, RigidProblem):
-        before, explained = rigid, trials.explained(config, rigid, first)
-        if not explained and not getattr(config.family, 'springs', True):
-            config, rigid, found = _with_springs(config, trials, first, rigid)
-            explained = rigid is not before and trials.explained(config, rigid, found[0])
         trials, _ = trials.following(rigid)
         first, *others = found
         config = _with_angles(config, rigid)
@@ -202,6 +209,49 @@ def _candidates(config: MachineConfig, trials: _Trials
                      if rigid is None and name != ALONE else trials.tried(
                          name, _named(config, name), None if name == ALONE else rigid)[0])
     return config, found
+
+
+class _Begun(NamedTuple):
+    """A configuration, its trials, a rigid body with the cards of all, and if it explains all."""
+
+    config: MachineConfig
+    trials: _Trials
+    rigid: TrainingProblem | None
+    cards: list[CandidateCard]
+    explained: bool
+
+
+def _rigid_bodies(config: MachineConfig, trials: _Trials) -> _Begun:
+    """
+    Return the rigid body that predicts held-out motions best, of positions alone or of velocities.
+
+    Filtered velocities are late or too small. Without them, initial states are better, and the
+    fit is not biased.
+    """
+    both = _rigid_body(config, trials, *trials.tried(RIGID, _named(config, RIGID)))
+    if not isinstance(config.family, MechanicalChoice) or positions_alone(trials.motions):
+        return both
+    print('from positions alone:', flush=True)
+    config, trials = both.config.model_copy(update={'data': config.data.model_copy(update={
+        'velocities': NONE})}), trials.of_positions()
+    first, rigid = trials.tried(RIGID, _named(config, RIGID))
+    if _total(first) < (1.0 - _GAIN) * _total(both.cards[0]):
+        alone = _rigid_body(config, trials, first, rigid)
+        return alone._replace(cards=[*alone.cards, both.cards[0].model_copy(update={
+            'name': OF_VELOCITIES})])
+    return both._replace(cards=[*both.cards, first.model_copy(update={'name': OF_POSITIONS})])
+
+
+def _rigid_body(config: MachineConfig, trials: _Trials, first: CandidateCard,
+                rigid: TrainingProblem | None) -> _Begun:
+    """Return a rigid body that was tried, with springs if it needs them."""
+    if not isinstance(rigid, RigidProblem):
+        return _Begun(config, trials, rigid, [first], False)
+    before, explained, found = rigid, trials.explained(config, rigid, first), [first]
+    if not explained and not getattr(config.family, 'springs', True):
+        config, rigid, found = _with_springs(config, trials, first, rigid)
+        explained = rigid is not before and trials.explained(config, rigid, found[0])
+    return _Begun(config, trials, rigid, found, explained)
 
 
 def _with_springs(
@@ -284,14 +334,16 @@ def _with_angles(config: MachineConfig, rigid: RigidProblem) -> MachineConfig:
         for row in rigid.module.structure.angles if any(row)]})})
 
 
-def held_out(motions: Sequence[EvenMotion]
+def held_out(motions: Sequence[EvenMotion], cut: Sequence[EvenMotion] | None = None
              ) -> tuple[list[EvenMotion], list[EvenMotion], list[EvenMotion]]:
     """
     Return training motions, extreme pieces and ordinary pieces.
 
     Pieces are ranked by their largest speed, distance from the median and force, each relative to
-    the maximum over all motions. Runs often share one such maximum and are ranked by norms.
+    the maximum over all motions. Runs often share one such maximum and are ranked by norms. The
+    pieces are those of ``cut``, of the same samples, if it is given.
     """
+    cut = motions if cut is None else cut
     total = sum(len(run.t) for run in motions)
     longest = max(MIN_SAMPLES, min(round(_LONGEST / motions[0].spacing), total // _PIECES))
     pieces = [(run, rows) for run in motions
@@ -301,17 +353,19 @@ def held_out(motions: Sequence[EvenMotion]
     usual = set(others[_ORDINARY // 2::_ORDINARY])
     kept: list[EvenMotion] = []
     begin = 0
-    for run in motions:
+    for run, own in zip(motions, cut, strict=True):
         count = sum(one is run for one, _ in pieces)
         mine = [(k, pieces[k][1]) for k in range(begin, begin + count)]
         begin += count
         free = np.concatenate([rows for k, rows in mine if k not in far | usual] or [
             np.zeros(0, int)])
         blocks = np.split(free, np.flatnonzero(np.diff(free) > 1) + 1)
-        kept += [part_of(run, rows) for rows in blocks if len(rows) >= MIN_SAMPLES]
+        kept += [part_of(own, rows) for rows in blocks if len(rows) >= MIN_SAMPLES]
     if not kept:
-        return [*motions], [], []
-    furthest, ordinary = ([part_of(*pieces[k]) for k in sorted(chosen)] for chosen in (far, usual))
+        return [*cut], [], []
+    at = {id(run): other for run, other in zip(motions, cut, strict=True)}
+    furthest, ordinary = ([part_of(at[id(pieces[k][0])], pieces[k][1]) for k in sorted(chosen)]
+                          for chosen in (far, usual))
     return kept, furthest, ordinary
 
 
