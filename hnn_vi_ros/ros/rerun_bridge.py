@@ -132,7 +132,7 @@ class BridgePicture:
         d = len(order)
         points = [(point.positions, point.velocities) for point in message.points]
         if any(len(half) != d for point in points for half in point):
-            raise ValueError(f'a point has not {d} positions and {d} velocities')
+            raise ValueError(f'a point must have {d} positions and {d} velocities')
         q, v = np.array(points, dtype=np.float64).reshape(-1, 2, d)[:, :, order].swapaxes(0, 1)
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ValueError('a position or a velocity is not finite')
