@@ -149,8 +149,13 @@ class BagOutput(Sink):
         if state != self._begun_at or held.any():
             attachments[STATE_FILE] = state
         sink = McapSink(bag, self._topics.tick, attachments, distribution() or 'unknown')
-        # Stamped with the first state of the bag, from which it applies.
-        sink.write_other(self._topics.scene, sampler.stamp, serialize(String(data=described)))
+        latched = [(self._topics.scene, described)]
+        robot = simulation.hamiltonian.robot
+        if robot is not None and self._topics.robot is not None:
+            latched.append((self._topics.robot, robot.text))
+        for topic, text in latched:
+            # Stamped with the first state of the bag, from which it applies.
+            sink.write_other(topic, sampler.stamp, serialize(String(data=text)))
         sink.flush()
         self._sink, self.target, self.wanted = sink, bag, True
         self._bags.append(bag)

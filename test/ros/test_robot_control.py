@@ -34,7 +34,8 @@ def test_controller_in_its_own_process_moves_an_arm_from_a_to_b(tmp_path):
     process = start_executable(
         'simulator', *simulator_words(scene=scene, publish_rate=250.0, record_path='bag'),
         '-r', 'joint_states:=/robot_joint_states',
-        '-r', '~/joint_commands:=/robot_joint_commands', folder=tmp_path)
+        '-r', '~/joint_commands:=/robot_joint_commands',
+        '-r', 'robot_description:=/arm/description', folder=tmp_path)
     target = {'elbow': 0.9, 'shoulder': -0.7}
     ended = subprocess.run(
         [sys.executable, Path(__file__).parent / 'controller_stand_in.py',
@@ -48,6 +49,10 @@ def test_controller_in_its_own_process_moves_an_arm_from_a_to_b(tmp_path):
         process.send_signal(signal.SIGINT)
     assert finish(process)[0] == 0
     topics = read_bag(tmp_path / 'bag')
+    ((begun, _),), ((stamp, description),) = (
+        topics['/hnn_simulator/scene'], topics['/arm/description'])
+    assert stamp == begun
+    assert description.data == (ROBOTS / 'two_joint_arm.urdf').read_text()
     states = [message for _, message in topics['/robot_joint_states']]
     last, commands = states[-1], topics['/robot_joint_commands']
     assert last.name == ['shoulder', 'elbow'] and 0 < len(commands) <= found['sent']

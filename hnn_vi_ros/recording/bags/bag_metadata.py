@@ -57,12 +57,15 @@ class BagTopics(NamedTuple):
         Topic of the scene.
     remapped : mapping of str to str
         New names of remapped topics by original name.
+    robot : Topic, optional
+        Topic of the URDF.
 
     """
 
     tick: Sequence[Topic]
     scene: Topic
     remapped: Mapping[str, str] = {}
+    robot: Topic | None = None
 
 
 class Extent(NamedTuple):

@@ -134,7 +134,7 @@ JOINT_STATES = Output('joint_states', JointState, TICKS, make=lambda run, publis
     encoder=encode_joints)
 # The topic name that robot_state_publisher uses.
 ROBOT = Output('robot_description', String, LATCHED,
-               lambda settings, run: run and run.simulation.hamiltonian.robot)
+               lambda settings, run: run and run.simulation.hamiltonian.robot, recorded='apart')
 
 
 def _markers(run: Material, publisher: Publisher) -> Encode:

@@ -152,7 +152,10 @@ class Topics:
         self._describe([*self._ticks, SCENE])
         return BagTopics([self._described[output.topic] for output in self._ticks],
                          self._described[SCENE.topic],
-                         remapped(self._node, [endpoint.topic for endpoint in ENDPOINTS]))
+                         remapped(self._node, [endpoint.topic for endpoint in ENDPOINTS]),
+                         # It has no publisher before the scene is loaded.
+                         describe_topic(self._node.resolve_topic_name(ROBOT.topic),
+                                        ROBOT.message_type, ROBOT.qos))
 
     def count_subscribers(self) -> int:
         """Return the number of subscribers to the topics of every tick."""
