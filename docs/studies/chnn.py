@@ -242,11 +242,12 @@ def draw(results: ResultTable) -> Figure:
     for k, (*key, published) in enumerate(claims):
         ratios = results.values(*key) / published
         axes.plot(ratios, [k] * len(ratios), 'o', color='#0072b2', markersize=4)
-    axes.axvline(1.0, color='grey', linestyle=':')
+    axes.axvline(1.0, color='grey', linestyle=':', label='as accurate as published')
     axes.set(xscale='log', xlabel='our error over the published one, each seed',
              yticks=range(len(claims)), yticklabels=[claim[1] for claim in claims])
     axes.invert_yaxis()
     axes.grid(alpha=0.3)
+    figure.legend(loc='outside upper right', fontsize=9)
     return figure
 
 

@@ -137,11 +137,12 @@ def draw(path: Path, results: Sequence[Result]) -> Path:
         if len(ratios):
             axes.plot(ratios.mean(), len(names), 'D', color='#0072b2')
         names.append(f'{name}, {SYSTEMS[system]}: {measure.removeprefix("published ")}')
-    axes.axvline(1.0, color='grey', linestyle=':')
+    axes.axvline(1.0, color='grey', linestyle=':', label='as accurate as published')
     axes.set(xscale='log', xlabel='our error over the published one: seeds, and their mean',
              yticks=range(len(names)), yticklabels=names)
     axes.invert_yaxis()
     axes.grid(alpha=0.3)
+    figure.legend(loc='outside upper right', fontsize=9)
     figure.savefig(path, dpi=110)
     return path
 
