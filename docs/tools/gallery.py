@@ -26,10 +26,15 @@ _ROBOTS = 'Robots and bodies that turn'
 # Keys: whether the model is learned, and whether effects act.
 _TOPICS = {(True, False): 'Learned models', (True, True): 'Learned models with effects',
            (False, False): 'Formulas', (False, True): 'Formulas with effects'}
-# Thrust [N] and torques [N m] over time [s]: it hovers, and rises and sinks by about its size.
-_COMMANDS = {'quadrotor': lambda t: [0.8 * 9.81 * (1.0 + 0.05 * math.cos(t)), 0.0, 0.0, 0.0]}
+# Commands [N, N m] over time [s], without which these scenes rest. The quadrotor hovers, and rises
+# and sinks by about its size.
+_COMMANDS = {
+    'quadrotor': lambda t: [0.8 * 9.81 * (1.0 + 0.05 * math.cos(t)), 0.0, 0.0, 0.0],
+    'cart_pole': lambda t: [2.0 * math.cos(2.0 * t)],
+    'motor_pendulum': lambda t: [1.5 * math.cos(2.5 * t)],
+    'realaigym_double_pendulum': lambda t: [0.6 * math.cos(3.0 * t), 0.0]}
 # Version of the pictures: another number makes all of them again.
-_VERSION = '8'
+_VERSION = '9'
 
 
 def write_gallery(docs: Path) -> None:

@@ -47,10 +47,11 @@ def sketch(run: Trajectory, sample: int = -1) -> Image.Image:
 
 
 def _plane(parts: dict[str, Part]) -> tuple[int, int]:
-    """Return the axes of a view from the side with most motion; flat motion is seen from above."""
+    """Return the axes of a view: from above for motion in x and y, otherwise from the side."""
     places = np.vstack([_places(part) for part in parts.values() if part.moves])
     along_x, along_y, along_z = np.ptp(places, axis=0)
-    if along_z < 0.3 * max(along_x, along_y):
+    # Motion along x alone is not flat: its springs stand upright on a floor.
+    if along_z < 0.3 * max(along_x, along_y) and along_z < along_y:
         return 0, 1
     return (0, 2) if along_y <= along_x * (1.0 + 1e-9) else (1, 2)
 

@@ -11,12 +11,14 @@ from types import ModuleType
 import hnn_vi_ros
 from hnn_vi_ros.commands import COMMANDS, parser_of
 from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.hamiltonians import MECHANISMS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.ros.run.health import STEP_FAILED
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.outputs import OUTPUTS
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS
+import numpy as np
 import pytest
 import redirects
 import sources
@@ -172,6 +174,14 @@ def test_gallery_has_a_card_for_each_scene(generate, tmp_path, monkeypatch):
     page = (tmp_path / 'docs' / 'gallery' / 'index.md').read_text(encoding='utf-8')
     scenes = [path.stem for path in (ROOT / 'config' / 'scenes').glob('*.yaml')]
     assert scenes and all(f'[{name}]({name}.md)' in page for name in scenes)
+
+
+def test_sketch_is_seen_from_above_only_if_the_motion_is_flat(generate):
+    from sketch import _plane
+    q = np.array([[-1.0, 0.0], [0.0, 1.0], [1.0, 0.5]])
+    assert _plane(MECHANISMS['kepler'](q, 1.0)) == (0, 1)
+    for name, along in (('mass_spring', q[:, :1]), ('spring_chain', q)):
+        assert _plane(MECHANISMS[name](along, 1.0)) == (0, 2)
 
 
 def test_gallery_draws_a_scene_once(generate, tmp_path):
