@@ -120,8 +120,9 @@ def write_sensitivity(path: Path) -> None:
     for axes, unknown in zip(panels[1:], (angle, length), strict=True):
         axes.plot(motion.t, [torch.autograd.grad(q, unknown, retain_graph=True)[0].item()
                              for q in motion.q[:, 0]])
-    for axes, title in zip(panels, ('angle [rad]', 'its derivative by the initial angle',
-                                    'its derivative by the length [rad/m]'), strict=True):
+    for axes, title in zip(panels, (
+            'angle [rad]', 'its derivative with respect to the initial angle',
+            'its derivative with respect to the length [rad/m]'), strict=True):
         axes.set_title(title, loc='left', fontsize=9)
     panels[-1].set_xlabel('t [s]')
     figure.savefig(path, dpi=110)
@@ -324,7 +325,7 @@ def write_swing_up(path: Path) -> None:
         t, angle, torque = np.array(rows).T
         left.plot(t, angle, line, label=f'{name} model')
         right.plot(t, torque, line)
-    left.set(xlabel='t [s]', title='angle over a half turn')
+    left.set(xlabel='t [s]', title='angle [half turns]')
     left.legend()
     right.set(xlabel='t [s]', title='torque [N m]')
     for axes in (left, right):
