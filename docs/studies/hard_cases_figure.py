@@ -95,7 +95,7 @@ def draw_bands(path: Path, cases: Sequence[Case], rows: Sequence[CaseRow]) -> Pa
         ax.minorticks_off()
         ax.spines[['top', 'right']].set_visible(False)
     figure.supxlabel(f'energy band of the run, largest abs(H - H0) [J]; above {_CEILING:g} J '
-                     'drawn there', fontsize=8.5, color=INK)
+                     'drawn there. No mark: not run in this case', fontsize=8.5, color=INK)
     figure.legend(handles=[Line2D([], [], label=_NAMES[verdict], linestyle='', **style)
                            for verdict, style in _VERDICTS.items()],
                   loc='upper center', ncols=4, fontsize=8.5, frameon=False)
@@ -131,8 +131,9 @@ def draw_case(path: Path, case: Case, rows: Sequence[CaseRow]) -> Path:
         title = ', '.join(part for part in (f'{hamiltonian} H', set_up) if part)
         _draw_panel(ax, case, title, [row for row in rows if (row.hamiltonian, row.set_up)
                                       == (hamiltonian, set_up)])
-    handles = [_handle(method) for method in dict.fromkeys(row.method for row in rows)]
-    if any(row.verdict == _STOPPED for row in rows):
+    handles = [_handle(method, _note(case, method, rows))
+               for method in dict.fromkeys(row.method for row in rows if row.t)]
+    if any(row.t and row.verdict == _STOPPED for row in rows):
         handles.append(Line2D([], [], label='stopped: a step failed', **_END))
     title, _ = _SECOND.get(case.check, (None, ()))
     legend = figure.legend(handles=handles, loc='outside right center', frameon=False,
@@ -150,8 +151,19 @@ def _style(method: str) -> dict[str, object]:
             'markerfacecolor': 'white' if variant else color}
 
 
-def _handle(method: str) -> Line2D:
-    return Line2D([], [], label=method, **_style(method))
+def _handle(method: str, note: str) -> Line2D:
+    return Line2D([], [], label=f'{method}{note}', **_style(method))
+
+
+def _note(case: Case, method: str, rows: Sequence[CaseRow]) -> str:
+    """Return the reason that a method has no curve in some panels."""
+    own = [row for row in rows if row.method == method]
+    if case.check == 'dissipation' and not any(any(row.error) for row in own):
+        return ' (the reference)'
+    found = {row.hamiltonian for row in own}
+    if len({row.hamiltonian for row in rows}) == 1 or len(found) > 1:
+        return ''
+    return f' ({found.pop()} H only)'
 
 
 def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow]) -> None:
@@ -179,9 +191,9 @@ def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow]) -> No
         if row.verdict == _STOPPED:
             ax.plot(t[-1], error[-1], **_END)
     if not ends:
-        ax.text(0.5, 0.5, 'every run stopped at once', transform=ax.transAxes, ha='center',
-                color=FAINT)
-    elif case.check != 'motion' or max(ends) > 100.0 * min(ends):
+        _say_stops(ax, rows)
+        return
+    if case.check != 'motion' or max(ends) > 100.0 * min(ends):
         ax.set_xscale('log')
     if case.check == 'repeatability':
         ax.set_yscale('symlog', linthresh=_SMALLEST)
@@ -195,3 +207,13 @@ def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow]) -> No
     if case.check == 'motion' and high < 10.0 * low:
         # A logarithmic axis without a power of ten has no readable ticks.
         ax.set_yscale('linear')
+
+
+def _say_stops(ax: Axes, rows: Sequence[CaseRow]) -> None:
+    """State where each run stopped, in a panel without curves."""
+    ax.grid(visible=False)
+    ax.minorticks_off()
+    ax.set(xticks=[], yticks=[], xlabel='', ylabel='')
+    ax.spines[:].set(visible=True, color='#e3e3e3')
+    ax.text(0.5, 0.5, '\n\n'.join(f'{row.method} stopped:\n{fill(row.alarm, 64)}' for row in rows),
+            transform=ax.transAxes, ha='center', va='center', fontsize=10, color=INK)

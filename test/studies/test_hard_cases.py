@@ -12,12 +12,14 @@ from hnn_vi_ros.integrators import INTEGRATORS, Requirements
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.simulation import Alarm, Simulation
 from hnn_vi_ros.simulation.guards.selection import BoxGuard
+from matplotlib.figure import Figure
 from messages import refused
 import numpy as np
 from PIL import Image
 import pytest
 from studies import hard_cases, hard_cases_checks, hard_cases_run
 from studies.hard_cases_checks import run_job
+from studies.hard_cases_figure import _draw_panel, _note
 from studies.hard_cases_gates import failed_gates, limit_of, Measured, verdict
 from studies.hard_cases_plan import Job, load_plan, make_jobs
 from studies.hard_cases_results import (
@@ -321,6 +323,19 @@ def test_page_of_the_docs_is_written_with_its_pictures(short, tmp_path):
     assert (tmp_path / 'hard_cases' / 'bands.png').is_file()
     assert '![case 14](hard_cases/case_14.png)' in page
     assert (tmp_path / 'hard_cases' / 'case_14.png').is_file()
+
+
+def test_legend_and_panels_say_why_a_curve_is_absent():
+    exact, learned = (replace(row_of(calm()), hamiltonian=kind, t=(1.0,), error=(1.0,))
+                      for kind in ('exact', 'learned'))
+    rows = [exact, learned, replace(exact, method='gauss16', error=(0.0,))]
+    notes = {number: [_note(PLAN.cases[number - 1], row.method, rows) for row in rows]
+             for number in (7, 12)}
+    assert notes == {7: ['', '', ' (exact H only)'], 12: ['', '', ' (the reference)']}
+    ax = Figure().subplots()
+    _draw_panel(ax, PLAN.cases[17], '', [replace(exact, t=(), alarm='no convergence at step 9')])
+    assert [text.get_text() for text in ax.texts] == [
+        'variational_euler stopped:\nno convergence at step 9']
 
 
 def test_page_keeps_the_cases_that_a_run_leaves_out(short, tmp_path):
