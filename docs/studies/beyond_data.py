@@ -37,8 +37,8 @@ SIMULATED, REAL = 'simulated geared arm', 'real actuated double pendulum'
 # on, or the other half.
 _PEAKS = {'speed': 'dq', 'range': 'q', 'force': 'tau'}
 _RISING, _BACK = 'rising', 'falling'
-SPLITS = [*(f'{REAL}, {way} {name}' for name in _PEAKS for way in (_RISING, _BACK)),
-            *(f'{SIMULATED} {k}' for k in range(3))]
+SPLITS = [f'{REAL}, {way} {name}' for name in _PEAKS for way in (_RISING, _BACK)] + [
+    f'{SIMULATED} {k}' for k in range(3)]
 MODELS: dict[str, dict[str, object] | None] = {
     'default': {'prior': 'auto'},
     'rigid body': {'prior': 'planar_chain', 'residual': False},

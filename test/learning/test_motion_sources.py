@@ -284,19 +284,20 @@ def test_times_that_are_no_numbers_or_too_large_are_refused(tmp_path, name, time
         from_file(path, LogMotions(time=name, q=['angle']))
 
 
-def test_forces_none_leaves_out_the_forces_of_every_kind(tmp_path):
+def test_none_leaves_out_the_forces_or_the_velocities_of_every_kind(tmp_path):
     np.savez(tmp_path / 'a.npz', t=T, q=Q, dq=V, tau=TAU)
-    np.savetxt(tmp_path / 'log.csv', np.column_stack([T, Q, TAU]), '%.9f', ',')
+    np.savetxt(tmp_path / 'log.csv', np.column_stack([T, Q, V, TAU]), '%.9f', ',')
     bag = write(tmp_path / 'a.mcap', driver())
-    columns = {'columns': ['t', 'a', 'b', 'ta', 'tb'], 'time': 't', 'q': ['a', 'b'],
-               'tau': ['ta', 'tb']}
+    columns = {'columns': ['t', 'a', 'b', 'va', 'vb', 'ta', 'tb'], 'time': 't', 'q': ['a', 'b'],
+               'v': ['va', 'vb'], 'tau': ['ta', 'tb']}
     for data in ({'kind': 'log', 'path': str(tmp_path / 'log.csv'), **columns},
                  {'kind': 'arrays', 'path': str(tmp_path / 'a.npz')},
                  {'kind': 'bag', 'paths': [str(bag)]}):
-        for forces in ({}, {'forces': 'none'}):
-            config = machine([{'name': 'a'}, {'name': 'b'}], data | forces)
+        for left_out in ({}, {'forces': 'none'}, {'velocities': 'none'}):
+            config = machine([{'name': 'a'}, {'name': 'b'}], data | left_out)
             (motion,), _ = config.motions(tmp_path, ['a', 'b'], [])
-            assert motion.tau.any() != bool(forces)
+            assert motion.tau.any() != ('forces' in left_out)
+            assert (motion.v is None) == ('velocities' in left_out)
 
 
 def test_samples_that_lie_a_thousand_steps_apart_are_refused():
