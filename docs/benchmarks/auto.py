@@ -16,6 +16,8 @@ _PAIRS = (
     ('pendulum', Tolerance('energy_error', 1e-5, 200.0)),
     ('kepler', Tolerance('energy_error', 1e-6, 200.0)),
 )
+# Longest step of the sweep, half a period of the pendulums [s].
+_LONGEST = 1.0
 
 
 def rows(settings: Settings) -> Iterator[Row]:
@@ -27,7 +29,8 @@ def rows(settings: Settings) -> Iterator[Row]:
         chosen = Method(choice.method, choice.arguments)
         ways = [Way(method, h, cost, _run(problem, method, h, tolerance.horizon))
                 for method, h, cost in swept(
-                    problem, Truth(problem, tolerance.horizon), tolerance)]
+                    problem, Truth(problem, tolerance.horizon), tolerance,
+                    tolerance.horizon / _LONGEST)]
         yield race(
             f'auto on {name}, {tolerance.kind} {tolerance.error:g}: time per simulated second',
             {'auto': _run(problem, chosen, choice.step_size, tolerance.horizon)},

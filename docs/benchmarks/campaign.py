@@ -149,7 +149,11 @@ class Truth:
 
 def measure(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, method: Method,
             steps: int, most: float) -> tuple[float, float]:
-    """Return the error at every step, or some thousand, and the work of a simulated second."""
+    """
+    Return the error at every step, or some thousand, and the work of a simulated second.
+
+    Both are inf if the error is too large, and the work alone if it is too much.
+    """
     simulation = problem.simulation(method, tolerance.horizon / steps)
     every, start, worst = math.ceil(steps / _SAMPLES), simulation.energy, 0.0
     while simulation.steps < steps:
@@ -164,8 +168,10 @@ def measure(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, me
             inside = times <= tolerance.horizon * (1.0 + 1e-12)
             error = np.abs(states - truth.at(times))[inside].max(initial=0.0)
         worst = max(worst, float(error))
-        if worst > tolerance.error or work(simulation) > most:
+        if worst > tolerance.error:
             return math.inf, math.inf
+        if work(simulation) > most:
+            return worst, math.inf
     return worst, work(simulation) / simulation.time
 
 
@@ -189,8 +195,8 @@ def swept(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, leas
                 continue
             except UnsupportedSystem:
                 break
-            if error <= tolerance.error:
-                held += 1
+            held += error <= tolerance.error
+            if cost < math.inf:
                 if place not in found or cost < found[place][2]:
                     found[place] = method, tolerance.horizon / steps, cost
                 limit = min(limit, _DEARER * cost * tolerance.horizon)
