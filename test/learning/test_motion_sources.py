@@ -10,7 +10,7 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning import ArraysData, guessed, read_motions, steps_between
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import (
-    even_motions, increasing, Motion, MotionData, Recording, unexplained, unwound)
+    even_motions, increasing, Motion, MotionData, of_positions, Recording, unexplained, unwound)
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of
@@ -370,6 +370,17 @@ def test_velocities_that_are_differences_of_positions_are_not_used(part):
     assert motion.v is None and 'differences of the positions' in told
     (motion,), told = motions()
     assert motion.v is not None and 'differences' not in told
+
+
+def test_velocities_left_out_later_do_not_interpolate_the_positions():
+    t = T + 2e-3 * np.random.default_rng(4).uniform(-1.0, 1.0, len(T))
+    q, late = np.sin(9.0 * t)[:, None], 9.0 * np.cos(9.0 * (t - 0.03))[:, None]
+    run = Recording([Motion('run', 'run', t, q, late)], '', '')
+    (with_v,), (alone,) = (even_motions(run, data)[0] for data in (
+        MotionData(), MotionData(velocities='none')))
+    assert np.abs(with_v.q - alone.q).max() > 1e-3
+    (left_out,) = of_positions([with_v])
+    np.testing.assert_array_equal(left_out.q, alone.q)
 
 
 def test_noise_quanta_and_joints_at_rest_are_no_wrong_velocities():

@@ -121,6 +121,8 @@ class Motion:
         Course of the forces between samples: held, linear or spline.
     notes : tuple of str
         Further notes for the model card.
+    q_alone : np.ndarray, shape (N, d), or None
+        Coordinates interpolated without velocities, where v has been used for q.
 
     """
 
@@ -135,6 +137,7 @@ class Motion:
     dp_dt: np.ndarray | None = None
     inputs: Inputs = 'linear'
     notes: tuple[str, ...] = ()
+    q_alone: np.ndarray | None = None
 
     @property
     def held(self) -> bool:
@@ -261,7 +264,7 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
     found = [replace(smoothed(
         piece.name, piece.t, piece.q, piece.v,
         np.zeros_like(piece.q) if piece.tau is None else piece.tau, cutoff, piece.a),
-        where=piece.where, inputs=piece.inputs) for piece in even]
+        where=piece.where, inputs=piece.inputs, q_alone=piece.q_alone) for piece in even]
     return found, report.described(recording, sum(len(motion.t) for motion in found))
 
 
@@ -412,13 +415,14 @@ def _even(pieces: Pieces, usual: float, data: MotionData, report: ReadingReport
         if differenced(piece):
             report.note('velocities are differences of the positions, and not used')
             piece = replace(piece, v=None)
+        alone = part_of(piece, spaced(piece.t, _CLOSE * spacing))
         if piece.v is None:
-            kept = spaced(piece.t, _CLOSE * spacing)
-            report.close += len(piece.t) - len(kept)
-            piece = part_of(piece, kept)
+            report.close += len(piece.t) - len(alone.t)
+            piece = alone
         name = motion.name if len(long) == 1 else f'{motion.name}#{number}'
-        piece = replace(piece, inputs=data.inputs or motion.inputs)
-        yield replace(resampled(piece, usual), name=name)
+        even = resampled(replace(piece, inputs=data.inputs or motion.inputs), usual)
+        yield replace(even, name=name, q_alone=None if piece.v is None else cubic(
+            even.t, alone.t, alone.q))
 
 
 def unwound_piece(motion: Motion, rows: np.ndarray, report: ReadingReport) -> Motion:
@@ -552,7 +556,8 @@ def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau:
 
 def of_positions(motions: Sequence[EvenMotion]) -> list[EvenMotion]:
     """Return motions as if velocities had not been measured."""
-    bare, chosen = [replace(motion, v=None) for motion in motions], motions[0].cutoff
+    bare, chosen = [replace(motion, v=None, q=motion.q if motion.q_alone is None else
+                            motion.q_alone) for motion in motions], motions[0].cutoff
     cutoff = chosen if chosen != _FASTEST else cutoff_of(bare, motions[0].spacing)
     return [replace(smoothed(one.name, one.t, one.q, None, one.tau, cutoff, one.a),
                     where=one.where, inputs=one.inputs, idle=one.idle) for one in bare]
