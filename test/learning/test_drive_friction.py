@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Friction of drives: by direction and load, offsets, fading gains; delays; what is dropped."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, smoothed
+from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, part_of, smoothed
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.steps import simulated
 from hnn_vi_ros.learning.tasks.machine import estimated_delay, MachineTask, problem_of, whole
@@ -14,6 +15,7 @@ from hnn_vi_ros.models.mechanical_card import FrictionCard
 from messages import misfit, refused
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 import torch
 
 MASS, VISCOUS, COULOMB, OFFSET, FADE = 2.0, (1.5, 2.5), (0.5, 0.8), 0.3, 0.04
@@ -137,6 +139,15 @@ def test_delay_is_estimated_in_samples_and_parts():
     setting = config({'coulomb': 1, 'directed': True}, windows=WINDOWS[:1])
     # Found to a tenth; widths of dry friction are not fitted, and forces are interpolated.
     assert estimated_delay(setting, [motion]) == pytest.approx(2.3, abs=0.3)
+
+
+@pytest.mark.long
+def test_delay_of_forces_is_not_that_of_filtered_velocities():
+    motion = part_of(delayed(drive(offset=0.0, fade=0.0), -2.0), slice(600))
+    late = lfilter([0.2], [1.0, -0.8], motion.v, axis=0)
+    motion = replace(smoothed('drive', motion.t, motion.q, late, motion.tau, 40.0), inputs='held')
+    setting = config({'coulomb': 1, 'directed': True}, windows=WINDOWS[:1])
+    assert estimated_delay(setting, [motion]) == pytest.approx(2.0, abs=0.5)
 
 
 def test_delay_without_forces_is_refused():

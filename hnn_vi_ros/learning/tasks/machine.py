@@ -195,7 +195,8 @@ def estimated_delay(config: MachineConfig, motions: Sequence[EvenMotion]) -> flo
         'friction': family.friction.model_copy(update={'network': False})})})
     structure = config.structure()
     # Losses of smoothed states can be compared, residuals in units of each fit's noise cannot.
-    motions = [replace(motion, v=motion.v_smooth) for motion in motions]
+    # Filtered velocities would add their own delay.
+    motions = [replace(motion, v=motion.v_smooth) for motion in of_positions(motions)]
     angles = _rigid(config, structure, motions).module.structure.angles
 
     def error(delay: float) -> float:
