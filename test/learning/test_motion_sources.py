@@ -10,7 +10,8 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning import ArraysData, guessed, read_motions, steps_between
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import (
-    even_motions, increasing, Motion, MotionData, of_positions, Recording, unexplained, unwound)
+    even_motions, increasing, Motion, MotionData, of_positions, part_of, Recording, unexplained,
+    unwound)
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of
@@ -381,6 +382,18 @@ def test_velocities_left_out_later_do_not_interpolate_the_positions():
     assert np.abs(with_v.q - alone.q).max() > 1e-3
     (left_out,) = of_positions([with_v])
     np.testing.assert_array_equal(left_out.q, alone.q)
+
+
+def test_parts_of_motions_are_filtered_as_the_whole_is():
+    t = 0.01 * np.arange(2000)
+    phase = np.where(t < 10.0, 30.0 * t, 300.0 + 2.0 * (t - 10.0))
+    q = np.sin(phase)[:, None] + 1e-3 * np.random.default_rng(4).normal(size=(2000, 1))
+    v = (np.where(t < 10.0, 30.0, 2.0) * np.cos(phase))[:, None]
+    run = Recording([Motion('run', 'run', t, q, v)], '', '')
+    (measured,), (alone,) = (even_motions(run, data)[0] for data in (
+        MotionData(), MotionData(velocities='none')))
+    (slow,) = of_positions([part_of(measured, slice(1200, None))])
+    assert slow.cutoff == alone.cutoff
 
 
 def test_noise_quanta_and_joints_at_rest_are_no_wrong_velocities():

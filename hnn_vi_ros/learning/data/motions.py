@@ -173,8 +173,8 @@ class EvenMotion(Motion):
         if they were not measured.
     idle : bool
         True if no force acted before the first sample; otherwise the first force did.
-    cutoff : float
-        Cut-off of the filter [Hz].
+    cutoff, cutoff_alone : float
+        Cut-off of the filter [Hz], and of one for positions alone if it is known.
 
     """
 
@@ -184,6 +184,7 @@ class EvenMotion(Motion):
     a_smooth: np.ndarray
     idle: bool = False
     cutoff: float = _FASTEST
+    cutoff_alone: float | None = None
 
     @property
     def forces(self) -> np.ndarray:
@@ -259,12 +260,14 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
     if not even:
         raise DataError(f'{recording.motions[0].where}: no {MIN_SAMPLES} successive samples at '
                         f'{usual:.4g} s, the interval of most runs; use longer runs')
+    alone = data.smoothing or cutoff_of([_bare(piece) for piece in even], usual)
     cutoff = data.smoothing or (_FASTEST if all(piece.v is not None for piece in even) else
                                 cutoff_of(even, usual))
     found = [replace(smoothed(
         piece.name, piece.t, piece.q, piece.v,
         np.zeros_like(piece.q) if piece.tau is None else piece.tau, cutoff, piece.a),
-        where=piece.where, inputs=piece.inputs, q_alone=piece.q_alone) for piece in even]
+        where=piece.where, inputs=piece.inputs, q_alone=piece.q_alone, cutoff_alone=alone)
+        for piece in even]
     return found, report.described(recording, sum(len(motion.t) for motion in found))
 
 
@@ -554,13 +557,17 @@ def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau:
         a_smooth=rate(v_smooth) if a is None else smooth(a), cutoff=cutoff)
 
 
+def _bare(motion: Record) -> Record:
+    return replace(motion, v=None, q=motion.q if motion.q_alone is None else motion.q_alone)
+
+
 def of_positions(motions: Sequence[EvenMotion]) -> list[EvenMotion]:
     """Return motions as if velocities had not been measured."""
-    bare, chosen = [replace(motion, v=None, q=motion.q if motion.q_alone is None else
-                            motion.q_alone) for motion in motions], motions[0].cutoff
-    cutoff = chosen if chosen != _FASTEST else cutoff_of(bare, motions[0].spacing)
+    bare, cutoff = [_bare(motion) for motion in motions], motions[0].cutoff_alone
+    cutoff = cutoff_of(bare, motions[0].spacing) if cutoff is None else cutoff
     return [replace(smoothed(one.name, one.t, one.q, None, one.tau, cutoff, one.a),
-                    where=one.where, inputs=one.inputs, idle=one.idle) for one in bare]
+                    where=one.where, inputs=one.inputs, idle=one.idle, cutoff_alone=cutoff)
+            for one in bare]
 
 
 def clock_resets(t: np.ndarray) -> np.ndarray:
