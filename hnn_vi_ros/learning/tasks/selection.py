@@ -237,8 +237,8 @@ def _rigid_bodies(config: MachineConfig, trials: _Trials) -> _Begun:
     first, rigid = trials.tried(RIGID, _named(config, RIGID))
     if _total(first) < (1.0 - _GAIN) * _total(both.cards[0]):
         alone = _rigid_body(config, trials, first, rigid)
-        return alone._replace(cards=[*alone.cards, both.cards[0].model_copy(update={
-            'name': OF_VELOCITIES})])
+        return alone._replace(cards=[*alone.cards, *(card.model_copy(update={
+            'name': card.name.replace(RIGID, OF_VELOCITIES)}) for card in both.cards)])
     return both._replace(cards=[*both.cards, first.model_copy(update={'name': OF_POSITIONS})])
 
 
