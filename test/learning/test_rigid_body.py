@@ -149,6 +149,21 @@ def test_noise_of_positions_biases_neither_gravity_nor_friction():
     assert 'times the noise of the sensors in windows of up to 12 s' in noise_text(residuals)
 
 
+def test_input_map_is_given_with_the_norm_that_the_model_has():
+    t = 0.02 * np.arange(600)
+    q = solve_ivp(lambda t, z: [z[1], np.sin(2.0 * t) - 9.0 * np.sin(z[0])], (0.0, t[-1]),
+                  [0.5, 0.0], t_eval=t, rtol=1e-9, atol=1e-9).y[:1].T
+    q += 1e-3 * np.random.default_rng(0).normal(size=q.shape)
+    motion = smoothed('run', t, q, None, np.sin(2.0 * t)[:, None], 5.0)
+    problem = problem_of(config('a', **PENDULUM, friction={'coulomb': 0}, input_map='learned'),
+                         [motion])
+    # The model is the same with any multiple of its raw map.
+    problem.fitted.solution.values[-1] = 784.0
+    found = problem.estimates([CoordinateCard(name='a', q_unit='rad', p_unit='N m s')], None)
+    one = found['input map of a']
+    assert [one.value, *one.interval] == pytest.approx([1.0, 1.0, 1.0])
+
+
 def test_intervals_of_a_fit_to_positions_are_those_of_the_noise():
     motion = swing(0.5)
     problem = problem_of(config('a', **PENDULUM, friction={'coulomb': 0}), [motion])

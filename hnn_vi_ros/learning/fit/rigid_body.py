@@ -121,6 +121,16 @@ class RigidProblem(TrainingProblem):
             values = values / (w @ values)
             slopes = (np.eye(len(w)) - np.outer(values, w)) / (w @ solution.values)
             covariance = slopes @ covariance @ slopes.T
+        motors = [k for k, (name, _) in enumerate(own) if name.startswith('input map')]
+        if motors:
+            # The norm of the map is open too; that of MechanicalNetwork.input_map is taken.
+            values, size = values.copy(), float(np.linalg.norm(values[motors]))
+            unit_map = values[motors] / size
+            norm = math.sqrt(model.unknowns.network.raw_map.shape[1])
+            slopes = np.eye(len(values))
+            slopes[np.ix_(motors, motors)] = norm / size * (
+                np.eye(len(motors)) - np.outer(unit_map, unit_map))
+            values[motors], covariance = norm * unit_map, slopes @ covariance @ slopes.T
         half = _QUANTILE * np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return {name: FittedNumber(value=x, unit=unit, interval=[x - e, x + e])
                 for (name, unit), x, e in zip(own, values.tolist(), half.tolist(), strict=True)}
