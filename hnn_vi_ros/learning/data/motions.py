@@ -500,7 +500,7 @@ def check_rates(motion: Motion) -> None:
     """Raise DataError if velocities or accelerations contradict the measured changes."""
     for name, of, x, rate, remedy in (
             ('velocities', 'positions', motion.q, motion.v,
-             'have them estimated (bags: data.estimate_velocity: true; arrays and logs: no v)'),
+             'have them estimated (data.velocities: none)'),
             ('accelerations', 'velocities', motion.v, motion.a, 'remove a')):
         if x is None or rate is None:
             continue
