@@ -7,12 +7,16 @@ from threading import RLock
 
 from hnn_vi_ros.effects import LoopManifold, NUMBERS
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.simulation import (
     ActingEffects, check_count, check_effects, check_numbers, CommandLaw, derivative,
-    DifferentiableRun, resolve, Simulation)
+    DifferentiableRun, in_threads, resolve, Simulation, usable_processors)
 import numpy as np
 from numpy.typing import ArrayLike
+
+
+# Least number of steps per thread.
+_LEAST_STEPS = 500
 
 
 class BatchStep:
@@ -20,8 +24,8 @@ class BatchStep:
     Batched steps of a scene's states, each with a held command: (z, u) -> z.
 
     Steps use the scene's method and effects, and are compiled once; a failed step gives NaN,
-    without fallbacks. The result for one state is independent of the others. Calls are serialised
-    by a lock: for parallel threads, create a BatchStep for each.
+    without fallbacks. The result for one state is independent of the others and of the number of
+    threads. Calls are serialised by a lock: for parallel calls, create a BatchStep for each.
 
     Parameters
     ----------
@@ -30,6 +34,8 @@ class BatchStep:
         time and state, damping, and external_force on coordinates (its time-out is ignored).
     hold : int, optional
         Number of steps per command.
+    threads : int, optional
+        Maximum number of threads for many states; by default the number of usable processors.
 
     Attributes
     ----------
@@ -51,8 +57,10 @@ class BatchStep:
 
     """
 
-    def __init__(self, scene: Scene | str | Path, hold: int = 1):
+    def __init__(self, scene: Scene | str | Path, hold: int = 1, threads: int | None = None):
         check_count('hold', hold)
+        if threads is not None:
+            check_count('threads', threads)
         self.scene, _ = resolve(scene if isinstance(scene, Scene) else load_scene(scene))
         parts = self.scene.parts().copy()
         check_effects(parts.effects, parts.integrator)
@@ -60,11 +68,9 @@ class BatchStep:
             raise UnsupportedSystem(f'{self.scene.name} has rotations, for which steps with '
                                     'commands have no derivatives yet')
         self._h, self.hold, self._parts = self.scene.known_step_size, int(hold), parts
-        state = self.scene.initial_state
-        with self.scene.placed('initial_state'):
-            self._simulation = Simulation(parts.hamiltonian, parts.integrator, self._h, state.q,
-                                          state.p, parts.effects, 'stop')
-        self._system = self._simulation.system
+        # One for each thread, made when first needed.
+        self._simulations, self._threads = [self._begin(parts)], threads or usable_processors()
+        self._system = self._simulations[0].system
         if isinstance(self._system.constraints, LoopManifold):
             raise UnsupportedSystem(f'{self.scene.name} has loops, for which control has no '
                                     'equilibria and feedback yet; use servo or external_force')
@@ -140,10 +146,7 @@ class BatchStep:
                 raise ValueError(f'limits {low.tolist()} and {high.tolist()}: the lower limits '
                                  'must not exceed the upper ones')
             law = law._replace(low=low, high=high)
-        with self._lock:
-            path, _ = self._simulation.follow(
-                self._simulation.rows(states, time), commands, self.hold, law)
-        return path, commands
+        return self._follow(states, commands, time, self.hold, law), commands
 
     def derivatives(self, z: ArrayLike, u: ArrayLike = (), time: ArrayLike = 0.0
                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -248,10 +251,34 @@ class BatchStep:
     def _advanced(self, states: np.ndarray, commands: np.ndarray, time: ArrayLike, count: int,
                   hold: int) -> np.ndarray:
         """Return the initial states and those after each of `count` holds, (m, count + 1, 2 d)."""
+        return self._follow(states, np.repeat(commands[:, None], count, axis=1), time, hold,
+                            CommandLaw.none(self.commands))
+
+    def _begin(self, parts: Parts) -> Simulation:
+        """Return a simulation of parts that no other simulation uses."""
+        state = self.scene.initial_state
+        with self.scene.placed('initial_state'):
+            return Simulation(parts.hamiltonian, parts.integrator, self._h, state.q, state.p,
+                              parts.effects, 'stop')
+
+    def _follow(self, states: np.ndarray, commands: np.ndarray, time: ArrayLike, hold: int,
+                law: CommandLaw) -> np.ndarray:
+        """Return the paths of states under commands; see ``Simulation.follow``."""
+        most = len(states) * commands.shape[1] * hold // _LEAST_STEPS
+        bounds = np.linspace(0, len(states), 1 + max(1, min(self._threads, most)), dtype=int)
+        parts = [*map(slice, bounds, bounds[1:])]
         with self._lock:
-            path, _ = self._simulation.follow(self._simulation.rows(states, time), np.repeat(
-                commands[:, None], count, axis=1), hold)
-        return path
+            rows = self._simulations[0].rows(states, time)
+            while len(self._simulations) < len(parts):
+                self._simulations.append(self._begin(self._parts.copy()))
+
+            def follow(worker: int) -> np.ndarray:
+                part = parts[worker]
+                return self._simulations[worker].follow(rows[part], commands[part], hold,
+                                                        law.of(part))[0]
+            # Few steps take less time than the start of a thread.
+            return follow(0) if len(parts) == 1 else np.concatenate(
+                in_threads(follow, len(parts)))
 
 
 def _filled(values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.guards.watch import look, SampledScale, show_many, Watch
     from hnn_vi_ros.simulation.lockstep.ensemble import description, LockstepEnsemble, open_device
     from hnn_vi_ros.simulation.processors import (
-        ignore_sigint_in_children, usable_processors, worker_processes)
+        ignore_sigint_in_children, in_threads, usable_processors, worker_processes)
     from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
     from hnn_vi_ros.simulation.system import System
     from hnn_vi_ros.simulation.trajectory.devices import ensemble_on, one_thread_each, record_on

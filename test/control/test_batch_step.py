@@ -121,6 +121,17 @@ def test_threads_that_share_steps_get_what_one_thread_gets():
     assert all(np.array_equal(*pair) for pair in zip(together, alone * 5, strict=True))
 
 
+def test_results_do_not_depend_on_the_number_of_threads():
+    scene = driven('exact_pendulum', 'rk4', 'angle')
+    z, u = states(3, 1001, 1)
+    gains, about = np.ones((1, 1, 1, 2)), np.zeros((1, 1, 2))
+    alone, shared = (BatchStep(scene, 5, threads) for threads in (1, 3))
+    assert np.array_equal(shared(z, u), alone(z, u))
+    for found, expected in zip(shared.rollout(z, u[:, None], gains, about),
+                               alone.rollout(z, u[:, None], gains, about), strict=True):
+        assert np.array_equal(found, expected)
+
+
 @pytest.mark.parametrize('z, u', [
     ([[1.0, 0.5j]], [[0.0]]), (np.ma.array([[1.0, 2.0]], mask=[[False, True]]), [[0.0]]),
     ([[1.0, 2.0]], [['force']])])
