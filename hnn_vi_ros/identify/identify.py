@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.effects import ExternalForce
 from hnn_vi_ros.errors import (
-    DataError, HnnViRosError, ParameterError, RecordingError, UnsupportedSystem)
+    DataError, ParameterError, RecordingError, UnsupportedSystem)
 from hnn_vi_ros.files import elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.identify import arguments as command_lines
@@ -23,9 +23,9 @@ from hnn_vi_ros.identify.free_numbers import free_scene, FreeScene, STATES, writ
 from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
 from hnn_vi_ros.learning import (
-    ArraysData, check_times, DELAY, EvenMotion, fit_numbers, FitProblem, Fitted, guessed, INPUTS,
-    keys_of, MotionSource, Prediction, read_motions, search, Seen, Solution, split_runs,
-    steps_between, Windows)
+    ArraysData, check_times, Course, DELAY, EvenMotion, fit_numbers, FitProblem, Fitted, guessed,
+    input_courses, InputCourses, keys_of, MotionSource, Prediction, read_motions, search, Seen,
+    Solution, split_runs, steps_between, Windows)
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build, DifferentiableRun, resolve
@@ -98,12 +98,10 @@ def draw_correlations(path: Path, estimates: Estimates) -> None:
 
 # Warn if residuals exceed the noise in short windows by this factor.
 _POOR = 3.0
-# Difference in the sum of squares that decides between courses of forces: three sigma.
+# Reduction of the sum of squares that counts as evidence: three sigma.
 _EVIDENCE = 9.0
 # Change of a number at half the step that matters, in standard errors, and most halvings.
 _MOVED, _HALVED = 0.5, 6
-# Number of evaluations of another course, which begin at the solution.
-_TRIED = 3
 # Names of velocities in arrays.
 _VELOCITIES = 'dq', 'v'
 
@@ -117,28 +115,8 @@ class Identified(NamedTuple):
     stages: list[tuple[float, float]]
     hamiltonian: Hamiltonian
     data: str
-    inputs: 'Inputs | None'
+    inputs: InputCourses | None
     notes: list[str]
-
-
-class Inputs(NamedTuple):
-    """
-    Assumed course of measured forces between samples, and the evidence for the others.
-
-    Parameters
-    ----------
-    taken : str
-        Assumed course, one of INPUTS.
-    stated : bool
-        True if the user or the kind of data determines the course.
-    others : dict of str to float
-        Residuals with each of the others, in standard deviations.
-
-    """
-
-    taken: str
-    stated: bool
-    others: dict[str, float]
 
 
 def main(argv: Sequence[str]) -> None:
@@ -217,12 +195,10 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
         profiles.get(one.name, one) for one in estimates.estimates])
     inputs = None
     if driven:
-        taken, idle, others = motions[0].inputs, solution.windows.motions[0].idle, {}
-        for other in INPUTS:
-            if other != taken:
-                others[other] = _misfit_with(solution, problem, [
-                    replace(motion, idle=idle) for motion in log.with_inputs(other)])
-        inputs = Inputs(taken, taken == 'held' or log.data.inputs is not None, others)
+        idle = solution.windows.motions[0].idle
+        inputs = input_courses(
+            solution, problem, motions[0].inputs, log.data.inputs is not None,
+            lambda other: [replace(motion, idle=idle) for motion in log.with_inputs(other)])
     return Identified(free, solution, estimates, stages, hamiltonian, log.description, inputs,
                       notes)
 
@@ -238,7 +214,7 @@ class _Log(NamedTuple):
     motions: list[EvenMotion]
     description: str
 
-    def with_inputs(self, inputs: str) -> list[EvenMotion]:
+    def with_inputs(self, inputs: Course) -> list[EvenMotion]:
         """Return the motions with forces of this course between samples."""
         return read_motions(self.source, self.data.model_copy(update={'inputs': inputs}),
                             self.names, self.given, self.units)[0]
@@ -353,16 +329,6 @@ def _finer_steps(solution: Solution, problem: FitProblem, estimates: Estimates, 
     return (search(other, solution.values), other, free), [note]
 
 
-def _misfit_with(solution: Solution, problem: FitProblem, motions: Sequence[EvenMotion]) -> float:
-    """Return the misfit of the same windows with other forces; inf if that fit fails."""
-    windows = replace(solution.windows, motions=motions)
-    other = FitProblem(problem.model, windows, problem.noise, solution.starts, problem.robust)
-    try:
-        return search(other, solution.values, evaluations=_TRIED).misfit
-    except HnnViRosError:
-        return math.inf
-
-
 def _check(options: Namespace) -> None:
     """Raise an error for invalid options before the work starts."""
     if options.horizon is not None and not (
@@ -440,7 +406,8 @@ def report_of(found: Identified) -> str:
     lines += [*_held_back(found), *_wrong_units(found)]
     lines += [f'Correlation of {one} and {other}: {r:.3f}; an error of one compensates an error '
               'of the other' for one, other, r in estimates.correlated]
-    lines += [*_inputs(found), *found.notes, *_noise(found)]
+    lines += [found.inputs.text('--inputs')] if found.inputs else []
+    lines += [*found.notes, *_noise(found)]
     low, high = (part(windows.measured[windows.there], axis=0) for part in (np.min, np.max))
     ranges = ', '.join(f'{name} {a:.4g} to {b:.4g} {unit}' for (name, unit), a, b in zip(
         channels(found), low, high, strict=True))
@@ -491,23 +458,6 @@ def _row(one: Estimate) -> str:
     low, high = ('?' if end is None else f'{end:.6g}' for end in (one.low, one.high))
     return (f'| {one.name} | {one.value:.6g} | {one.unit} | {one.standard_error:.3g} '
             f'| {low} to {high} |')
-
-
-def _inputs(found: Identified) -> list[str]:
-    """Describe the course of forces between samples, and which one fits better."""
-    if found.inputs is None:
-        return []
-    (taken, stated, others), own, said = found.inputs, found.solution.misfit, []
-    for other in sorted(others, key=others.__getitem__):
-        # Reduction of the sum of squared residuals, in variances of the noise.
-        evidence = found.solution.freedom * (1.0 - (others[other] / own)**2)
-        said.append(f'as {other} they fit equally well' if abs(evidence) <= _EVIDENCE else
-                    f'as {other} they fit {"better" if evidence > 0.0 else "worse"} (residuals '
-                    f'{others[other]:.3g} times the noise, instead of {own:.3g})')
-        if evidence > _EVIDENCE and len(said) == 1:
-            said[0] += f': check, and use --inputs {other}'
-    known = '' if stated else ', which the data do not specify'
-    return [f'Forces between samples are taken as {taken}{known}; {"; ".join(said)}']
 
 
 def _noise(found: Identified) -> list[str]:

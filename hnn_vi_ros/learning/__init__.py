@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.learning.arguments import INPUTS
+    from hnn_vi_ros.learning.arguments import Course, INPUTS
     from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
     from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
     from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
     from hnn_vi_ros.learning.export_module import export
     from hnn_vi_ros.learning.fit.config import load_machine
     from hnn_vi_ros.learning.fit.excitation import ExcitationData
+    from hnn_vi_ros.learning.fit.input_courses import input_courses, InputCourses
     from hnn_vi_ros.learning.fit.noise import covariances, Process, processes
     from hnn_vi_ros.learning.fit.shooting import (
         fit_numbers, FitProblem, Fitted, projected, search, Solution, told_directions, units_of)

@@ -3,13 +3,15 @@
 """Parsers of training, evaluation and import commands; imports none of their implementations."""
 
 from pathlib import Path
+from typing import get_args, Literal
 
 from hnn_vi_ros.files import complete_by, Parser
 
 # Layouts of files of bodies that rotate.
 LAYOUTS = ('so3', 'se3')
-# Course of measured forces between samples, as in learning/data/motions.py.
-INPUTS = ('held', 'linear', 'spline')
+# Course of measured forces between samples.
+Course = Literal['held', 'linear', 'spline']
+INPUTS: tuple[Course, ...] = get_args(Course)
 # Same as in models/networks/activations.py, whose import requires the compiler.
 ACTIVATIONS = ('tanh', 'sine', 'relu', 'softplus')
 _IMPORTED = """\

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import StrictModel
+from hnn_vi_ros.learning.arguments import Course
 from hnn_vi_ros.learning.data.faults import faults
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -62,8 +63,8 @@ OnBad = Annotated[Literal['drop', 'split', 'fail'], Field(description=(
     'treatment of samples that are late, duplicated or lack a number: drop them and interpolate, '
     'split the motion there, or fail. A gap of more than ten intervals starts a new motion, or '
     'fails'))]
-# Course of forces between samples; `interpolated` is another name of `linear`.
-Inputs = Annotated[Literal['held', 'linear', 'spline'], BeforeValidator(
+# `interpolated` is another name of `linear`.
+Inputs = Annotated[Course, BeforeValidator(
     lambda value: 'linear' if value == 'interpolated' else value)]
 TEST_RUNS: list[str] = Field([], description=(
     'runs for testing the model; none: the last fifth of each run'))

@@ -25,15 +25,16 @@ from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, part_of, smoothed
 from hnn_vi_ros.learning.families.choices import Structure, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.fit.input_courses import input_courses, InputCourses
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import (
-    acceleration_errors, mean_forces, Samples, samples_of, scales_of, window_errors, windows_of)
+    acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.noise import covariances, Process
 from hnn_vi_ros.learning.fit.shooting import (
     cost_at_start, fit_numbers, Fitted, projected, refitted, units_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.learning.fit.windows import (
-    CannotFollow, FOREVER, KnownModel, ModelParts, Number)
+    CannotFollow, constant_forces, FOREVER, KnownModel, ModelParts, Number)
 from hnn_vi_ros.models import (
     chain_angles, Checkpoint, CoordinateCard, FittedNumber, force_unit, MechanicalCard, ModelCard,
     PLANAR_CHAIN, prior_kernel)
@@ -94,6 +95,15 @@ class RigidProblem(TrainingProblem):
         assert self.fitted is not None
         model = self.fitted.problem.model
         return KnownModel(model.name, model.parts_at(self.fitted.solution.values))
+
+    def courses(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss, stated: bool
+                ) -> InputCourses:
+        """Return how well other courses of the forces fit, of a fit to positions."""
+        assert self.fitted is not None
+        return input_courses(
+            self.fitted.solution, self.fitted.problem, motions[0].inputs, stated,
+            lambda other: thinned([replace(motion, inputs=other) for motion in motions],
+                                  loss.step_size)[0])
 
     def estimates(self, coordinates: Sequence[CoordinateCard], q: np.ndarray | None
                   ) -> dict[str, FittedNumber]:
@@ -357,10 +367,12 @@ def fit_records(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Seque
 def thinned(motions: Sequence[EvenMotion], step_size: float | None
             ) -> tuple[list[EvenMotion], np.ndarray]:
     """Downsample motions to this step, with held forces; return them and std(q), shape (d,)."""
-    every = samples_of(motions, step_size).every
-    return [replace(part_of(motion, slice(None, None, every)), inputs='held',
-                    tau=mean_forces(motion, every)[::every]) for motion in motions
-            ], np.concatenate([motion.q for motion in motions]).std(axis=0)
+    every, found = samples_of(motions, step_size).every, []
+    for motion in motions:
+        coarse, h = part_of(motion, slice(None, None, every)), every * motion.spacing
+        found.append(replace(coarse, inputs='held', tau=constant_forces(
+            motion, h * np.arange(len(coarse.t) + 1), h, rates=False)))
+    return found, np.concatenate([motion.q for motion in motions]).std(axis=0)
 
 
 def best_rigid_body(loss: TrajectoryLoss, motions: Sequence[EvenMotion],

@@ -133,6 +133,34 @@ def slope(motion: EvenMotion, times: np.ndarray) -> np.ndarray:
                      for at in (times - off, times + off))
 
 
+def constant_forces(motion: EvenMotion, edges: np.ndarray, h: float, rates: bool) -> np.ndarray:
+    """
+    Return the constant force of each step that moves a body as the measured forces do.
+
+    Parameters
+    ----------
+    motion : EvenMotion
+        The measured forces.
+    edges : np.ndarray, shape (N + 1,)
+        Start and end times of N steps, since the first sample [s].
+    h : float
+        Step size [s].
+    rates : bool
+        True if velocities are compared too.
+
+    Returns
+    -------
+    np.ndarray, shape (N, m)
+        Its mean in each step moves positions as F + h^2 F'' / 12 would, up to h^4; velocities
+        without this term would be off by h^2 F' / 12.
+
+    """
+    total = impulse(motion, edges)
+    if not rates:
+        total = total - h**2 / 12.0 * slope(motion, edges)
+    return np.diff(total, axis=0) / h
+
+
 def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
                   motions: Sequence[EvenMotion]) -> Sequence[str]:
     """Return the coordinates on which measured forces act; raise DataError on a mismatch."""
@@ -435,13 +463,8 @@ class Prediction:
             else:
                 if run not in tables:
                     edges = self._h * np.arange(len(motion.tau) * self._per_sample + 1)
-                    t_edges = edges - self._delay
-                    total = impulse(motion, t_edges)
-                    if not self._windows.rates:
-                        # Its mean in each step moves positions as F + h^2 F'' / 12 would, up to
-                        # h^4; velocities without this term would be off by h^2 F' / 12.
-                        total -= self._h**2 / 12.0 * slope(motion, t_edges)
-                    tables[run] = np.diff(total, axis=0) / self._h
+                    tables[run] = constant_forces(motion, edges - self._delay, self._h,
+                                                  self._windows.rates)
                 table, duration = tables[run], self._h
             # Steps start at a force's start or well after it; the margin allows for rounding.
             row = np.floor(t / duration + _ROUNDED).astype(int)

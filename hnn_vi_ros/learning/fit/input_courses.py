@@ -1,0 +1,94 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Course of measured forces between samples: how well a fit explains the data with each."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+import math
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.learning.arguments import Course, INPUTS
+from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.fit.shooting import FitProblem, search, Solution
+
+# Difference in the sum of squares that decides between courses: three sigma.
+_EVIDENCE = 9.0
+# Number of evaluations of another course, which begin at the solution.
+_TRIED = 3
+
+
+class InputCourses(NamedTuple):
+    """
+    Assumed course of measured forces between samples, and the evidence for the others.
+
+    Parameters
+    ----------
+    taken : Course
+        Assumed course.
+    stated : bool
+        True if the user or the kind of data determines the course.
+    own : float
+        Residuals with the assumed course, in standard deviations.
+    others : dict of Course to float
+        Residuals with each of the others.
+    freedom : int
+        Number of degrees of freedom of the residuals.
+
+    """
+
+    taken: Course
+    stated: bool
+    own: float
+    others: dict[Course, float]
+    freedom: int
+
+    def evidence(self, other: Course) -> float:
+        """Return the reduction of the sum of squares by another course, in variances."""
+        return self.freedom * (1.0 - (self.others[other] / self.own)**2)
+
+    @property
+    def better(self) -> Course | None:
+        """Return the best course if it is another one."""
+        best = min(self.others, key=self.others.__getitem__)
+        return best if self.evidence(best) > _EVIDENCE else None
+
+    def text(self, remedy: str) -> str:
+        """Describe the course, and how well others fit; ``remedy`` precedes the better one."""
+        said = []
+        for other in sorted(self.others, key=self.others.__getitem__):
+            evidence = self.evidence(other)
+            said.append(f'as {other} they fit equally well' if abs(evidence) <= _EVIDENCE else
+                        f'as {other} they fit {"better" if evidence > 0.0 else "worse"} '
+                        f'(residuals {self.others[other]:.3g} times the noise, instead of '
+                        f'{self.own:.3g})')
+        if self.better:
+            said[0] += f': check, and use {remedy} {self.better}'
+        known = '' if self.stated else ', which the data do not specify'
+        return f'Forces between samples are taken as {self.taken}{known}; {"; ".join(said)}'
+
+
+def input_courses(solution: Solution, problem: FitProblem, taken: Course, stated: bool,
+                  motions: Callable[[Course], Sequence[EvenMotion]]) -> InputCourses:
+    """
+    Repeat a fit with forces of each other course.
+
+    Parameters
+    ----------
+    solution, problem : Solution, FitProblem
+        The fit.
+    taken, stated
+        See InputCourses.
+    motions : callable
+        Returns the fitted motions with forces of another course.
+
+    """
+    def misfit(other: Course) -> float:
+        windows = replace(solution.windows, motions=motions(other))
+        again = FitProblem(problem.model, windows, problem.noise, solution.starts, problem.robust)
+        try:
+            return search(again, solution.values, evaluations=_TRIED).misfit
+        except HnnViRosError:
+            return math.inf
+    return InputCourses(taken, stated or taken == 'held', solution.misfit, {
+        other: misfit(other) for other in INPUTS if other != taken}, solution.freedom)
