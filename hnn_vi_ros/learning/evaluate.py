@@ -4,6 +4,7 @@
 
 from argparse import Namespace
 from collections.abc import Sequence
+from dataclasses import replace
 import json
 import math
 from pathlib import Path
@@ -79,11 +80,16 @@ def _judged(arguments: Namespace) -> _Judgement:
         description += ', only the runs held out by a training with this configuration'
     effects = _effects_for(arguments.model, effects, motions, description)
     checkpoint = getattr(hamiltonian, 'checkpoint', None)
-    if checkpoint is not None and checkpoint.card.mechanical is not None \
-            and (delay := checkpoint.card.mechanical.delay):
-        motions = [delayed(motion, delay / motion.spacing) for motion in motions]
-        description += f'; forces delayed by {delay:.3g} s, as in the data of the model'
     card = None if checkpoint is None or checkpoint.card.mechanical is None else checkpoint.card
+    mechanical = None if card is None else card.mechanical
+    if mechanical is not None and mechanical.delay:
+        motions = [delayed(motion, mechanical.delay / motion.spacing) for motion in motions]
+        description += (f'; forces delayed by {mechanical.delay:.3g} s, as in the data of the '
+                        'model')
+    if mechanical is not None and mechanical.course and not (data.inputs or motions[0].held):
+        motions = [replace(motion, inputs=mechanical.course) for motion in motions]
+        description += (f'; forces between samples as {mechanical.course}, as in the data of the '
+                        'model')
     if card is not None and card.prediction_error is not None and card.prediction_error.noise:
         motions = of_positions(motions)
     judged = card is not None and positions_alone(motions)

@@ -24,7 +24,8 @@ Kind = Literal['revolute', 'continuous', 'prismatic']
 # Maximum number of members of an ensemble.
 MOST_MEMBERS = 64
 # Fields that are equal in all members of an ensemble.
-_SHARED = 'kinds', 'features', 'mass_features', 'diagonal_mass', 'friction_features', 'delay'
+_SHARED = ('kinds', 'features', 'mass_features', 'diagonal_mass', 'friction_features', 'delay',
+           'course')
 
 
 class CoulombTerm(StrictModel):
@@ -218,6 +219,8 @@ class MechanicalCard(StrictModel):
         'g of each motor, whose force for a command u is that of u / (1 + g abs(u)); null: 0'))
     delay: float = Field(0.0, description=(
         'delay of the commands relative to the data, to be applied to similar data [s]'))
+    course: Literal['held', 'linear', 'spline'] | None = Field(None, description=(
+        'course of the commands between samples, as selected for the data; null: the default'))
 
     @model_validator(mode='after')
     def _check(self) -> 'MechanicalCard':

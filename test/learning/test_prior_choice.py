@@ -11,7 +11,7 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit import rigid_body
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import Fading, scales_of
-from hnn_vi_ros.learning.tasks.machine import problem_of
+from hnn_vi_ros.learning.tasks.machine import as_selected, problem_of
 from hnn_vi_ros.learning.tasks.selection import (
     best_of, held_out, OF_VELOCITIES, RIGID, selected)
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
@@ -244,6 +244,33 @@ def test_velocities_that_a_filter_delays_are_left_out():
     # The noise of the positions is a part of the errors.
     assert right.furthest['0.2'][0] < 1.2 * 0.02 and wrong.furthest['0.2'][0] > 5.0 * 0.02
     assert (right.name, wrong.name) == (RIGID, OF_VELOCITIES)
+
+
+def test_smooth_forces_at_rare_samples_bias_no_number():
+    """Chords of a force of 2.6 Hz at 20 Hz are too small by (2 pi f h)^2 / 12, 5 %."""
+    times, noise, truth = 0.05 * np.arange(400), 2e-3, [0.25, 4.0]
+
+    def force(t: np.ndarray | float) -> np.ndarray:
+        return sum(size * np.sin(2.0 * np.pi * f * t) for size, f in (
+            (1.0, 0.7), (1.5, 1.9), (1.2, 2.6)))
+
+    def rates(t: float, z: np.ndarray) -> list[float]:
+        return [z[1], (force(t) - truth[1] * np.sin(z[0]) - 0.08 * z[1]) / truth[0]]
+    q = solve_ivp(rates, (0.0, times[-1]), [0.3, 0.0], t_eval=times, rtol=1e-9, atol=1e-9).y[:1].T
+    q += noise * np.random.default_rng(1).normal(size=q.shape)
+    config = machine_config('a', 'revolute', {'hidden': [4], 'loss': {
+        'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
+        'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
+    motions = [smoothed('run', times, q, None, force(times)[:, None], 8.0)]
+    chosen, card = selected(config, motions, problem_of)
+    assert chosen.data.inputs == 'spline' and 'between samples as spline' in card.held_out
+    problem = problem_of(chosen, as_selected(motions, chosen.data))
+    for name, number in problem.estimates(chosen.coordinates, None).items():
+        if name in ('inertia1', 'gravity1'):
+            low, high = number.interval
+            true = truth[name == 'gravity1']
+            # Three standard errors; that of chords is fifteen.
+            assert abs(number.value - true) < 3.0 * (high - low) / (2.0 * 1.96)
 
 
 @pytest.mark.long

@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import (
-    delayed, EvenMotion, of_positions, train_and_test)
+    delayed, EvenMotion, MotionData, of_positions, train_and_test)
 from hnn_vi_ros.learning.families.choices import (
     AUTO, Forward, RigidBodyChoice, Structure, TrajectoryLoss)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
@@ -80,8 +80,8 @@ class MachineTask(TrainingTask):
         print(f'data: {description}; {_ranges(config, self._train)}', flush=True)
         _check_motors(config, self._train)
         self._config, self._selection = selected(config, self._train, problem_of)
-        if self._config.data.velocities and not positions_alone(self._train):
-            self._train, self._test = of_positions(self._train), of_positions(self._test)
+        self._train, self._test = (
+            as_selected(part, self._config.data) for part in (self._train, self._test))
         self._known, self._held = kept_and_held(self._train, config) if ensemble else (
             self._train, [])
         # Source and licence of the data are stored with the model.
@@ -101,7 +101,7 @@ class MachineTask(TrainingTask):
     def _chosen(self, config: MachineConfig) -> MachineConfig:
         """Return a configuration of another seed with the selected family and loss."""
         return config.model_copy(update={
-            'family': self._config.family, 'loss': self._config.loss})
+            'family': self._config.family, 'loss': self._config.loss, 'data': self._config.data})
 
     def describe(self, problem: TrainingProblem, config: MachineConfig, name: str, command: str
                  ) -> Checkpoint:
@@ -110,10 +110,18 @@ class MachineTask(TrainingTask):
         opens = _opens_scale(config, self._train)
         if opens:
             fix_scale(problem.module, self._train)
+        description = self._description
         if isinstance(problem, RigidProblem) and problem.fitted is not None:
             problem.module.prior.estimates = problem.estimates(
                 config.coordinates, _joined(self._train) if opens else None)
-        return describe(problem.module, config, self._train, self._description, problem.losses,
+            if any(motion.tau.any() for motion in self._train):
+                courses = problem.courses(self._train, config.windows,
+                                          config.data.inputs is not None)
+                if courses.better:
+                    text = courses.text('data.inputs:')
+                    print(text, flush=True)
+                    description += f'. {text}'
+        return describe(problem.module, config, self._train, description, problem.losses,
                         name, command, self._selection, self._delay * self._train[0].spacing)
 
     def judged(self, checkpoint: Checkpoint, problem: TrainingProblem) -> Judged:
@@ -301,11 +309,18 @@ def whole(network: MechanicalNetwork, config: MachineConfig, motion: EvenMotion)
     return found
 
 
+def as_selected(motions: Sequence[EvenMotion], data: MotionData) -> list[EvenMotion]:
+    """Return motions without velocities, or with other forces between samples, as selected."""
+    if data.velocities and not positions_alone(motions):
+        motions = of_positions(motions)
+    return [replace(motion, inputs=data.inputs or motion.inputs) for motion in motions]
+
+
 def learn(config: MachineConfig, motions: Sequence[EvenMotion]
           ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Fit a network, after its prior if it has one; return it and its losses."""
     config, _ = selected(config, motions, problem_of)
-    problem = problem_of(config, of_positions(motions) if config.data.velocities else motions)
+    problem = problem_of(config, as_selected(motions, config.data))
     return problem.module, problem.fit()
 
 
@@ -331,8 +346,8 @@ def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
     return described(
         config, network.networks(), name, command, family='mechanical', box=Box.of(q, p),
         mechanical=network.card(config.coordinates[0].p_unit).model_copy(
-            update={'delay': delay}), dataset=description, losses=losses,
-        domain=DomainCard.of(q, v, tau), selection=selection)
+            update={'delay': delay, 'course': config.data.inputs}), dataset=description,
+        losses=losses, domain=DomainCard.of(q, v, tau), selection=selection)
 
 
 def with_energy_error(checkpoint: Checkpoint, motions: Sequence[EvenMotion]) -> Checkpoint:

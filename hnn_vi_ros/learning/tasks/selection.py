@@ -3,10 +3,12 @@
 """Choose the model of a machine with held-out motions, including the most extreme ones."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.arguments import Course
 from hnn_vi_ros.learning.data.motions import (
     EvenMotion, MIN_SAMPLES, NONE, of_positions, part_of, run_of)
 from hnn_vi_ros.learning.families.choices import (
@@ -78,7 +80,7 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     """
     config = _paced(config, motions)
     family, kinds = config.family, [coordinate.kind for coordinate in config.coordinates]
-    given = config.data.velocities
+    given, stated = config.data.velocities, config.data.inputs
     rigid_body = isinstance(family, RigidBodyChoice)
     if (family.residual if rigid_body else family.prior) != AUTO:
         return config, None
@@ -101,6 +103,8 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     if config.data.velocities and not given:
         text += ('; from positions alone, since a rigid body of the measured velocities predicts '
                  'them worse')
+    if config.data.inputs and not stated:
+        text += f'; forces between samples as {config.data.inputs}, which fits them better'
     return _named(config, best.name), SelectionCard(
         held_out=text, candidates=found, chosen=best.name, trust=_trust(best, config))
 
@@ -181,6 +185,11 @@ class _Trials(NamedTuple):
         far = len(self.furthest)
         return self._replace(furthest=pieces[:far], ordinary=pieces[far:]), residuals
 
+    def with_inputs(self, inputs: Course) -> '_Trials':
+        """Return the same pieces with this course of forces between samples."""
+        return _Trials(self.make, *(
+            [replace(motion, inputs=inputs) for motion in part] for part in self[1:]))
+
     def of_positions(self) -> '_Trials':
         """Return the same pieces as if velocities had not been measured."""
         bare = of_positions(self.motions)
@@ -232,26 +241,47 @@ def _rigid_bodies(config: MachineConfig, trials: _Trials) -> _Begun:
     if not isinstance(config.family, MechanicalChoice) or positions_alone(trials.motions):
         return both
     print('from positions alone:', flush=True)
-    config, trials = both.config.model_copy(update={'data': config.data.model_copy(update={
+    config, trials = config.model_copy(update={'data': config.data.model_copy(update={
         'velocities': NONE})}), trials.of_positions()
-    first, rigid = trials.tried(RIGID, _named(config, RIGID))
-    if _total(first) < (1.0 - _GAIN) * _total(both.cards[0]):
-        alone = _rigid_body(config, trials, first, rigid)
+    alone = _rigid_body(config, trials, *trials.tried(RIGID, _named(config, RIGID)))
+    if _total(alone.cards[0]) < (1.0 - _GAIN) * _total(both.cards[0]):
         return alone._replace(cards=[*alone.cards, *(card.model_copy(update={
             'name': card.name.replace(RIGID, OF_VELOCITIES)}) for card in both.cards)])
-    return both._replace(cards=[*both.cards, first.model_copy(update={'name': OF_POSITIONS})])
+    return both._replace(cards=[*both.cards, alone.cards[0].model_copy(
+        update={'name': OF_POSITIONS})])
 
 
 def _rigid_body(config: MachineConfig, trials: _Trials, first: CandidateCard,
                 rigid: TrainingProblem | None) -> _Begun:
-    """Return a rigid body that was tried, with springs if it needs them."""
+    """Return a rigid body that was tried, with other inputs and springs if it needs them."""
     if not isinstance(rigid, RigidProblem):
         return _Begun(config, trials, rigid, [first], False)
+    others: list[CandidateCard] = []
+    if (better := _better_inputs(config, trials, rigid)):
+        print(f'forces between samples as {better}:', flush=True)
+        own, taken = _with_inputs(config, better), trials.with_inputs(better)
+        card, problem = taken.tried(RIGID, _named(own, RIGID))
+        if isinstance(problem, RigidProblem):
+            others = [first.model_copy(update={'name': f'{RIGID}, other forces between samples'})]
+            config, trials, first, rigid = own, taken, card, problem
     before, explained, found = rigid, trials.explained(config, rigid, first), [first]
     if not explained and not getattr(config.family, 'springs', True):
         config, rigid, found = _with_springs(config, trials, first, rigid)
         explained = rigid is not before and trials.explained(config, rigid, found[0])
-    return _Begun(config, trials, rigid, found, explained)
+    return _Begun(config, trials, rigid, [*found, *others], explained)
+
+
+def _better_inputs(config: MachineConfig, trials: _Trials, rigid: RigidProblem
+                   ) -> Course | None:
+    """Return the course of forces between samples that fits better, None if given."""
+    if rigid.fitted is None or config.data.inputs or trials.motions[0].held or not any(
+            motion.tau.any() for motion in trials.kept):
+        return None
+    return rigid.courses(trials.kept, config.windows, False).better
+
+
+def _with_inputs(config: MachineConfig, inputs: Course) -> MachineConfig:
+    return config.model_copy(update={'data': config.data.model_copy(update={'inputs': inputs})})
 
 
 def _with_springs(
