@@ -120,6 +120,11 @@ def parameter_names(angles: Sequence[Sequence[float]], springs: bool = False) ->
     return own + pairs + gravity + motors + held * springs
 
 
+def is_spring(name: str) -> bool:
+    """Return True if this is the name of a parameter of springs."""
+    return name.startswith(('stiffness', 'spring_force'))
+
+
 def has_springs(parameters: Iterable[str]) -> bool:
     """Return True if these parameters of a chain include springs."""
     return 'stiffness1' in parameters

@@ -5,7 +5,7 @@
 from functools import cache
 
 from helpers import alarm_of
-from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, of_positions, smoothed
 from hnn_vi_ros.learning.families.choices import AUTO, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit import rigid_body
@@ -204,6 +204,14 @@ def test_springs_are_added_where_held_out_motions_need_them():
     chosen, card = selected(sliding(friction={'coulomb': 1}), [
         carriage(seed, 1.0) for seed in (1, 2, 3)], problem_of)
     assert not chosen.family.springs
+
+
+@pytest.mark.parametrize('stiffness', [0.0, 60.0])
+def test_springs_that_positions_do_not_show_are_left_out(stiffness: float):
+    motions = of_positions([carriage(seed, 1.0, stiffness) for seed in (1, 2)])
+    config = sliding(prior='planar_chain', residual=False, springs=True)
+    prior = problem_of(config, motions).module.card().prior
+    assert (prior.values['stiffness1'] == 0.0) is (stiffness == 0.0)
 
 
 @pytest.mark.parametrize('magnet', [0.0, 12.0])

@@ -36,8 +36,8 @@ from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.learning.fit.windows import (
     CannotFollow, constant_forces, FOREVER, KnownModel, ModelParts, Number)
 from hnn_vi_ros.models import (
-    chain_angles, Checkpoint, CoordinateCard, FittedNumber, force_unit, MechanicalCard, ModelCard,
-    PLANAR_CHAIN, prior_kernel)
+    chain_angles, Checkpoint, CoordinateCard, FittedNumber, force_unit, is_spring, MechanicalCard,
+    ModelCard, PLANAR_CHAIN, prior_kernel)
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
@@ -202,7 +202,7 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
         models.append(min((
             RigidModel(physical, _first(physical, states)[0], thin[0].spacing, driven)
             for states in samples), key=lambda model: cost_at_start(model, thin)))
-    fitted = _without_idle_friction(fit_numbers(
+    fitted = _without_idle_numbers(fit_numbers(
         models, thin, None, True, tolerance=_TOLERANCE))
     model = fitted.problem.model
     assert isinstance(model, RigidModel)
@@ -231,9 +231,9 @@ def sensors_of(fitted: Fitted) -> list[list[Process]]:
             for one, scale in zip(fitted.sensor, fitted.solution.noise, strict=True)]
 
 
-def _without_idle_friction(fitted: Fitted) -> Fitted:
+def _without_idle_numbers(fitted: Fitted) -> Fitted:
     """
-    Return the fit without the friction that the data do not show.
+    Return the fit without the friction and the springs that the data do not show.
 
     Each number removed lowers the Bayesian information criterion, chi^2 + n log(N), at the
     linearised optimum of the others; chi^2 takes the noise as correlated as its sensor shows it.
@@ -250,7 +250,7 @@ def _without_idle_friction(fitted: Fitted) -> Fitted:
     x, price, idle = solution.values.copy(), math.log(solution.freedom), list[int]()
     low = np.array([number.low for number in model.numbers])
     least = np.maximum(low, 0.0)
-    while left := [k for k in model.friction if k not in idle and C[k, k] > 0.0]:
+    while left := [k for k in model.optional if k not in idle and C[k, k] > 0.0]:
         spread = np.einsum('ki,ij,kj->k', C, B, C)
         above = np.where(np.isfinite(low), np.maximum(x - least, 0.0), x)
         k = min(left, key=lambda k: above[k]**2 / spread[k])
@@ -476,10 +476,12 @@ class RigidModel:
         self._base = np.zeros(len(start))
 
     @property
-    def friction(self) -> list[int]:
-        """Return the numbers that are friction or offsets."""
+    def optional(self) -> list[int]:
+        """Return the numbers of springs, friction and offsets, without which it is a body too."""
         first, last = self.unknowns.sizes[0], sum(self.unknowns.sizes[:4])
-        return [k for k, number in enumerate(self.numbers) if first <= int(number.name) < last]
+        springs = self.unknowns.springs
+        return [k for k, number in enumerate(self.numbers) if int(number.name) in springs
+                or first <= int(number.name) < last]
 
     def without(self, idle: Sequence[int]) -> 'RigidModel':
         """Return the model with some numbers fixed at their least value, or 0."""
@@ -559,6 +561,11 @@ class RigidUnknowns(ABC):
             np.concatenate([np.broadcast_to(part, len(own[0])) for own, part in zip(
                 parts, column, strict=True)]) for column in zip(*parts, strict=True))
 
+    @property
+    def springs(self) -> list[int]:
+        """Return the indices of the numbers of springs."""
+        return []
+
     @abstractmethod
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the parameters of the prior, keyed by name in the network."""
@@ -621,6 +628,11 @@ class _Physical(RigidUnknowns):
         free = [self.prior.linear and 'inertia' not in name for name in self.prior.names]
         # Inertias are positive.
         super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0))
+
+    @property
+    def springs(self) -> list[int]:
+        """Return the indices of the numbers of springs, as in RigidUnknowns."""
+        return [k for k, name in enumerate(self.prior.names) if is_spring(name)]
 
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the raw parameters of the prior, as in RigidUnknowns."""

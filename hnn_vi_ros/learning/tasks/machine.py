@@ -114,7 +114,7 @@ class MachineTask(TrainingTask):
         if isinstance(problem, RigidProblem) and problem.fitted is not None:
             problem.module.prior.estimates = problem.estimates(
                 config.coordinates, _joined(self._train) if opens else None)
-            if any(motion.tau.any() for motion in self._train):
+            if self._selection is None and any(motion.tau.any() for motion in self._train):
                 courses = problem.courses(self._train, config.windows,
                                           config.data.inputs is not None)
                 if courses.better:
