@@ -139,8 +139,9 @@ class PriorCard(StrictModel):
                 f'{one.unit} |' for name, one in self.estimates.items()]
         return '\n'.join([
             '| parameter | value | 95 % interval | unit |', '|---|---|---|---|', *rows, '',
-            'The intervals hold if the noise of the sensors is the only error. Friction without a '
-            'row is not in the data.']) if rows else ''
+            'The intervals hold if the noise of the sensors is the only error; where residuals '
+            'exceed it, they are as many times wider, which may not suffice. Friction and springs '
+            'without a row are not in the data.']) if rows else ''
 
     @property
     def table(self) -> np.ndarray:

@@ -214,6 +214,17 @@ def test_springs_that_positions_do_not_show_are_left_out(stiffness: float):
     assert (prior.values['stiffness1'] == 0.0) is (stiffness == 0.0)
 
 
+def test_intervals_are_wider_where_residuals_exceed_the_noise():
+    """One width of friction instead of two: residuals of 5.8 times the noise."""
+    motions = of_positions([carriage(seed, 1.0) for seed in (1, 2)])
+    problem = problem_of(sliding(prior='planar_chain', residual=False, friction={'coulomb': 1}),
+                         motions)
+    found = problem.estimates(sliding().coordinates, None)
+    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5)):
+        low, high = found[name].interval
+        assert low < truth < high
+
+
 @pytest.mark.parametrize('magnet', [0.0, 12.0])
 def test_rigid_body_is_enough_unless_accelerations_show_a_force(magnet: float, capsys):
     """In short pieces, friction and initial states make up for the force of a magnet."""

@@ -212,8 +212,12 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
 
 
 def covariance_of(fitted: Fitted) -> np.ndarray:
-    """Return the covariance of fitted numbers under the noise of the sensors, shape (n, n)."""
-    solution = fitted.solution
+    """
+    Return the covariance of fitted numbers, shape (n, n).
+
+    It is that of the noise of the sensors, or of residuals where errors of the model exceed it.
+    """
+    solution, excess = fitted.solution, max(1.0, fitted.stages[-1][1])
     weights = fitted.problem.weights(solution.residuals)
     units = units_of(solution)
     slopes = projected(solution, weights)[0] / units
@@ -222,7 +226,7 @@ def covariance_of(fitted: Fitted) -> np.ndarray:
     found = covariances(slopes @ inverse, sensors_of(fitted))[0]
     # For the robust loss psi = w r has slope w^3.
     bend = float((weights[solution.windows.there]**3).mean())
-    return found / bend**2 / np.outer(units, units)
+    return (excess / bend)**2 * found / np.outer(units, units)
 
 
 def sensors_of(fitted: Fitted) -> list[list[Process]]:
