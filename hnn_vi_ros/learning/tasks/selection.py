@@ -39,7 +39,8 @@ _SHARE, _BATCH, _HORIZONS, _EVERY = 0.5, 0.125, (0.1, 0.5), 0.05
 # held-out motions do not show that a candidate is better beyond the data.
 _WORSE, _GAIN = 0.02, 0.08
 # Initial friction terms of a rigid body, as in its configuration. A term is dropped if that
-# increases the mean error by no more than _NEEDED.
+# increases the mean error by no more than _NEEDED, and other forces between samples are taken if
+# they reduce residuals by more.
 _TERMS = {'load': True, 'fade': True, 'stribeck': 1, 'directed': True, 'offset': True}
 _NEEDED = 0.02
 RIGID, ALONE = 'rigid body', 'networks alone'
@@ -277,7 +278,9 @@ def _better_inputs(config: MachineConfig, trials: _Trials, rigid: RigidProblem
     if rigid.fitted is None or config.data.inputs or trials.motions[0].held or not any(
             motion.tau.any() for motion in trials.kept):
         return None
-    return rigid.courses(trials.kept, config.windows, False).better
+    courses = rigid.courses(trials.kept, config.windows, False)
+    better = courses.better
+    return better if better and courses.others[better] < (1.0 - _NEEDED) * courses.own else None
 
 
 def _with_inputs(config: MachineConfig, inputs: Course) -> MachineConfig:
