@@ -104,7 +104,7 @@ class HalfwayWork(NamedTuple):
     half_carry: np.ndarray
 
 
-class _Problem(NamedTuple):
+class _EulerEquation(NamedTuple):
     """x = base + factor H_x(...), and two arrays of shape (n,) for products with H''."""
 
     kernel: Kernel
@@ -144,7 +144,7 @@ def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought,
         Outcome, relative residual [1], number of gradients.
 
     """
-    return _solve(_momentum_equation, _momentum_tangent, _Problem(
+    return _solve(_momentum_equation, _momentum_tangent, _EulerEquation(
         kernel, -h, known, sought, known.base, work.product_q, work.product_p), sought.dH_dq, 0,
         work, options)
 
@@ -171,13 +171,13 @@ def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought,
         Outcome, relative residual [1], number of gradients.
 
     """
-    return _solve(_coordinate_equation, _coordinate_tangent, _Problem(
+    return _solve(_coordinate_equation, _coordinate_tangent, _EulerEquation(
         kernel, h, known, sought, known.base, work.product_q, work.product_p), sought.dH_dp, 1,
         work, options)
 
 
 @inlined
-def _solve(equation: Callable[..., None], tangent: Callable[..., None], problem: _Problem,
+def _solve(equation: Callable[..., None], tangent: Callable[..., None], problem: _EulerEquation,
            slope: np.ndarray, which: int, work: EquationWork | HalfwayWork,
            options: SolverOptions) -> tuple[int, float, int]:
     """Solve for the momenta (0) or the coordinates (1); ``slope`` becomes H_x at the solution."""
@@ -242,7 +242,7 @@ def set_scale(scale: np.ndarray, own_scale: np.ndarray, base: np.ndarray, slope:
 
 
 @inlined
-def _momentum_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+def _momentum_equation(problem: _EulerEquation, x: np.ndarray, value: np.ndarray) -> None:
     problem.kernel.gradient(problem.kernel.parameters, problem.known.held, x,
                             problem.sought.dH_dq, problem.sought.dH_dp)
     for i in range(x.size):
@@ -251,7 +251,7 @@ def _momentum_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> N
 
 
 @inlined
-def _momentum_tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray
+def _momentum_tangent(problem: _EulerEquation, x: np.ndarray, v: np.ndarray, product: np.ndarray
                       ) -> None:
     kernel = problem.kernel
     zero, rest = problem.product_q, problem.product_p
@@ -263,7 +263,7 @@ def _momentum_tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: 
 
 
 @inlined
-def _coordinate_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+def _coordinate_equation(problem: _EulerEquation, x: np.ndarray, value: np.ndarray) -> None:
     problem.kernel.gradient(problem.kernel.parameters, x, problem.known.held,
                             problem.sought.dH_dq, problem.sought.dH_dp)
     for i in range(x.size):
@@ -272,7 +272,7 @@ def _coordinate_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) ->
 
 
 @inlined
-def _coordinate_tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray
+def _coordinate_tangent(problem: _EulerEquation, x: np.ndarray, v: np.ndarray, product: np.ndarray
                         ) -> None:
     kernel = problem.kernel
     zero, rest = problem.product_q, problem.product_p

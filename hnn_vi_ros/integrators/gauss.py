@@ -310,7 +310,7 @@ class GaussWork(NamedTuple):
     stages: np.ndarray
 
 
-class _Problem(NamedTuple):
+class _StageEquation(NamedTuple):
     """The equation for the stages; arrays of shape (s n,) hold all stages in sequence."""
 
     kernel: Kernel
@@ -427,8 +427,8 @@ class Gauss(Collocation):
             scale[i], own[i] = scale[i - n], own[i - n]
             scale[s * n + i], own[s * n + i] = scale[s * n + i - n], own[s * n + i - n]
         # The slopes H_q and H_p at the stages stay in the workspace for the next initial guess.
-        problem = _Problem(kernel, h, options.matrix, options.modes, work.modes, z, x[:s * n],
-                           x[s * n:], slopes[:s * n], slopes[s * n:])
+        problem = _StageEquation(kernel, h, options.matrix, options.modes, work.modes, z,
+                                 x[:s * n], x[s * n:], slopes[:s * n], slopes[s * n:])
         work.modes.direct[0] = 1 if options.direct and kernel.quadratic else 0
         if work.modes.direct[0] > 0:
             _find_masses(problem, work.solver.newton)
@@ -465,7 +465,7 @@ GAUSS_METHODS = {f'gauss{method.order}': method for method in orders_of(Gauss)}
 
 
 @inlined
-def _find_masses(problem: _Problem, work: NewtonWork) -> None:
+def _find_masses(problem: _StageEquation, work: NewtonWork) -> None:
     """Fill the inverse masses from products with H''."""
     kernel, z, masses = problem.kernel, problem.z, problem.work.masses
     d, n = kernel.dimension, z.q.size
@@ -483,7 +483,7 @@ def _find_masses(problem: _Problem, work: NewtonWork) -> None:
 
 
 @inlined
-def _start(options: Tableau, kept: StageSlopes, problem: _Problem, x: np.ndarray) -> None:
+def _start(options: Tableau, kept: StageSlopes, problem: _StageEquation, x: np.ndarray) -> None:
     """Set the initial guess from the last collocation polynomial, or from the state."""
     z, h, sums, masses = problem.z, problem.h, problem.work.sums, problem.work.masses
     n, s, d, slopes = z.q.size, options.weights.size, problem.kernel.dimension, kept.slopes
@@ -509,7 +509,7 @@ def _start(options: Tableau, kept: StageSlopes, problem: _Problem, x: np.ndarray
 
 
 @inlined
-def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+def _equation(problem: _StageEquation, x: np.ndarray, value: np.ndarray) -> None:
     z, s, sums, h = problem.z, problem.matrix.shape[1], problem.work.sums, problem.h
     n = z.q.size
     problem.kernel.gradient(problem.kernel.parameters, x[:s * n], x[s * n:],
@@ -527,7 +527,7 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
 
 
 @inlined
-def _renew_velocities(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+def _renew_velocities(problem: _StageEquation, x: np.ndarray, value: np.ndarray) -> None:
     """Update H_p to the new momenta, using the inverse masses."""
     d, masses, half = problem.kernel.dimension, problem.work.masses, problem.dH_dp.size
     for first in range(0, half, d):
@@ -538,7 +538,7 @@ def _renew_velocities(problem: _Problem, x: np.ndarray, value: np.ndarray) -> No
 
 
 @inlined
-def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
+def _tangent(problem: _StageEquation, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
     n, s, sums = problem.z.q.size, problem.matrix.shape[1], problem.work.sums
     # Free until the next evaluation of the equation fills these arrays.
     at_q, at_p = problem.dH_dq, problem.dH_dp

@@ -35,7 +35,7 @@ class MidpointWork(NamedTuple):
     start: np.ndarray
 
 
-class _Problem(NamedTuple):
+class _MidpointEquation(NamedTuple):
     """The equation for the midpoint; it stores the gradient there."""
 
     kernel: Kernel
@@ -85,7 +85,7 @@ class ImplicitMidpoint(ImplicitIntegrator):
         set_scale(iterates.scale[n:], iterates.own_scale[n:], z.p, z.dH_dq, h, kernel, 0)
         if options.extrapolate:
             extrapolate(kept, start, y)
-        problem = _Problem(kernel, 0.5 * h, z, z1.dH_dq, z1.dH_dp)
+        problem = _MidpointEquation(kernel, 0.5 * h, z, z1.dH_dq, z1.dH_dp)
         outcome, residual, gradients = options.solve(
             _equation, _tangent, problem, y, solver, options.max_iterations)
         if outcome == OK:
@@ -97,7 +97,7 @@ class ImplicitMidpoint(ImplicitIntegrator):
 
 
 @inlined
-def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+def _equation(problem: _MidpointEquation, x: np.ndarray, value: np.ndarray) -> None:
     z, n = problem.z, problem.z.q.size
     problem.kernel.gradient(problem.kernel.parameters, x[:n], x[n:],
                             problem.dH_dq, problem.dH_dp)
@@ -107,7 +107,8 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
 
 
 @inlined
-def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
+def _tangent(problem: _MidpointEquation, x: np.ndarray, v: np.ndarray, product: np.ndarray
+             ) -> None:
     n = problem.z.q.size
     # Free until the next evaluation of the equation fills these arrays.
     at_q, at_p = problem.dH_dq, problem.dH_dp

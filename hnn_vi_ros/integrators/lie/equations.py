@@ -85,7 +85,7 @@ class GroupWork(NamedTuple):
         return cls(History.empty(n, dtype), SolverWork.empty(n, dtype), *np.zeros((7, n), dtype))
 
 
-class _Problem(NamedTuple):
+class _GroupEquation(NamedTuple):
     """One equation, from z over h, at g; it fills z1. The last field is used by its tangent."""
 
     kernel: Kernel
@@ -140,8 +140,8 @@ def solve_momenta_inside(kernel: Kernel, h: float, options: LieOptions, g: np.nd
     set_scale(iterates.scale, iterates.own_scale, z.p, work.slope, h, kernel, 0)
     if options.solver.extrapolate:
         extrapolate(work.kept, z.p, mu)
-    problem = _Problem(kernel, h, options.retraction, g, z, z1, work, iterates.scale,
-                       work.ahead, work.behind)
+    problem = _GroupEquation(kernel, h, options.retraction, g, z, z1, work, iterates.scale,
+                             work.ahead, work.behind)
     outcome, residual, gradients = options.solver.solve(
         _inside_equation, _inside_tangent, problem, mu, work.solver,
         options.solver.max_iterations)
@@ -181,8 +181,8 @@ def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: PhasePoint, z1
         return TURNED, np.inf, 0
     if options.solver.extrapolate:
         extrapolate(work.kept, work.origin, x)
-    problem = _Problem(kernel, h, options.retraction, z.q, z, z1, work, iterates.scale,
-                       work.ahead, work.behind)
+    problem = _GroupEquation(kernel, h, options.retraction, z.q, z, z1, work, iterates.scale,
+                             work.ahead, work.behind)
     outcome, residual, gradients = options.solver.solve(
         _turn_equation, _turn_tangent, problem, x, work.solver, options.solver.max_iterations)
     if outcome == OK:
@@ -317,7 +317,7 @@ def set_turn_scale(kernel: Kernel, h: float, z: PhasePoint, x: np.ndarray, scale
 
 
 @inlined
-def _inside_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+def _inside_equation(problem: _GroupEquation, x: np.ndarray, value: np.ndarray) -> None:
     """Fill value with pi - h g^* H_g(g, x) minus (dtau^-1)^* x - x."""
     kernel, h, z, z1, work = problem.kernel, problem.h, problem.z, problem.z1, problem.work
     kernel.gradient(kernel.parameters, problem.g, x, z1.dH_dq, z1.dH_dp)
@@ -333,7 +333,7 @@ _inside_tangent = by_differences(_inside_equation)
 
 
 @inlined
-def _turn_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+def _turn_equation(problem: _GroupEquation, x: np.ndarray, value: np.ndarray) -> None:
     """Fill value with h H_mu(g tau(x), dtau_x^* pi)."""
     kernel, z, z1, mu = problem.kernel, problem.z, problem.z1, problem.work.momenta
     d = kernel.dimension

@@ -74,7 +74,7 @@ class LieGaussWork(NamedTuple):
     behind: np.ndarray
 
 
-class _Problem(NamedTuple):
+class _LieStageEquation(NamedTuple):
     """The equation for the stages of a step from z; ``by_differences`` uses the last field."""
 
     kernel: Kernel
@@ -146,8 +146,8 @@ class LieGauss(Collocation):
             scale[i], own[i] = scale[i - n], own[i - n]
             scale[s * n + i], own[s * n + i] = scale[s * n + i - n], own[s * n + i - n]
         _start(kernel, options, kept, z, h, x)
-        problem = _Problem(kernel, h, options.matrix, options.weights, z, point, work,
-                           work.solver.iterates.scale, work.ahead, work.behind)
+        problem = _LieStageEquation(kernel, h, options.matrix, options.weights, z, point, work,
+                                    work.solver.iterates.scale, work.ahead, work.behind)
         outcome, residual, rounds = options.solver.solve(
             _equation, _tangent, problem, x, work.solver, options.solver.max_iterations)
         kept.count[0] = 0
@@ -228,7 +228,7 @@ def _change_chart(kernel: Kernel, end: np.ndarray, z: PhasePoint, x: np.ndarray,
 
 
 @called
-def _fill_slopes(problem: _Problem, x: np.ndarray) -> None:
+def _fill_slopes(problem: _LieStageEquation, x: np.ndarray) -> None:
     """Fill the rates of x and P at the stages: K_P, and -K_x."""
     kernel, z, point, work = problem.kernel, problem.z, problem.point, problem.work
     n, s, slopes = z.q.size, problem.matrix.shape[0], work.kept.slopes
@@ -266,7 +266,7 @@ def _fill_slopes(problem: _Problem, x: np.ndarray) -> None:
 
 
 @inlined
-def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+def _equation(problem: _LieStageEquation, x: np.ndarray, value: np.ndarray) -> None:
     """Fill value with the stages that follow from their slopes, and x and P at the end."""
     z, work, h, s = problem.z, problem.work, problem.h, problem.matrix.shape[0]
     n, slopes, end = z.q.size, work.kept.slopes, work.end

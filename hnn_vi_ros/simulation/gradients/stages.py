@@ -104,7 +104,7 @@ _MAX_ITERATIONS = 20
 _MAX_STATE_DISTANCE = 1e-9
 
 
-class _Problem(NamedTuple):
+class _TableauEquation(NamedTuple):
     """Equation for the stages of a step from z, with H' at the stages."""
 
     kernel: Kernel
@@ -334,7 +334,7 @@ def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, 
     scale, own = work.solver.iterates.scale, work.solver.iterates.own_scale
     for k in range(2 * d):
         work.change[k] = (z1[k] - z[k]) / h
-    problem = _Problem(kernel, h, tableau, z, work.product_q, work.product_p)
+    problem = _TableauEquation(kernel, h, tableau, z, work.product_q, work.product_p)
     for i in range(s):
         a, b = i * d, (s + i) * d
         set_scale(scale[a:a + d], own[a:a + d], z[:d], work.change[:d], h, kernel, 1)
@@ -387,7 +387,7 @@ def _is_explicit(tableau: PartitionedTableau) -> bool:
 
 
 @inlined
-def _walk(problem: _Problem, x: np.ndarray) -> None:
+def _walk(problem: _TableauEquation, x: np.ndarray) -> None:
     """Compute the stages of an explicit step in sequence, and H' at them."""
     s, d, z = problem.tableau.q_weights.size, problem.kernel.dimension, problem.z
     for i in range(s):
@@ -412,7 +412,7 @@ def _combine(tableau: PartitionedTableau, dH_dq: np.ndarray, dH_dp: np.ndarray, 
 
 
 @inlined
-def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+def _equation(problem: _TableauEquation, x: np.ndarray, value: np.ndarray) -> None:
     s, d, z = problem.tableau.q_weights.size, problem.kernel.dimension, problem.z
     problem.kernel.gradient(problem.kernel.parameters, x[:s * d], x[s * d:],
                             problem.dH_dq, problem.dH_dp)
@@ -424,7 +424,7 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
 
 
 @inlined
-def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
+def _tangent(problem: _TableauEquation, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
     s, d = problem.tableau.q_weights.size, problem.kernel.dimension
     # Reuse these arrays: the next evaluation of the equation overwrites them anyway.
     at_q, at_p = problem.dH_dq, problem.dH_dp
