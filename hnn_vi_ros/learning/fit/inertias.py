@@ -21,8 +21,8 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.priors import RigidTree
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import acceleration_errors, samples_of
-from hnn_vi_ros.learning.fit.rigid_body import (
-    ABOVE, fit_errors, loss_of, RigidUnknowns, spread, window_fits)
+from hnn_vi_ros.learning.fit.rigid_body import fit_errors, loss_of, spread, window_fits
+from hnn_vi_ros.learning.fit.rigid_model import ABOVE, RigidUnknowns
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.models import (
     BaseParameter, Checkpoint, EACH, FrictionCard, Identification, INERTIAL, ModelCard, PriorCard)

@@ -9,36 +9,25 @@ from smoothed states; with positions alone, the initial states are unknowns as w
 because noise that is differentiated looks like friction. ``records`` fits whole motions instead.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 import math
-from typing import Any
 
-from hnn_vi_ros.effects import Effect, ExternalForce, has_map, LearnedFriction
-from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.hamiltonians import Hamiltonian
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels import Kernel
-from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, part_of, smoothed
+from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import Structure, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.fit.input_courses import input_courses, InputCourses
-from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
-from hnn_vi_ros.learning.fit.noise import covariances, Process
+from hnn_vi_ros.learning.fit.noise import covariances
+from hnn_vi_ros.learning.fit.rigid_model import ABOVE, Physical, RigidModel
+from hnn_vi_ros.learning.fit.rigid_problem import (
+    positions_alone, RigidProblem, sensors_of, thinned)
 from hnn_vi_ros.learning.fit.shooting import (
     cost_at_start, fit_numbers, Fitted, projected, refitted, units_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.learning.fit.windows import (
-    CannotFollow, constant_forces, FOREVER, KnownModel, ModelParts, Number)
-from hnn_vi_ros.models import (
-    chain_angles, Checkpoint, CoordinateCard, FittedNumber, force_unit, is_spring, MechanicalCard,
-    ModelCard, PLANAR_CHAIN, prior_kernel)
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.learning.fit.windows import CannotFollow
+from hnn_vi_ros.models import chain_angles, PLANAR_CHAIN
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
 import torch
@@ -51,104 +40,14 @@ _EVALUATIONS = 60
 _COARSE = 0.3, 0.1
 # Ridge penalty of the regression, relative to the column norms.
 _RIDGE = 1e-6
-# Smallest inertia and friction, relative to the usual ones, and smallest initial distance from it.
-LEAST, ABOVE = 1e-7, 1e-3
 # Plain friction, without the terms of drives.
 _PLAIN = {'stribeck': 0, 'directed': False, 'offset': False, 'fade': False, 'load': False}
 # Finite-difference step for whole motions, far above the rounding error.
 _DIFFERENCE = 1e-5
-# Bounds of the Stribeck speed: this share of the usual speed, and one minus this share.
-_SHARE = 0.01
 # Maximum number of windows that start within the length of one.
 _OVERLAP = 20
 # Relative tolerance of the fit to positions: errors of the numbers are far larger.
 _TOLERANCE = 1e-5
-# Method of the windows of positions, so accurate that the parameters are those of the machine.
-_METHOD = 'gauss4'
-# Half-width of 95 % intervals in standard deviations, and singular values of normalised columns
-# below which a direction, such as the scale of the energy, is open.
-_QUANTILE, _OPEN = 1.96, 1e-12
-
-
-class RigidProblem(TrainingProblem):
-    """
-    A fitted rigid body, of which nothing is left to train.
-
-    Parameters
-    ----------
-    network : MechanicalNetwork
-        The rigid body.
-    losses : mapping of str to float
-        Losses of its fits; of positions the residuals in units of the noise.
-    fitted : Fitted or None
-        The fit to positions, None if velocities were measured.
-
-    """
-
-    def __init__(self, network: MechanicalNetwork, losses: Mapping[str, float],
-                 fitted: Fitted | None = None):
-        super().__init__(network, losses=losses)
-        self.fitted, self.noise = fitted, None if fitted is None else fitted.noise
-
-    def known(self) -> KnownModel:
-        """Return a rigid body that was fitted to positions as a model without free numbers."""
-        assert self.fitted is not None
-        model = self.fitted.problem.model
-        return KnownModel(model.name, model.parts_at(self.fitted.solution.values))
-
-    def courses(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss, stated: bool
-                ) -> InputCourses:
-        """Return how well other courses of the forces fit, of a fit to positions."""
-        assert self.fitted is not None
-        return input_courses(
-            self.fitted.solution, self.fitted.problem, motions[0].inputs, stated,
-            lambda other: thinned([replace(motion, inputs=other) for motion in motions],
-                                  loss.step_size)[0])
-
-    def estimates(self, coordinates: Sequence[CoordinateCard], q: np.ndarray | None
-                  ) -> dict[str, FittedNumber]:
-        """
-        Return the numbers of a rigid body that was fitted to positions, with 95 % intervals.
-
-        Parameters
-        ----------
-        coordinates : sequence of CoordinateCard
-            Names and units of the coordinates.
-        q : np.ndarray, shape (N, d), or None
-            Coordinates whose mean first inertia is 1, if no forces fix the scale of the energy.
-
-        """
-        assert self.fitted is not None
-        solution, model = self.fitted.solution, self.fitted.problem.model
-        assert isinstance(model, RigidModel)
-        values, covariance = solution.values, covariance_of(self.fitted)
-        labels = model.unknowns.labels(coordinates)
-        own = [labels[int(number.name)] for number in model.numbers]
-        if q is not None:
-            # Numbers x / (w . x): the common factor, which is open, does not change them.
-            inertia = model.unknowns.mean_inertia(q)
-            w = np.array([inertia[int(number.name)] for number in model.numbers])
-            values = values / (w @ values)
-            slopes = (np.eye(len(w)) - np.outer(values, w)) / (w @ solution.values)
-            covariance = slopes @ covariance @ slopes.T
-        motors = [k for k, (name, _) in enumerate(own) if name.startswith('input map')]
-        if motors:
-            # The norm of the map is open too; that of MechanicalNetwork.input_map is taken.
-            values, size = values.copy(), float(np.linalg.norm(values[motors]))
-            unit_map = values[motors] / size
-            norm = math.sqrt(model.unknowns.network.raw_map.shape[1])
-            slopes = np.eye(len(values))
-            slopes[np.ix_(motors, motors)] = norm / size * (
-                np.eye(len(motors)) - np.outer(unit_map, unit_map))
-            values[motors], covariance = norm * unit_map, slopes @ covariance @ slopes.T
-        half = _QUANTILE * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return {name: FittedNumber(value=x, unit=unit, interval=[x - e, x + e])
-                for (name, unit), x, e in zip(own, values.tolist(), half.tolist(), strict=True)}
-
-
-def positions_alone(motions: Sequence[EvenMotion]) -> bool:
-    """Return True unless velocities were measured in all motions."""
-    return any(motion.v is None for motion in motions)
 
 
 def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
@@ -198,7 +97,7 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
     thin, driven = thinned(motions, loss.step_size)[0], any(
         motion.tau.any() for motion in motions)
     for network in networks:
-        physical = _Physical(network)
+        physical = Physical(network)
         models.append(min((
             RigidModel(physical, _first(physical, states)[0], thin[0].spacing, driven)
             for states in samples), key=lambda model: cost_at_start(model, thin)))
@@ -209,30 +108,6 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
     model.give(fitted.solution.values)
     return RigidProblem(model.unknowns.network, {
         f'rigid_body_{length:.3g}': misfit for length, misfit in fitted.stages}, fitted)
-
-
-def covariance_of(fitted: Fitted) -> np.ndarray:
-    """
-    Return the covariance of fitted numbers, shape (n, n).
-
-    It is that of the noise of the sensors, or of residuals where errors of the model exceed it.
-    """
-    solution, excess = fitted.solution, max(1.0, fitted.stages[-1][1])
-    weights = fitted.problem.weights(solution.residuals)
-    units = units_of(solution)
-    slopes = projected(solution, weights)[0] / units
-    matrix = slopes.reshape(-1, len(units))
-    inverse = np.linalg.pinv(matrix.T @ matrix, rcond=_OPEN, hermitian=True)
-    found = covariances(slopes @ inverse, sensors_of(fitted))[0]
-    # For the robust loss psi = w r has slope w^3.
-    bend = float((weights[solution.windows.there]**3).mean())
-    return (excess / bend)**2 * found / np.outer(units, units)
-
-
-def sensors_of(fitted: Fitted) -> list[list[Process]]:
-    """Return the noise of the sensors in units of that of the fit."""
-    return [[one._replace(variance=one.variance / scale**2)]
-            for one, scale in zip(fitted.sensor, fitted.solution.noise, strict=True)]
 
 
 def _without_idle_numbers(fitted: Fitted) -> Fitted:
@@ -289,13 +164,13 @@ def fit_smoothed(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequ
         Loss after each fit, inf if windows diverge at its initial values.
 
     """
-    samples, physical = samples_of(motions, loss.step_size), _Physical(network)
+    samples, physical = samples_of(motions, loss.step_size), Physical(network)
     found, first = _first(physical, samples)
     found, losses = _in_windows(physical, found, loss, samples)
     choice = network.friction.choice
     simple = choice.model_copy(update=_PLAIN)
     if simple != choice:
-        plain = _Physical(MechanicalNetwork(replace(network.structure, friction=simple), [1],
+        plain = Physical(MechanicalNetwork(replace(network.structure, friction=simple), [1],
                                             network.scales, 0))
         numbers, least = _in_windows(plain, _first(plain, samples)[0], loss, samples)
         # More friction contains less, so an end above it is a local minimum.
@@ -306,7 +181,7 @@ def fit_smoothed(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequ
     return {'rigid_body_forward': first} | losses
 
 
-def _in_windows(physical: '_Physical', found: np.ndarray, loss: TrajectoryLoss, samples: Samples
+def _in_windows(physical: Physical, found: np.ndarray, loss: TrajectoryLoss, samples: Samples
                 ) -> tuple[np.ndarray, dict[str, float]]:
     """Fit numbers to the windows of each stage; return them and the losses."""
     losses = {}
@@ -315,7 +190,7 @@ def _in_windows(physical: '_Physical', found: np.ndarray, loss: TrajectoryLoss, 
     return found, losses
 
 
-def _with_more_friction(physical: '_Physical', plain: '_Physical', numbers: np.ndarray
+def _with_more_friction(physical: Physical, plain: Physical, numbers: np.ndarray
                         ) -> np.ndarray:
     """Return the numbers of plain friction in a model with more: both sides alike, the rest 0."""
     d, sides = physical.network.d, 1 + physical.network.friction.choice.directed
@@ -354,7 +229,7 @@ def fit_records(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Seque
         Root mean square error, in units of the standard deviation of each coordinate.
 
     """
-    physical, (records, size) = _Physical(network), thinned(motions, loss.step_size)
+    physical, (records, size) = Physical(network), thinned(motions, loss.step_size)
     scale = physical.scale
 
     def errors(x: np.ndarray) -> np.ndarray:
@@ -366,17 +241,6 @@ def fit_records(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Seque
     fit = least_squares(errors, np.maximum(start, least + ABOVE), diff_step=_DIFFERENCE,
                         bounds=(least, most), x_scale='jac', max_nfev=_EVALUATIONS // 2)
     return float(np.sqrt(np.mean(errors(fit.x)**2)))
-
-
-def thinned(motions: Sequence[EvenMotion], step_size: float | None
-            ) -> tuple[list[EvenMotion], np.ndarray]:
-    """Downsample motions to this step, with held forces; return them and std(q), shape (d,)."""
-    every, found = samples_of(motions, step_size).every, []
-    for motion in motions:
-        coarse, h = part_of(motion, slice(None, None, every)), every * motion.spacing
-        found.append(replace(coarse, inputs='held', tau=constant_forces(
-            motion, h * np.arange(len(coarse.t) + 1), h, rates=False)))
-    return found, np.concatenate([motion.q for motion in motions]).std(axis=0)
 
 
 def best_rigid_body(loss: TrajectoryLoss, motions: Sequence[EvenMotion],
@@ -434,234 +298,7 @@ def spread(rows: torch.Tensor, most: int) -> torch.Tensor:
     return rows[:: max(1, len(rows) // most)]
 
 
-class _PriorHamiltonian(Hamiltonian):
-    """H of a prior alone."""
-
-    def __init__(self, card: MechanicalCard):
-        self._card = card
-        self.coordinates = tuple(Coordinate(f'q{i}') for i in range(len(card.kinds)))
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions for simulations."""
-        assert self._card.prior is not None
-        return prior_kernel(self._card.prior, self._card.angles)
-
-
-class RigidModel:
-    """
-    A rigid body with friction and motors whose parameters are free; see ParametricModel.
-
-    Parameters
-    ----------
-    unknowns : RigidUnknowns
-        The k parameters, and the network that they belong to.
-    start : np.ndarray, shape (k,)
-        Their initial values in SI units.
-    step_size : float
-        Step size [s].
-    driven : bool
-        True if forces were measured.
-
-    """
-
-    name = 'the rigid body'
-
-    def __init__(self, unknowns: 'RigidUnknowns', start: np.ndarray, step_size: float,
-                 driven: bool):
-        self.unknowns, self._h, self._driven = unknowns, step_size, driven
-        # A number that starts at its bound could stay there.
-        least, most = unknowns.least * unknowns.scale, unknowns.most * unknowns.scale
-        room = ABOVE * unknowns.scale
-        start = np.minimum(np.maximum(start, least + room), most - room)
-        self.numbers = [Number(str(k), '', '', *map(float, one)) for k, one in enumerate(zip(
-            start, least, most, unknowns.scale, strict=True))]
-        # Parameters that are left out stay at these values.
-        self._base = np.zeros(len(start))
-
-    @property
-    def optional(self) -> list[int]:
-        """Return the numbers of springs, friction and offsets, without which it is a body too."""
-        first, last = self.unknowns.sizes[0], sum(self.unknowns.sizes[:4])
-        springs = self.unknowns.springs
-        return [k for k, number in enumerate(self.numbers) if int(number.name) in springs
-                or first <= int(number.name) < last]
-
-    def without(self, idle: Sequence[int]) -> 'RigidModel':
-        """Return the model with some numbers fixed at their least value, or 0."""
-        other = copy(self)
-        other._base = self._base.copy()
-        for k in idle:
-            other._base[int(self.numbers[k].name)] = max(self.numbers[k].low, 0.0)
-        other.numbers = [number for k, number in enumerate(self.numbers) if k not in idle]
-        return other
-
-    def give(self, values: np.ndarray) -> None:
-        """Set the network's parameters from values of the numbers."""
-        parameters = self._base.copy()
-        parameters[[int(number.name) for number in self.numbers]] = values
-        self.unknowns.give(parameters)
-
-    def parts_at(self, values: np.ndarray) -> ModelParts:
-        """Return the parts at values of the numbers; see ParametricModel."""
-        self.give(values)
-        network = self.unknowns.network
-        if not all(bool(part.isfinite().all()) for part in network.parameters()):
-            raise ModelError('the mass matrix is not positive definite')
-        return parts_of_card(network.card(), self._h, self._driven)
-
-
-def parts_of_card(card: MechanicalCard, step_size: float, driven: bool) -> ModelParts:
-    """Return the parts of a rigid body without networks; see RigidModel."""
-    fields: dict[str, Any] = {'mechanical': card, 'lie_group': None, 'family': 'mechanical'}
-    checkpoint = Checkpoint(ModelCard.model_construct(**fields), {})
-    hamiltonian = _PriorHamiltonian(card)
-    effects: list[Effect] = [LearnedFriction.of(checkpoint)]
-    if driven:
-        effects.insert(0, ExternalForce.of(checkpoint, FOREVER) if has_map(checkpoint) else
-                       ExternalForce([one.name for one in hamiltonian.coordinates], FOREVER))
-    return ModelParts(hamiltonian, INTEGRATORS[_METHOD](), effects, step_size)
-
-
-class RigidUnknowns(ABC):
-    """
-    Unknown parameters of a prior, of friction and of motors, in that order.
-
-    Parameters
-    ----------
-    network : MechanicalNetwork
-        A network with a prior.
-    scale, least : np.ndarray, shape (n,)
-        Usual sizes of the prior's numbers, and their lower bounds in units of these.
-
-    Attributes
-    ----------
-    sizes : list of int
-        Counts of numbers: prior, viscous friction, other friction, offsets, input map, fades, and
-        Stribeck speeds.
-    scale, least, most : np.ndarray, shape (k,)
-        Sizes and bounds of all numbers. The gradient of friction vanishes below its lower bound.
-
-    """
-
-    # True if fades and Stribeck speeds, in which forces are nonlinear, are unknowns too.
-    everything = True
-
-    def __init__(self, network: MechanicalNetwork, scale: np.ndarray, least: np.ndarray):
-        friction, self.network = network.friction, network
-        sides, offsets = (len(friction.raw_viscous) * friction.choice.viscous,
-                          friction.raw_offset.numel())
-        motors = network.raw_map.numel() if network.scales.input_map is not None else 0
-        fades = network.scales.command[:None if friction.choice.fade and self.everything else 0]
-        viscous, force, speed = (unit.numpy() for unit in (
-            friction.viscous_unit, friction.force_unit, friction.speed_unit))
-        parts = [(scale, least, np.inf), (np.tile(viscous, sides), LEAST, np.inf),
-                 (np.tile(force, len(friction.raw_force)), LEAST, np.inf),
-                 (force[:offsets], -np.inf, np.inf), (np.ones(motors), -np.inf, np.inf),
-                 (1.0 / fades, LEAST, np.inf),
-                 (np.tile(speed, len(friction.raw_speed) * self.everything), _SHARE, 1.0 - _SHARE)]
-        self.sizes = [len(scale) for scale, _, _ in parts]
-        self.scale, self.least, self.most = (
-            np.concatenate([np.broadcast_to(part, len(own[0])) for own, part in zip(
-                parts, column, strict=True)]) for column in zip(*parts, strict=True))
-
-    @property
-    def springs(self) -> list[int]:
-        """Return the indices of the numbers of springs."""
-        return []
-
-    @abstractmethod
-    def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the parameters of the prior, keyed by name in the network."""
-
-    def raw(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the network's parameters from all numbers, given in SI units."""
-        network, friction, d = self.network, self.network.friction, self.network.d
-        prior, *others = values.split(self.sizes)
-        raw: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
-            'friction.raw_viscous': lambda x: _inverse_softplus(
-                x.reshape(-1, d) / friction.viscous_unit),
-            'friction.raw_force': lambda x: _inverse_softplus(
-                x.reshape(-1, d) / friction.force_unit),
-            'friction.raw_offset': lambda x: x.reshape(-1, d) / friction.force_unit,
-            'raw_map': lambda x: x.reshape(d, -1),
-            'raw_fade': lambda x: _inverse_softplus(x * network.command_unit),
-            'friction.raw_speed': lambda x: torch.logit(x.reshape(-1, d) / friction.speed_unit)}
-        return self.raw_prior(prior) | {
-            name: raw[name](part) for name, part in zip(raw, others, strict=True) if len(part)}
-
-    def labels(self, coordinates: Sequence[CoordinateCard]) -> list[tuple[str, str]]:
-        """Return name and unit of each number."""
-        prior = self.network.prior
-        assert prior is not None
-        forces = [force_unit(one.p_unit) for one in coordinates]
-        speeds = [f'{one.q_unit}/s' for one in coordinates]
-        found = [(name, one.unit) for name, one in prior.quantities(
-            coordinates[0].p_unit).items()]
-        for kind, count, units in zip(
-                ('viscous friction', 'dry friction', 'offset', 'input map', 'fade',
-                 'Stribeck speed'), self.sizes[1:], (
-                     [f'{force} / ({speed})' for force, speed in zip(forces, speeds, strict=True)],
-                     forces, forces, ['1'], ['1'], speeds), strict=True):
-            for k in range(count):
-                of = f' of {coordinates[k].name}' if count == len(coordinates) else f' {k + 1}'
-                found.append((kind + of, units[k % len(units)]))
-        return found
-
-    def mean_inertia(self, q: np.ndarray) -> np.ndarray:
-        """Return the mean first inertia at coordinates (N, d) per unit of each number."""
-        prior, found = self.network.prior, np.zeros(sum(self.sizes))
-        assert prior is not None and prior.linear
-        found[:self.sizes[0]] = [float(prior.mass(torch.tensor(q), unit)[:, 0, 0].mean())
-                                 for unit in torch.eye(self.sizes[0], dtype=torch.float64)]
-        return found
-
-    def give(self, values: np.ndarray) -> None:
-        """Set the network's parameters from numbers in SI units."""
-        with torch.no_grad():
-            for name, parameter in self.raw(torch.tensor(values)).items():
-                self.network.get_parameter(name).copy_(parameter)
-
-
-class _Physical(RigidUnknowns):
-    """The physical parameters of a prior as unknowns."""
-
-    def __init__(self, network: MechanicalNetwork):
-        assert network.prior is not None
-        self.prior = network.prior
-        free = [self.prior.linear and 'inertia' not in name for name in self.prior.names]
-        # Inertias are positive.
-        super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0))
-
-    @property
-    def springs(self) -> list[int]:
-        """Return the indices of the numbers of springs, as in RigidUnknowns."""
-        return [k for k, name in enumerate(self.prior.names) if is_spring(name)]
-
-    def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the raw parameters of the prior, as in RigidUnknowns."""
-        return {'prior.raw': self.prior.raw_of(values)}
-
-    def now(self) -> np.ndarray:
-        """Return the current numbers of the network, in SI units."""
-        network = self.network
-        parts = [self.prior.values(), network.friction.values()]
-        if self.sizes[4]:
-            parts.append(network.raw_map.flatten())
-        if self.sizes[5]:
-            parts.append(network.fade())
-        parts.append(network.friction.coefficients()[3].flatten())
-        return torch.cat(parts).detach().numpy()
-
-
-def _inverse_softplus(x: torch.Tensor) -> torch.Tensor:
-    """Return log(exp(x) - 1), for x clamped to LEAST or more."""
-    x = torch.clamp(x, min=LEAST)
-    # exp(x) overflows for large x.
-    return x + torch.log(-torch.expm1(-x))
-
-
-def _first(physical: _Physical, samples: Samples) -> tuple[np.ndarray, float]:
+def _first(physical: Physical, samples: Samples) -> tuple[np.ndarray, float]:
     """Return the parameters that best explain the accelerations, and the loss."""
     # For rigid links, the forces are linear in the parameters.
     found = _regression(physical, samples) if physical.prior.linear else physical.now()
@@ -670,7 +307,7 @@ def _first(physical: _Physical, samples: Samples) -> tuple[np.ndarray, float]:
         physical.network, samples, rows))
 
 
-def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
+def _regression(physical: Physical, samples: Samples) -> np.ndarray:
     """Return the parameters that best explain the forces, with the current input map."""
     rows = spread(torch.arange(len(samples.q)), _SAMPLES)
     q, v, a, tau = (part[rows] for part in (samples.q, samples.v, samples.a, samples.tau))
@@ -698,7 +335,7 @@ def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     return np.concatenate([values, found[n:], physical.now()[end:]])
 
 
-def _least_squares(physical: _Physical, start: np.ndarray,
+def _least_squares(physical: Physical, start: np.ndarray,
                    errors: Callable[[Solutions], torch.Tensor]) -> tuple[np.ndarray, float]:
     """Return the parameters of the smallest soft loss, and that loss."""
     scale = torch.tensor(physical.scale)

@@ -9,7 +9,7 @@ from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import EvenMotion
-from hnn_vi_ros.learning.fit.rigid_body import thinned
+from hnn_vi_ros.learning.fit.rigid_problem import thinned
 from hnn_vi_ros.learning.fit.shooting import residuals_by_length, with_states_of
 from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts, ParametricModel
 import numpy as np

@@ -12,7 +12,7 @@ from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.loop import Stage
-from hnn_vi_ros.learning.fit.rigid_body import thinned
+from hnn_vi_ros.learning.fit.rigid_problem import thinned
 from hnn_vi_ros.learning.judging.ensemble import drafted
 from hnn_vi_ros.models import Checkpoint
 from hnn_vi_ros.scene import Scene

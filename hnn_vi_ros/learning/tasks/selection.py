@@ -16,7 +16,7 @@ from hnn_vi_ros.learning.families.choices import (
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of, slowness
-from hnn_vi_ros.learning.fit.rigid_body import positions_alone, RigidProblem
+from hnn_vi_ros.learning.fit.rigid_problem import positions_alone, RigidProblem
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.residuals import (
     is_noise, noise_text, ONLY_NOISE, Residuals, residuals_of, with_fitted_states)

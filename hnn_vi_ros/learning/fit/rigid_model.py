@@ -1,0 +1,262 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A rigid body with friction and motors as a model with free numbers."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from copy import copy
+from functools import cached_property
+from typing import Any
+
+from hnn_vi_ros.effects import Effect, ExternalForce, has_map, LearnedFriction
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.kernels import Kernel
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.fit.windows import FOREVER, ModelParts, Number
+from hnn_vi_ros.models import (
+    Checkpoint, CoordinateCard, force_unit, is_spring, MechanicalCard, ModelCard, prior_kernel)
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+import torch
+
+# Smallest inertia and friction, relative to the usual ones, and smallest initial distance from it.
+LEAST, ABOVE = 1e-7, 1e-3
+# Bounds of the Stribeck speed: this share of the usual speed, and one minus this share.
+_SHARE = 0.01
+# Method of the windows of positions, so accurate that the parameters are those of the machine.
+_METHOD = 'gauss4'
+
+
+class _PriorHamiltonian(Hamiltonian):
+    """H of a prior alone."""
+
+    def __init__(self, card: MechanicalCard):
+        self._card = card
+        self.coordinates = tuple(Coordinate(f'q{i}') for i in range(len(card.kinds)))
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions for simulations."""
+        assert self._card.prior is not None
+        return prior_kernel(self._card.prior, self._card.angles)
+
+
+class RigidModel:
+    """
+    A rigid body with friction and motors whose parameters are free; see ParametricModel.
+
+    Parameters
+    ----------
+    unknowns : RigidUnknowns
+        The k parameters, and the network that they belong to.
+    start : np.ndarray, shape (k,)
+        Their initial values in SI units.
+    step_size : float
+        Step size [s].
+    driven : bool
+        True if forces were measured.
+
+    """
+
+    name = 'the rigid body'
+
+    def __init__(self, unknowns: 'RigidUnknowns', start: np.ndarray, step_size: float,
+                 driven: bool):
+        self.unknowns, self._h, self._driven = unknowns, step_size, driven
+        # A number that starts at its bound could stay there.
+        least, most = unknowns.least * unknowns.scale, unknowns.most * unknowns.scale
+        room = ABOVE * unknowns.scale
+        start = np.minimum(np.maximum(start, least + room), most - room)
+        self.numbers = [Number(str(k), '', '', *map(float, one)) for k, one in enumerate(zip(
+            start, least, most, unknowns.scale, strict=True))]
+        # Parameters that are left out stay at these values.
+        self._base = np.zeros(len(start))
+
+    @property
+    def optional(self) -> list[int]:
+        """Return the numbers of springs, friction and offsets, without which it is a body too."""
+        first, last = self.unknowns.sizes[0], sum(self.unknowns.sizes[:4])
+        springs = self.unknowns.springs
+        return [k for k, number in enumerate(self.numbers) if int(number.name) in springs
+                or first <= int(number.name) < last]
+
+    @property
+    def motors(self) -> list[int]:
+        """Return the numbers of the input map."""
+        first, last = sum(self.unknowns.sizes[:4]), sum(self.unknowns.sizes[:5])
+        return [k for k, number in enumerate(self.numbers) if first <= int(number.name) < last]
+
+    def without(self, idle: Sequence[int]) -> 'RigidModel':
+        """Return the model with some numbers fixed at their least value, or 0."""
+        other = copy(self)
+        other._base = self._base.copy()
+        for k in idle:
+            other._base[int(self.numbers[k].name)] = max(self.numbers[k].low, 0.0)
+        other.numbers = [number for k, number in enumerate(self.numbers) if k not in idle]
+        return other
+
+    def give(self, values: np.ndarray) -> None:
+        """Set the network's parameters from values of the numbers."""
+        parameters = self._base.copy()
+        parameters[[int(number.name) for number in self.numbers]] = values
+        self.unknowns.give(parameters)
+
+    def parts_at(self, values: np.ndarray) -> ModelParts:
+        """Return the parts at values of the numbers; see ParametricModel."""
+        self.give(values)
+        network = self.unknowns.network
+        if not all(bool(part.isfinite().all()) for part in network.parameters()):
+            raise ModelError('the mass matrix is not positive definite')
+        return parts_of_card(network.card(), self._h, self._driven)
+
+
+def parts_of_card(card: MechanicalCard, step_size: float, driven: bool) -> ModelParts:
+    """Return the parts of a rigid body without networks; see RigidModel."""
+    fields: dict[str, Any] = {'mechanical': card, 'lie_group': None, 'family': 'mechanical'}
+    checkpoint = Checkpoint(ModelCard.model_construct(**fields), {})
+    hamiltonian = _PriorHamiltonian(card)
+    effects: list[Effect] = [LearnedFriction.of(checkpoint)]
+    if driven:
+        effects.insert(0, ExternalForce.of(checkpoint, FOREVER) if has_map(checkpoint) else
+                       ExternalForce([one.name for one in hamiltonian.coordinates], FOREVER))
+    return ModelParts(hamiltonian, INTEGRATORS[_METHOD](), effects, step_size)
+
+
+class RigidUnknowns(ABC):
+    """
+    Unknown parameters of a prior, of friction and of motors, in that order.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        A network with a prior.
+    scale, least : np.ndarray, shape (n,)
+        Usual sizes of the prior's numbers, and their lower bounds in units of these.
+
+    Attributes
+    ----------
+    sizes : list of int
+        Counts of numbers: prior, viscous friction, other friction, offsets, input map, fades, and
+        Stribeck speeds.
+    scale, least, most : np.ndarray, shape (k,)
+        Sizes and bounds of all numbers. The gradient of friction vanishes below its lower bound.
+
+    """
+
+    # True if fades and Stribeck speeds, in which forces are nonlinear, are unknowns too.
+    everything = True
+
+    def __init__(self, network: MechanicalNetwork, scale: np.ndarray, least: np.ndarray):
+        friction, self.network = network.friction, network
+        sides, offsets = (len(friction.raw_viscous) * friction.choice.viscous,
+                          friction.raw_offset.numel())
+        motors = network.raw_map.numel() if network.scales.input_map is not None else 0
+        fades = network.scales.command[:None if friction.choice.fade and self.everything else 0]
+        viscous, force, speed = (unit.numpy() for unit in (
+            friction.viscous_unit, friction.force_unit, friction.speed_unit))
+        parts = [(scale, least, np.inf), (np.tile(viscous, sides), LEAST, np.inf),
+                 (np.tile(force, len(friction.raw_force)), LEAST, np.inf),
+                 (force[:offsets], -np.inf, np.inf), (np.ones(motors), -np.inf, np.inf),
+                 (1.0 / fades, LEAST, np.inf),
+                 (np.tile(speed, len(friction.raw_speed) * self.everything), _SHARE, 1.0 - _SHARE)]
+        self.sizes = [len(scale) for scale, _, _ in parts]
+        self.scale, self.least, self.most = (
+            np.concatenate([np.broadcast_to(part, len(own[0])) for own, part in zip(
+                parts, column, strict=True)]) for column in zip(*parts, strict=True))
+
+    @property
+    def springs(self) -> list[int]:
+        """Return the indices of the numbers of springs."""
+        return []
+
+    @abstractmethod
+    def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the parameters of the prior, keyed by name in the network."""
+
+    def raw(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the network's parameters from all numbers, given in SI units."""
+        network, friction, d = self.network, self.network.friction, self.network.d
+        prior, *others = values.split(self.sizes)
+        raw: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
+            'friction.raw_viscous': lambda x: inverse_softplus(
+                x.reshape(-1, d) / friction.viscous_unit),
+            'friction.raw_force': lambda x: inverse_softplus(
+                x.reshape(-1, d) / friction.force_unit),
+            'friction.raw_offset': lambda x: x.reshape(-1, d) / friction.force_unit,
+            'raw_map': lambda x: x.reshape(d, -1),
+            'raw_fade': lambda x: inverse_softplus(x * network.command_unit),
+            'friction.raw_speed': lambda x: torch.logit(x.reshape(-1, d) / friction.speed_unit)}
+        return self.raw_prior(prior) | {
+            name: raw[name](part) for name, part in zip(raw, others, strict=True) if len(part)}
+
+    def labels(self, coordinates: Sequence[CoordinateCard]) -> list[tuple[str, str]]:
+        """Return name and unit of each number."""
+        prior = self.network.prior
+        assert prior is not None
+        forces = [force_unit(one.p_unit) for one in coordinates]
+        speeds = [f'{one.q_unit}/s' for one in coordinates]
+        found = [(name, one.unit) for name, one in prior.quantities(
+            coordinates[0].p_unit).items()]
+        for kind, count, units in zip(
+                ('viscous friction', 'dry friction', 'offset', 'input map', 'fade',
+                 'Stribeck speed'), self.sizes[1:], (
+                     [f'{force} / ({speed})' for force, speed in zip(forces, speeds, strict=True)],
+                     forces, forces, ['1'], ['1'], speeds), strict=True):
+            for k in range(count):
+                of = f' of {coordinates[k].name}' if count == len(coordinates) else f' {k + 1}'
+                found.append((kind + of, units[k % len(units)]))
+        return found
+
+    def mean_inertia(self, q: np.ndarray) -> np.ndarray:
+        """Return the mean first inertia at coordinates (N, d) per unit of each number."""
+        prior, found = self.network.prior, np.zeros(sum(self.sizes))
+        assert prior is not None and prior.linear
+        found[:self.sizes[0]] = [float(prior.mass(torch.tensor(q), unit)[:, 0, 0].mean())
+                                 for unit in torch.eye(self.sizes[0], dtype=torch.float64)]
+        return found
+
+    def give(self, values: np.ndarray) -> None:
+        """Set the network's parameters from numbers in SI units."""
+        with torch.no_grad():
+            for name, parameter in self.raw(torch.tensor(values)).items():
+                self.network.get_parameter(name).copy_(parameter)
+
+
+class Physical(RigidUnknowns):
+    """The physical parameters of a prior as unknowns."""
+
+    def __init__(self, network: MechanicalNetwork):
+        assert network.prior is not None
+        self.prior = network.prior
+        free = [self.prior.linear and 'inertia' not in name for name in self.prior.names]
+        # Inertias are positive.
+        super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0))
+
+    @property
+    def springs(self) -> list[int]:
+        """Return the indices of the numbers of springs, as in RigidUnknowns."""
+        return [k for k, name in enumerate(self.prior.names) if is_spring(name)]
+
+    def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the raw parameters of the prior, as in RigidUnknowns."""
+        return {'prior.raw': self.prior.raw_of(values)}
+
+    def now(self) -> np.ndarray:
+        """Return the current numbers of the network, in SI units."""
+        network = self.network
+        parts = [self.prior.values(), network.friction.values()]
+        if self.sizes[4]:
+            parts.append(network.raw_map.flatten())
+        if self.sizes[5]:
+            parts.append(network.fade())
+        parts.append(network.friction.coefficients()[3].flatten())
+        return torch.cat(parts).detach().numpy()
+
+
+def inverse_softplus(x: torch.Tensor) -> torch.Tensor:
+    """Return log(exp(x) - 1), for x clamped to LEAST or more."""
+    x = torch.clamp(x, min=LEAST)
+    # exp(x) overflows for large x.
+    return x + torch.log(-torch.expm1(-x))
