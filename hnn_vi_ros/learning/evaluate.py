@@ -83,13 +83,13 @@ def _judged(arguments: Namespace) -> _Judgement:
     checkpoint = getattr(hamiltonian, 'checkpoint', None)
     card = None if checkpoint is None or checkpoint.card.mechanical is None else checkpoint.card
     mechanical = None if card is None else card.mechanical
-    if mechanical is not None and mechanical.delay:
-        motions = [delayed(motion, mechanical.delay / motion.spacing) for motion in motions]
-        description += (f'; forces delayed by {mechanical.delay:.3g} s, as in the data of the '
-                        'model')
     if mechanical is not None and mechanical.course and not (data.inputs or motions[0].held):
         motions = [replace(motion, inputs=mechanical.course) for motion in motions]
         description += (f'; forces between samples as {mechanical.course}, as in the data of the '
+                        'model')
+    if mechanical is not None and mechanical.delay:
+        motions = [delayed(motion, mechanical.delay / motion.spacing) for motion in motions]
+        description += (f'; forces delayed by {mechanical.delay:.3g} s, as in the data of the '
                         'model')
     if card is not None and card.prediction_error is not None and card.prediction_error.noise:
         motions = of_positions(motions)

@@ -283,13 +283,35 @@ def test_smooth_forces_at_rare_samples_bias_no_number():
     motions = [smoothed('run', times, q, None, force(times)[:, None], 8.0)]
     chosen, card = selected(config, motions, problem_of)
     assert chosen.data.inputs == 'spline' and 'between samples as spline' in card.held_out
-    problem = problem_of(chosen, as_selected(motions, chosen.data))
+    problem = problem_of(chosen, as_selected(motions, config.data, chosen.data))
     for name, number in problem.estimates(chosen.coordinates, None).items():
         if name in ('inertia1', 'gravity1'):
             low, high = number.interval
             true = truth[name == 'gravity1']
             # Three standard errors; that of chords is fifteen.
             assert abs(number.value - true) < 3.0 * (high - low) / (2.0 * 1.96)
+
+
+def test_forces_that_were_logged_late_are_moved_back():
+    """A tenth of a sample, 2 ms, is 0.018 of the faster force; chords add (w h)^2 / 8, 0.004."""
+    t = 0.02 * np.arange(800)
+
+    def force(t: np.ndarray | float) -> np.ndarray:
+        return np.sin(1.7 * t) + np.sin(9.0 * t)
+
+    def rates(t: float, z: np.ndarray) -> list[float]:
+        return [z[1], force(t) - 9.0 * np.sin(z[0]) - 0.05 * z[1]]
+    q = solve_ivp(rates, (0.0, t[-1]), [0.4, 0.0], t_eval=t, rtol=1e-8, atol=1e-8).y[:1].T
+    q += 3e-3 * np.random.default_rng(1).normal(size=q.shape)
+    config = machine_config('a', 'revolute', {'hidden': [4], 'loss': {
+        'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
+        'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
+    motions = [smoothed('run', t, q, None, force(t - 0.06)[:, None], 5.0)]
+    chosen, card = selected(config, motions, problem_of)
+    assert chosen.data.delay == pytest.approx(-3.0, abs=0.1)
+    assert f'forces delayed by {chosen.data.delay} samples' in card.held_out
+    (moved,) = as_selected(motions, config.data, chosen.data)
+    assert np.abs(moved.tau[5:-5, 0] - force(t[5:-5])).max() < 0.05
 
 
 @pytest.mark.long

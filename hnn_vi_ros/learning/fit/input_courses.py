@@ -83,12 +83,16 @@ def input_courses(solution: Solution, problem: FitProblem, taken: Course, stated
         Returns the fitted motions with forces of another course.
 
     """
-    def misfit(other: Course) -> float:
-        windows = replace(solution.windows, motions=motions(other))
-        again = FitProblem(problem.model, windows, problem.noise, solution.starts, problem.robust)
-        try:
-            return search(again, solution.values, evaluations=_TRIED).misfit
-        except HnnViRosError:
-            return math.inf
     return InputCourses(taken, stated or taken == 'held', solution.misfit, {
-        other: misfit(other) for other in INPUTS if other != taken}, solution.freedom)
+        other: misfit_with(solution, problem, motions(other)) for other in INPUTS
+        if other != taken}, solution.freedom)
+
+
+def misfit_with(solution: Solution, problem: FitProblem, motions: Sequence[EvenMotion]) -> float:
+    """Return the misfit of the same windows with other forces; inf if that fit fails."""
+    windows = replace(solution.windows, motions=motions)
+    other = FitProblem(problem.model, windows, problem.noise, solution.starts, problem.robust)
+    try:
+        return search(other, solution.values, evaluations=_TRIED).misfit
+    except HnnViRosError:
+        return math.inf

@@ -9,7 +9,7 @@ import math
 from hnn_vi_ros.learning.data.motions import EvenMotion, part_of
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.fit.input_courses import input_courses, InputCourses
+from hnn_vi_ros.learning.fit.input_courses import input_courses, InputCourses, misfit_with
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import samples_of
 from hnn_vi_ros.learning.fit.noise import covariances, Process
@@ -44,6 +44,10 @@ class RigidProblem(TrainingProblem):
         super().__init__(network, losses=losses)
         self.fitted, self.noise = fitted, None if fitted is None else fitted.noise
 
+    def is_driven(self, motions: Sequence[EvenMotion]) -> bool:
+        """Return True if it was fitted to positions under forces."""
+        return self.fitted is not None and any(motion.tau.any() for motion in motions)
+
     def known(self) -> KnownModel:
         """Return a rigid body that was fitted to positions as a model without free numbers."""
         assert self.fitted is not None
@@ -58,6 +62,12 @@ class RigidProblem(TrainingProblem):
             self.fitted.solution, self.fitted.problem, motions[0].inputs, stated,
             lambda other: thinned([replace(motion, inputs=other) for motion in motions],
                                   loss.step_size)[0])
+
+    def misfit_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
+        """Return the residuals with other forces, of a fit to positions."""
+        assert self.fitted is not None
+        return misfit_with(self.fitted.solution, self.fitted.problem,
+                           thinned(motions, loss.step_size)[0])
 
     def estimates(self, coordinates: Sequence[CoordinateCard], q: np.ndarray | None
                   ) -> dict[str, FittedNumber]:

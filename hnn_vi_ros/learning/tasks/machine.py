@@ -33,7 +33,7 @@ from hnn_vi_ros.learning.judging.residuals import (
     errors_text, is_noise, judged_model, residuals_of, STEP, with_fitted_states)
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, TrainingTask
 from hnn_vi_ros.learning.tasks.records import Records
-from hnn_vi_ros.learning.tasks.selection import selected
+from hnn_vi_ros.learning.tasks.selection import MOST_DELAY, selected
 from hnn_vi_ros.models import (
     Box, CHAINS, Checkpoint, domain_of, DomainCard, energy_spread, interval_text, load_member,
     ModelCard, PLANAR_CHAIN, PredictionError, RIGID_BODY, SelectionCard)
@@ -44,8 +44,6 @@ import torch
 # Horizons of the judged errors, distance between starts, and limit of valid prediction times
 # [s].
 _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
-# Largest estimated delay in samples; the resolution is a tenth of a sample.
-_MOST_DELAY = 5.0
 
 
 class MachineTask(TrainingTask):
@@ -80,8 +78,10 @@ class MachineTask(TrainingTask):
         print(f'data: {description}; {_ranges(config, self._train)}', flush=True)
         _check_motors(config, self._train)
         self._config, self._selection = selected(config, self._train, problem_of)
-        self._train, self._test = (
-            as_selected(part, self._config.data) for part in (self._train, self._test))
+        self._train, self._test = (as_selected(part, config.data, self._config.data)
+                                   for part in (self._train, self._test))
+        if isinstance(self._config.data.delay, float):
+            self._delay = self._config.data.delay
         self._known, self._held = kept_and_held(self._train, config) if ensemble else (
             self._train, [])
         # Source and licence of the data are stored with the model.
@@ -114,7 +114,7 @@ class MachineTask(TrainingTask):
         if isinstance(problem, RigidProblem) and problem.fitted is not None:
             problem.module.prior.estimates = problem.estimates(
                 config.coordinates, _joined(self._train) if opens else None)
-            if self._selection is None and any(motion.tau.any() for motion in self._train):
+            if self._selection is None and problem.is_driven(self._train):
                 courses = problem.courses(self._train, config.windows,
                                           config.data.inputs is not None)
                 if courses.better:
@@ -210,7 +210,7 @@ def estimated_delay(config: MachineConfig, motions: Sequence[EvenMotion]) -> flo
     def error(delay: float) -> float:
         late = [delayed(motion, delay) for motion in motions]
         return [*_rigid(config, replace(structure, angles=angles), late).losses.values()][-1]
-    return float(minimize_scalar(error, bounds=(-_MOST_DELAY, _MOST_DELAY), method='bounded',
+    return float(minimize_scalar(error, bounds=(-MOST_DELAY, MOST_DELAY), method='bounded',
                                  options={'xatol': 0.1}).x)
 
 
@@ -309,18 +309,22 @@ def whole(network: MechanicalNetwork, config: MachineConfig, motion: EvenMotion)
     return found
 
 
-def as_selected(motions: Sequence[EvenMotion], data: MotionData) -> list[EvenMotion]:
-    """Return motions without velocities, or with other forces between samples, as selected."""
-    if data.velocities and not positions_alone(motions):
+def as_selected(motions: Sequence[EvenMotion], given: MotionData, chosen: MotionData
+                ) -> list[EvenMotion]:
+    """Return motions with the selected velocities, forces between samples, and delay."""
+    if chosen.velocities and not positions_alone(motions):
         motions = of_positions(motions)
-    return [replace(motion, inputs=data.inputs or motion.inputs) for motion in motions]
+    motions = [replace(motion, inputs=chosen.inputs or motion.inputs) for motion in motions]
+    return motions if isinstance(chosen.delay, str) or chosen.delay == given.delay else [
+        delayed(motion, chosen.delay) for motion in motions]
 
 
 def learn(config: MachineConfig, motions: Sequence[EvenMotion]
           ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Fit a network, after its prior if it has one; return it and its losses."""
+    given = config.data
     config, _ = selected(config, motions, problem_of)
-    problem = problem_of(config, as_selected(motions, config.data))
+    problem = problem_of(config, as_selected(motions, given, config.data))
     return problem.module, problem.fit()
 
 

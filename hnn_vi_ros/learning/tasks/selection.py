@@ -8,9 +8,8 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.arguments import Course
 from hnn_vi_ros.learning.data.motions import (
-    EvenMotion, MIN_SAMPLES, NONE, of_positions, part_of, run_of)
+    delayed, EvenMotion, MIN_SAMPLES, NONE, of_positions, part_of, run_of)
 from hnn_vi_ros.learning.families.choices import (
     AUTO, MechanicalChoice, RigidBodyChoice, TrajectoryLoss)
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -22,8 +21,11 @@ from hnn_vi_ros.learning.judging.residuals import (
     is_noise, noise_text, ONLY_NOISE, Residuals, residuals_of, with_fitted_states)
 from hnn_vi_ros.models import CandidateCard, chain_angles, Errors, PLANAR_CHAIN, SelectionCard
 import numpy as np
+from scipy.optimize import minimize_scalar
 import torch
 
+# Largest estimated delay in samples; the resolution is a tenth of a sample.
+MOST_DELAY = 5.0
 # Number of pieces into which motions are cut, and their maximum duration [s].
 _PIECES, _LONGEST = 40, 2.0
 # Share of the time held out as extreme in speed, range and force, each; one in _ORDINARY of the
@@ -81,7 +83,7 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     """
     config = _paced(config, motions)
     family, kinds = config.family, [coordinate.kind for coordinate in config.coordinates]
-    given, stated = config.data.velocities, config.data.inputs
+    given = config.data
     rigid_body = isinstance(family, RigidBodyChoice)
     if (family.residual if rigid_body else family.prior) != AUTO:
         return config, None
@@ -101,11 +103,13 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     if config.family.friction != family.friction:
         terms = ', '.join(term for term in _TERMS if getattr(config.family.friction, term))
         text += f'; friction with {terms}, selected on the same motions'
-    if config.data.velocities and not given:
+    if config.data.velocities and not given.velocities:
         text += ('; from positions alone, since a rigid body of the measured velocities predicts '
                  'them worse')
-    if config.data.inputs and not stated:
+    if config.data.inputs and not given.inputs:
         text += f'; forces between samples as {config.data.inputs}, which fits them better'
+    if config.data.delay and not given.delay:
+        text += f'; forces delayed by {config.data.delay} samples, which fits them better'
     return _named(config, best.name), SelectionCard(
         held_out=text, candidates=found, chosen=best.name, trust=_trust(best, config))
 
@@ -186,10 +190,9 @@ class _Trials(NamedTuple):
         far = len(self.furthest)
         return self._replace(furthest=pieces[:far], ordinary=pieces[far:]), residuals
 
-    def with_inputs(self, inputs: Course) -> '_Trials':
-        """Return the same pieces with this course of forces between samples."""
-        return _Trials(self.make, *(
-            [replace(motion, inputs=inputs) for motion in part] for part in self[1:]))
+    def changed(self, change: Callable[[EvenMotion], EvenMotion]) -> '_Trials':
+        """Return the same pieces with changed forces."""
+        return _Trials(self.make, *([*map(change, part)] for part in self[1:]))
 
     def of_positions(self) -> '_Trials':
         """Return the same pieces as if velocities had not been measured."""
@@ -242,8 +245,7 @@ def _rigid_bodies(config: MachineConfig, trials: _Trials) -> _Begun:
     if not isinstance(config.family, MechanicalChoice) or positions_alone(trials.motions):
         return both
     print('from positions alone:', flush=True)
-    config, trials = config.model_copy(update={'data': config.data.model_copy(update={
-        'velocities': NONE})}), trials.of_positions()
+    config, trials = _with_data(config, velocities=NONE), trials.of_positions()
     alone = _rigid_body(config, trials, *trials.tried(RIGID, _named(config, RIGID)))
     if _total(alone.cards[0]) < (1.0 - _GAIN) * _total(both.cards[0]):
         return alone._replace(cards=[*alone.cards, *(card.model_copy(update={
@@ -258,13 +260,14 @@ def _rigid_body(config: MachineConfig, trials: _Trials, first: CandidateCard,
     if not isinstance(rigid, RigidProblem):
         return _Begun(config, trials, rigid, [first], False)
     others: list[CandidateCard] = []
-    if (better := _better_inputs(config, trials, rigid)):
-        print(f'forces between samples as {better}:', flush=True)
-        own, taken = _with_inputs(config, better), trials.with_inputs(better)
-        card, problem = taken.tried(RIGID, _named(own, RIGID))
-        if isinstance(problem, RigidProblem):
-            others = [first.model_copy(update={'name': f'{RIGID}, other forces between samples'})]
-            config, trials, first, rigid = own, taken, card, problem
+    for better, name in ((_with_inputs, f'{RIGID}, other forces between samples'),
+                         (_with_delay, f'{RIGID}, forces without a delay')):
+        changed = better(config, trials, rigid)
+        card, problem = (first, None) if changed is None else changed[1].tried(
+            RIGID, _named(changed[0], RIGID))
+        if changed is not None and isinstance(problem, RigidProblem):
+            others.insert(0, first.model_copy(update={'name': name}))
+            (config, trials), first, rigid = changed, card, problem
     before, explained, found = rigid, trials.explained(config, rigid, first), [first]
     if not explained and not getattr(config.family, 'springs', True):
         config, rigid, found = _with_springs(config, trials, first, rigid)
@@ -272,19 +275,42 @@ def _rigid_body(config: MachineConfig, trials: _Trials, first: CandidateCard,
     return _Begun(config, trials, rigid, [*found, *others], explained)
 
 
-def _better_inputs(config: MachineConfig, trials: _Trials, rigid: RigidProblem
-                   ) -> Course | None:
-    """Return the course of forces between samples that fits better, None if given."""
-    if rigid.fitted is None or config.data.inputs or trials.motions[0].held or not any(
-            motion.tau.any() for motion in trials.kept):
+def _with_inputs(config: MachineConfig, trials: _Trials, rigid: RigidProblem
+                 ) -> tuple[MachineConfig, _Trials] | None:
+    """Change the course of forces between samples if another fits better, unless it is given."""
+    if config.data.inputs or trials.motions[0].held or not rigid.is_driven(trials.kept):
         return None
     courses = rigid.courses(trials.kept, config.windows, False)
-    better = courses.better
-    return better if better and courses.others[better] < (1.0 - _NEEDED) * courses.own else None
+    inputs = courses.better
+    if inputs is None or courses.others[inputs] > (1.0 - _NEEDED) * courses.own:
+        return None
+    print(f'forces between samples as {inputs}:', flush=True)
+    return _with_data(config, inputs=inputs), trials.changed(
+        lambda motion: replace(motion, inputs=inputs))
 
 
-def _with_inputs(config: MachineConfig, inputs: Course) -> MachineConfig:
-    return config.model_copy(update={'data': config.data.model_copy(update={'inputs': inputs})})
+def _with_delay(config: MachineConfig, trials: _Trials, rigid: RigidProblem
+                ) -> tuple[MachineConfig, _Trials] | None:
+    """Delay the forces if they fit better then, unless a delay is given."""
+    if config.data.delay or not rigid.is_driven(trials.kept):
+        return None
+
+    def misfit(delay: float) -> float:
+        return rigid.misfit_with([delayed(motion, delay) for motion in trials.kept],
+                                 config.windows)
+    side = min((-1.0, 1.0), key=misfit)
+    if misfit(side) > (1.0 - _NEEDED) * misfit(0.0):
+        return None
+    delay = round(float(minimize_scalar(
+        misfit, bounds=sorted((0.0, side * MOST_DELAY)), method='bounded',
+        options={'xatol': 0.1}).x), 2)
+    print(f'forces delayed by {delay} samples:', flush=True)
+    return _with_data(config, delay=delay), trials.changed(
+        lambda motion: delayed(motion, delay))
+
+
+def _with_data(config: MachineConfig, **changes: object) -> MachineConfig:
+    return config.model_copy(update={'data': config.data.model_copy(update=changes)})
 
 
 def _with_springs(
