@@ -91,8 +91,9 @@ def test_of_several_runs_whole_ones_are_held_out():
 
 
 @pytest.mark.parametrize(('ordinary', 'furthest', 'chosen'), [
-    (0.98, 0.9, RIGID), (0.8, 0.98, 'other'), (0.7, 1.01, 'other'), (0.5, 1.03, RIGID)])
-def test_networks_must_gain_and_be_no_worse_far_away(
+    (0.98, 0.9, RIGID), (0.8, 0.98, 'other'), (0.7, 1.01, 'other'), (0.5, 1.03, RIGID),
+    (1.01, 0.7, 'other'), (1.03, 0.5, RIGID)])
+def test_networks_must_gain_and_be_no_worse_near_and_far_away(
         ordinary: float, furthest: float, chosen: str):
     cards = [CandidateCard(name=name, ordinary={'0.1': [0.01 * near]},
                            furthest={'0.1': [0.02 * far]})
