@@ -9,7 +9,9 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning import guessed, read_motions
 from hnn_vi_ros.learning.data.header import read_header
 from hnn_vi_ros.learning.data.units import conversion, split_unit
+from hnn_vi_ros.learning.families.priors import PlanarChain
 from hnn_vi_ros.learning.fit.config import guess_config, load_config
+from hnn_vi_ros.models import chain_angles
 from hnn_vi_ros.phase_space import Coordinate
 from messages import refused
 import numpy as np
@@ -64,6 +66,16 @@ def test_columns_are_found_by_their_names_and_the_printed_yaml_is_the_configurat
     assert ' '.join(config.data.tau or ()) == tau
     (tmp_path / 'config.yaml').write_text(text)
     assert load_config(tmp_path / 'config.yaml') == config
+
+
+@pytest.mark.parametrize('header, unit, numbers', [
+    ('t,x_mm,u_V', 'V s', 'V s2/m V V/m'), ('t,theta,current [A]', 'A s', 'A s2 A A/rad A'),
+    ('t,theta,tau [Nm]', 'N m s', 'kg m2 N m N m/rad N m')])
+def test_numbers_have_the_unit_of_the_commands(tmp_path, header, unit, numbers):
+    (coordinate,) = guess_config([str(log(tmp_path / 'log.csv', header))])[0].coordinates
+    assert coordinate.p_unit == unit
+    chain = PlanarChain(chain_angles([coordinate.kind])[0], 1.0, springs=True)
+    assert ' '.join(one.unit for one in chain.quantities(unit).values()) == numbers
 
 
 @pytest.mark.parametrize('header', [

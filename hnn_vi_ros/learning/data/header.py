@@ -160,7 +160,11 @@ class Reading:
             coordinates.append({'name': names[-1]} | units | (
                 {'kind': 'continuous'} if turns else {}))
         forces = [parsed(one.unit) for one in self.tau]
-        mapped = len(self.q) > 1 and any(unit and 'kg' not in unit[1] for unit in forces)
+        others = [[*unit[1]] for unit in forces if unit and 'kg' not in unit[1]]
+        mapped = len(self.q) > 1 and others
+        if len(self.q) == 1 and len(others) == 1:
+            # Volts, for example: without a gain, all numbers are those for a force in volts.
+            coordinates[0]['p_unit'] = f'{others[0][0]} s'
         family = {'kind': 'mechanical'}
         if mapped or 0 < len(forces) < len(self.q):
             family['input_map'] = 'learned'

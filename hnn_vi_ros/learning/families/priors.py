@@ -9,14 +9,13 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models import (
-    EACH, exact_system, FittedNumber, functions_of, Identification, INERTIAL, parameter_names,
-    pseudo_inertia, Quantity, TreeCard, unit_terms)
+    EACH, exact_system, FittedNumber, force_unit, functions_of, Identification, INERTIAL,
+    is_spring, parameter_names, pseudo_inertia, Quantity, TreeCard, unit_terms)
 import numpy as np
 import torch
 
-# Units of inertia and torque for each unit of momenta.
-_UNITS = {'N m s': ('kg m2', 'N m'), 'kg m2/s': ('kg m2', 'N m'), 'N s': ('kg', 'N'),
-          'kg m/s': ('kg', 'N')}
+# Units of inertia for each unit of forces.
+_INERTIAS = {'N m': 'kg m2', 'N': 'kg', '1': '1'}
 # Smallest initial inertia of links, relative to that of the data, and largest initial coupling as
 # a share of the largest possible one.
 _LEAST, _MOST = 1e-3, 0.9
@@ -88,8 +87,9 @@ class PlanarChain(PriorModule):
         self.names, self.angles = parameter_names(angles, springs), [[*row] for row in angles]
         d = len(self.angles)
         # Counts of inertias, couplings, gravities, motor inertias, and numbers of springs.
-        self._sizes = [sum(name.startswith(kind) for name in self.names)
-                       for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia', 's')]
+        self._sizes = [*(sum(name.startswith(kind) for name in self.names)
+                         for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')),
+                       sum(map(is_spring, self.names))]
         units = unit_terms(angles, springs)
         matrices, weights, pulls, stiffness = (
             np.stack([getattr(unit, name) for unit in units])
@@ -121,9 +121,12 @@ class PlanarChain(PriorModule):
 
     def quantities(self, p_unit: str) -> dict[str, Quantity]:
         """Return the parameters with units, for momenta in `p_unit` and angles in rad."""
-        inertia, force = _UNITS.get(p_unit, (f'{p_unit} s', f'{p_unit}/s'))
+        force = force_unit(p_unit)
+        slides = force == 'N' or not any(map(any, self.angles))
+        inertia, stiffness = _INERTIAS.get(force, f'{force} s2/m' if slides else f'{force} s2'), (
+            f'{force}/m' if slides else f'{force}/rad')
         units = {'gravity': force, 'spring_force': force,
-                 'stiffness': f'{force}/{"m" if force == "N" else "rad"}'}
+                 'stiffness': '1' if force == '1' else stiffness}
         return {name: Quantity(value=value, unit=units.get(name.rstrip('0123456789'), inertia))
                 for name, value in zip(self.names, self.values().tolist(), strict=True)}
 
