@@ -68,9 +68,10 @@ class BatchStep:
             raise UnsupportedSystem(f'{self.scene.name} has rotations, for which steps with '
                                     'commands have no derivatives yet')
         self._h, self.hold, self._parts = self.scene.known_step_size, int(hold), parts
+        self._simulation, self._threads = self._begin(parts), threads or usable_processors()
         # One for each thread, made when first needed.
-        self._simulations, self._threads = [self._begin(parts)], threads or usable_processors()
-        self._system = self._simulations[0].system
+        self._simulations: list[Simulation] = []
+        self._system = self._simulation.system
         if isinstance(self._system.constraints, LoopManifold):
             raise UnsupportedSystem(f'{self.scene.name} has loops, for which control has no '
                                     'equilibria and feedback yet; use servo or external_force')
@@ -134,6 +135,8 @@ class BatchStep:
         if commands.ndim != 3:
             raise ValueError(f'u has shape {commands.shape}, expected (m, N, {self.commands})')
         rows, count, _ = commands.shape
+        if not count:
+            raise ValueError(f'u has shape {commands.shape}: it must contain commands')
         states, _ = self._checked(
             np.broadcast_to(check_numbers('z', z), (rows, 2 * self.dimension)), commands[:, 0])
         law = CommandLaw.none(self.commands)
@@ -268,17 +271,24 @@ class BatchStep:
         bounds = np.linspace(0, len(states), 1 + max(1, min(self._threads, most)), dtype=int)
         parts = [*map(slice, bounds, bounds[1:])]
         with self._lock:
-            rows = self._simulations[0].rows(states, time)
+            rows = self._simulation.rows(states, time)
+            if len(parts) == 1:
+                # Few steps take less time than the start of a thread.
+                return self._simulation.follow(rows, commands, hold, law)[0]
             while len(self._simulations) < len(parts):
                 self._simulations.append(self._begin(self._parts.copy()))
+            simulations = self._simulations
 
             def follow(worker: int) -> np.ndarray:
                 part = parts[worker]
-                return self._simulations[worker].follow(rows[part], commands[part], hold,
-                                                        law.of(part))[0]
-            # Few steps take less time than the start of a thread.
-            return follow(0) if len(parts) == 1 else np.concatenate(
-                in_threads(follow, len(parts)))
+                return simulations[worker].follow(rows[part], commands[part], hold,
+                                                  law.of(part))[0]
+            try:
+                return np.concatenate(in_threads(follow, len(parts)))
+            except BaseException:
+                # After Ctrl-C, threads may still use theirs.
+                self._simulations = []
+                raise
 
 
 def _filled(values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:

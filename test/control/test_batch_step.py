@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from helpers import long, mostly_long
 from hnn_vi_ros import load_scene, simulate
-from hnn_vi_ros.control import BatchStep
+from hnn_vi_ros.control import batch_step, BatchStep
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.scene import Scene
 from messages import refused
@@ -110,6 +110,8 @@ def test_limits_that_leave_no_command_are_refused():
     for limits in (([1.0], [-1.0]), ([np.nan], [1.0])):
         with refused(ValueError):
             steps.rollout(np.zeros(2), np.zeros((1, 3, 1)), limits=limits)
+    with refused(ValueError):
+        steps.rollout(np.zeros(2), np.zeros((1, 0, 1)))
 
 
 def test_threads_that_share_steps_get_what_one_thread_gets():
@@ -130,6 +132,20 @@ def test_results_do_not_depend_on_the_number_of_threads():
     for found, expected in zip(shared.rollout(z, u[:, None], gains, about),
                                alone.rollout(z, u[:, None], gains, about), strict=True):
         assert np.array_equal(found, expected)
+
+
+def test_threads_that_go_on_after_an_interrupt_change_no_later_result(monkeypatch):
+    steps = BatchStep(driven('exact_pendulum', 'rk4', 'angle'), 5, 2)
+    z, u = states(4, 1001, 1)
+    expected, used = steps(z, u), list(steps._simulations)
+
+    def interrupted(*arguments: object) -> None:
+        raise KeyboardInterrupt
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(batch_step, 'in_threads', interrupted)
+        steps(z, u)
+    assert np.array_equal(steps(z, u), expected)
+    assert not {*map(id, used)} & {*map(id, steps._simulations)}
 
 
 @pytest.mark.parametrize('z, u', [

@@ -293,7 +293,8 @@ def test_smooth_forces_at_rare_samples_bias_no_number():
             assert abs(number.value - true) < 3.0 * (high - low) / (2.0 * 1.96)
 
 
-def test_forces_that_were_logged_late_are_moved_back():
+@pytest.mark.parametrize('delay', [-3.0, 2.0])
+def test_forces_that_act_earlier_or_later_than_logged_are_moved(delay: float):
     """A tenth of a sample, 2 ms, is 0.018 of the faster force; chords add (w h)^2 / 8, 0.004."""
     t = 0.02 * np.arange(800)
 
@@ -301,18 +302,21 @@ def test_forces_that_were_logged_late_are_moved_back():
         return np.sin(1.7 * t) + np.sin(9.0 * t)
 
     def rates(t: float, z: np.ndarray) -> list[float]:
-        return [z[1], force(t) - 9.0 * np.sin(z[0]) - 0.05 * z[1]]
+        return [z[1], force(t) - 9.0 * np.sin(z[0]) - 0.3 * z[1]]
     q = solve_ivp(rates, (0.0, t[-1]), [0.4, 0.0], t_eval=t, rtol=1e-8, atol=1e-8).y[:1].T
     q += 3e-3 * np.random.default_rng(1).normal(size=q.shape)
     config = machine_config('a', 'revolute', {'hidden': [4], 'loss': {
         'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
         'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
-    motions = [smoothed('run', t, q, None, force(t - 0.06)[:, None], 5.0)]
+    motions = [smoothed('run', t, q, None, force(t + 0.02 * delay)[:, None], 5.0)]
     chosen, card = selected(config, motions, problem_of)
-    assert chosen.data.delay == pytest.approx(-3.0, abs=0.1)
-    assert f'forces delayed by {chosen.data.delay} samples' in card.held_out
+    assert chosen.data.delay == pytest.approx(delay, abs=0.1)
+    assert f'delayed by {chosen.data.delay:g} samples' in card.held_out
     (moved,) = as_selected(motions, config.data, chosen.data)
     assert np.abs(moved.tau[5:-5, 0] - force(t[5:-5])).max() < 0.05
+    stated = config.model_copy(update={'data': config.data.model_validate(
+        {'kind': 'arrays', 'delay': 0.0})})
+    assert selected(stated, motions, problem_of)[0].data.delay == 0.0
 
 
 @pytest.mark.long

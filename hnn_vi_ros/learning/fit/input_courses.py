@@ -13,7 +13,7 @@ from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.shooting import FitProblem, search, Solution
 
 # Difference in the sum of squares that decides between courses: three sigma.
-_EVIDENCE = 9.0
+EVIDENCE = 9.0
 # Number of evaluations of another course, which begin at the solution.
 _TRIED = 3
 
@@ -51,14 +51,14 @@ class InputCourses(NamedTuple):
     def better(self) -> Course | None:
         """Return the best course if it is another one."""
         best = min(self.others, key=self.others.__getitem__)
-        return best if self.evidence(best) > _EVIDENCE else None
+        return best if self.evidence(best) > EVIDENCE else None
 
     def text(self, remedy: str) -> str:
         """Describe the course, and how well others fit; ``remedy`` precedes the better one."""
         said = []
         for other in sorted(self.others, key=self.others.__getitem__):
             evidence = self.evidence(other)
-            said.append(f'as {other} they fit equally well' if abs(evidence) <= _EVIDENCE else
+            said.append(f'as {other} they fit equally well' if abs(evidence) <= EVIDENCE else
                         f'as {other} they fit {"better" if evidence > 0.0 else "worse"} '
                         f'(residuals {self.others[other]:.3g} times the noise, instead of '
                         f'{self.own:.3g})')

@@ -9,7 +9,8 @@ import math
 from hnn_vi_ros.learning.data.motions import EvenMotion, part_of
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.fit.input_courses import input_courses, InputCourses, misfit_with
+from hnn_vi_ros.learning.fit.input_courses import (
+    EVIDENCE, input_courses, InputCourses, misfit_with)
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import samples_of
 from hnn_vi_ros.learning.fit.noise import covariances, Process
@@ -62,6 +63,11 @@ class RigidProblem(TrainingProblem):
             self.fitted.solution, self.fitted.problem, motions[0].inputs, stated,
             lambda other: thinned([replace(motion, inputs=other) for motion in motions],
                                   loss.step_size)[0])
+
+    def is_evidence(self, gain: float) -> bool:
+        """Return True if residuals that are smaller by this share are three sigma smaller."""
+        return self.fitted is not None and (
+            self.fitted.solution.freedom * (1.0 - (1.0 - gain)**2) > EVIDENCE)
 
     def misfit_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
         """Return the residuals with other forces, of a fit to positions."""

@@ -4,10 +4,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
 import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.arguments import Course, INPUTS
 from hnn_vi_ros.learning.data.motions import (
     delayed, EvenMotion, MIN_SAMPLES, NONE, of_positions, part_of, run_of)
 from hnn_vi_ros.learning.families.choices import (
@@ -24,8 +26,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 import torch
 
-# Largest estimated delay in samples; the resolution is a tenth of a sample.
-MOST_DELAY = 5.0
+# Largest estimated delay in samples; the resolution is a tenth of a sample. Most rounds in which
+# the delay and the course of forces are found.
+MOST_DELAY, _ROUNDS = 5.0, 4
 # Number of pieces into which motions are cut, and their maximum duration [s].
 _PIECES, _LONGEST = 40, 2.0
 # Share of the time held out as extreme in speed, range and force, each; one in _ORDINARY of the
@@ -91,7 +94,7 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     if not rigid_body and not (
             chain_angles(kinds) and isinstance(config.loss, TrajectoryLoss | None)):
         return _named(config, ALONE), None
-    trials, else_takes = _Trials(make, motions, *held_out(motions)), RIGID if rigid_body else ALONE
+    trials, else_takes = _Trials.cut(make, motions, motions), RIGID if rigid_body else ALONE
     if not trials.enough:
         print(f'{AUTO}: {len(motions)} motions are too short for a selection; using '
               f'{else_takes}', flush=True)
@@ -107,22 +110,29 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     if config.data.velocities and not given.velocities:
         text += ('; from positions alone, since a rigid body of the measured velocities predicts '
                  'them worse')
-    if config.data.inputs and not given.inputs:
-        text += f'; forces between samples as {config.data.inputs}, which fits them better'
-    if config.data.delay and not given.delay:
-        text += f'; forces delayed by {config.data.delay} samples, which fits them better'
+    if (config.data.inputs, config.data.delay) != (given.inputs, given.delay):
+        delay = config.data.delay
+        forces = _Forces(config.data.inputs or 'linear', 0.0 if isinstance(delay, str) else delay)
+        text += f'; forces between samples as {forces}, which fits them better'
     return _named(config, best.name), SelectionCard(
         held_out=text, candidates=found, chosen=best.name, trust=_trust(best, config))
 
 
 class _Trials(NamedTuple):
-    """Training motions of candidates, and the pieces that judge them."""
+    """Training motions of candidates, the pieces that judge them, and what ranks these."""
 
     make: Make
+    ranked: Sequence[EvenMotion]
     motions: Sequence[EvenMotion]
     kept: list[EvenMotion]
     furthest: list[EvenMotion]
     ordinary: list[EvenMotion]
+
+    @classmethod
+    def cut(cls, make: Make, ranked: Sequence[EvenMotion], motions: Sequence[EvenMotion]
+            ) -> '_Trials':
+        """Cut motions into the pieces that others, of the same samples, are ranked by."""
+        return cls(make, ranked, motions, *held_out(ranked, motions))
 
     @property
     def enough(self) -> bool:
@@ -191,14 +201,15 @@ class _Trials(NamedTuple):
         far = len(self.furthest)
         return self._replace(furthest=pieces[:far], ordinary=pieces[far:]), residuals
 
-    def changed(self, change: Callable[[EvenMotion], EvenMotion]) -> '_Trials':
-        """Return the same pieces with changed forces."""
-        return _Trials(self.make, *([*map(change, part)] for part in self[1:]))
+    def with_forces(self, forces: '_Forces') -> '_Trials':
+        """Return the same pieces with forces of this course and delay."""
+        return self.cut(self.make, self.ranked, [
+            delayed(replace(motion, inputs=forces.course), forces.delay)
+            for motion in self.motions])
 
     def of_positions(self) -> '_Trials':
         """Return the same pieces as if velocities had not been measured."""
-        bare = of_positions(self.motions)
-        return _Trials(self.make, bare, *held_out(self.motions, bare))
+        return self.cut(self.make, self.ranked, of_positions(self.motions))
 
 
 def _candidates(config: MachineConfig, trials: _Trials
@@ -260,15 +271,7 @@ def _rigid_body(config: MachineConfig, trials: _Trials, first: CandidateCard,
     """Return a rigid body that was tried, with other inputs and springs if it needs them."""
     if not isinstance(rigid, RigidProblem):
         return _Begun(config, trials, rigid, [first], False)
-    others: list[CandidateCard] = []
-    for better, name in ((_with_inputs, f'{RIGID}, other forces between samples'),
-                         (_with_delay, f'{RIGID}, forces without a delay')):
-        changed = better(config, trials, rigid)
-        card, problem = (first, None) if changed is None else changed[1].tried(
-            RIGID, _named(changed[0], RIGID))
-        if changed is not None and isinstance(problem, RigidProblem):
-            others.insert(0, first.model_copy(update={'name': name}))
-            (config, trials), first, rigid = changed, card, problem
+    config, trials, first, rigid, others = _with_forces(config, trials, first, rigid)
     before, explained, found = rigid, trials.explained(config, rigid, first), [first]
     if not explained and not getattr(config.family, 'springs', True):
         config, rigid, found = _with_springs(config, trials, first, rigid)
@@ -276,38 +279,67 @@ def _rigid_body(config: MachineConfig, trials: _Trials, first: CandidateCard,
     return _Begun(config, trials, rigid, [*found, *others], explained)
 
 
-def _with_inputs(config: MachineConfig, trials: _Trials, rigid: RigidProblem
-                 ) -> tuple[MachineConfig, _Trials] | None:
-    """Change the course of forces between samples if another fits better, unless it is given."""
-    if config.data.inputs or trials.motions[0].held or not rigid.is_driven(trials.kept):
-        return None
-    courses = rigid.courses(trials.kept, config.windows, False)
-    inputs = courses.better
-    if inputs is None or courses.others[inputs] > (1.0 - _NEEDED) * courses.own:
-        return None
-    print(f'forces between samples as {inputs}:', flush=True)
-    return _with_data(config, inputs=inputs), trials.changed(
-        lambda motion: replace(motion, inputs=inputs))
+class _Forces(NamedTuple):
+    """Course of measured forces between samples, and their delay in samples."""
+
+    course: Course
+    delay: float
+
+    def __str__(self) -> str:
+        return self.course + (f', delayed by {self.delay:g} samples' if self.delay else '')
 
 
-def _with_delay(config: MachineConfig, trials: _Trials, rigid: RigidProblem
-                ) -> tuple[MachineConfig, _Trials] | None:
-    """Delay the forces if they fit better then, unless a delay is given."""
-    if config.data.delay or not rigid.is_driven(trials.kept):
-        return None
+def _with_forces(config: MachineConfig, trials: _Trials, first: CandidateCard, rigid: RigidProblem
+                 ) -> tuple[MachineConfig, _Trials, CandidateCard, RigidProblem,
+                            list[CandidateCard]]:
+    """
+    Change the course and the delay of forces if others fit better, unless they are given.
 
-    def misfit(delay: float) -> float:
-        return rigid.misfit_with([delayed(motion, delay) for motion in trials.kept],
-                                 config.windows)
-    side = min((-1.0, 1.0), key=misfit)
-    if misfit(side) > (1.0 - _NEEDED) * misfit(0.0):
-        return None
-    delay = round(float(minimize_scalar(
-        misfit, bounds=sorted((0.0, side * MOST_DELAY)), method='bounded',
-        options={'xatol': 0.1}).x), 2)
-    print(f'forces delayed by {delay} samples:', flush=True)
-    return _with_data(config, delay=delay), trials.changed(
-        lambda motion: delayed(motion, delay))
+    Held forces are almost linear ones half a sample later, so both are found together. Without the
+    delay a fit has wrong friction, and with that another best delay, so they are found in rounds.
+    """
+    base, given, cards = trials, config.data, list[CandidateCard]()
+    now, free = _Forces(trials.motions[0].inputs, 0.0), 'delay' not in given.model_fields_set
+    courses = [now.course] if given.inputs or now.course == 'held' else INPUTS
+    while rigid.is_driven(base.kept) and len(cards) < _ROUNDS:
+        misfit = cache(partial(_misfit, rigid, base, config))
+        best = min((_best_delay(misfit, now._replace(course=course)) if free else
+                    now._replace(course=course) for course in courses), key=misfit)
+        gain = 1.0 - misfit(best) / misfit(now)
+        if not rigid.is_evidence(gain):
+            break
+        own = _with_data(config, **{'inputs': best.course} | (
+            {'delay': best.delay} if best.delay else {}))
+        moved = base.with_forces(best)
+        if gain < _NEEDED and best.delay == now.delay:
+            # Less than what another trial could show.
+            return own, moved, first, rigid, cards
+        print(f'forces between samples as {best}:', flush=True)
+        card, problem = moved.tried(RIGID, _named(own, RIGID))
+        if not isinstance(problem, RigidProblem) or _total(card) > _total(first):
+            break
+        cards.insert(0, first.model_copy(update={'name': f'{RIGID}, forces {now}'}))
+        config, trials, first, rigid, now = own, moved, card, problem, best
+    return config, trials, first, rigid, cards
+
+
+def _misfit(rigid: RigidProblem, base: _Trials, config: MachineConfig, forces: _Forces) -> float:
+    return rigid.misfit_with(base.with_forces(forces).kept, config.windows)
+
+
+def _best_delay(misfit: Callable[[_Forces], float], forces: _Forces) -> _Forces:
+    """Return forces with the delay that fits best, searched from theirs."""
+    def at(delay: float) -> float:
+        return misfit(forces._replace(delay=round(delay, 2)))
+    best = forces.delay
+    for side in (1.0, -1.0):
+        while abs(best + side) <= MOST_DELAY and at(best + side) < at(best):
+            best += side
+    if not best:
+        return forces
+    found = minimize_scalar(at, bounds=(best - 1.0, best + 1.0), method='bounded',
+                            options={'xatol': 0.05})
+    return forces._replace(delay=round(float(min(best, found.x, key=at)), 2))
 
 
 def _with_data(config: MachineConfig, **changes: object) -> MachineConfig:
