@@ -30,6 +30,7 @@ from recorded import as_received, record_run
 from scene_files import write_scene
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 CALLED = {'/hnn_simulator/commands': '/forces', '/hnn_simulator/state': '/robot/full_state',
@@ -105,19 +106,28 @@ SCENES = {'left': 'exact_pendulum', 'right': 'exact_harmonic_oscillator'}
 
 
 def test_two_simulators_in_two_namespaces_answer_and_do_not_interfere(tmp_path):
+    # One of them could be over before the other is discovered.
     processes = [start(tmp_path, scene=scene, duration=2, record_path=namespace, discovery_time=20,
-                       __ns=f'/{namespace}',
+                       start_paused='true', __ns=f'/{namespace}',
                        **{f'qos_overrides./{namespace}/hnn_simulator/q.publisher.depth': 1000})
                  for namespace, scene in SCENES.items()]
     with peer() as other:
         heard = {namespace: other.hear(Float64MultiArray, f'/{namespace}/hnn_simulator/q', 1000)
                  for namespace in SCENES}
         for namespace in SCENES:
-            client = other.node.create_client(GetState, f'/{namespace}/hnn_simulator/get_state')
-            wait_for_way_back(other.node, other.spin_until, f'/{namespace}/hnn_simulator')
-            future = client.call_async(GetState.Request())
+            node = f'/{namespace}/hnn_simulator'
+            state, pause = (other.node.create_client(kind, f'{node}/{name}') for kind, name in (
+                (GetState, 'get_state'), (SetBool, 'set_pause')))
+            wait_for_way_back(other.node, other.spin_until, node)
+            label = ''
+            while label != 'active':
+                future = state.call_async(GetState.Request())
+                other.spin_until(future.done)
+                label = future.result().current_state.label
+                assert label in ('configuring', 'inactive', 'activating', 'active')
+            future = pause.call_async(SetBool.Request(data=False))
             other.spin_until(future.done)
-            assert future.result().current_state.label in ('configuring', 'inactive', 'active')
+            assert future.result().success, future.result().message
         other.spin_until(lambda: all(process.poll() is not None for process in processes))
         other.spin(0.5)
     assert [finish(process)[0] for process in processes] == [0, 0]
