@@ -23,9 +23,9 @@ from hnn_vi_ros.identify.free_numbers import free_scene, FreeScene, STATES, writ
 from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
 from hnn_vi_ros.learning import (
-    ArraysData, check_times, Course, DELAY, EvenMotion, fit_numbers, FitProblem, Fitted, guessed,
-    input_courses, InputCourses, keys_of, MotionSource, Prediction, read_motions, search, Seen,
-    Solution, split_runs, steps_between, Windows)
+    ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FitProblem, Fitted,
+    guessed, input_courses, InputCourses, keys_of, MotionSource, Prediction, read_motions, search,
+    Seen, Solution, split_runs, steps_between, Windows)
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build, DifferentiableRun, resolve
@@ -98,8 +98,6 @@ def draw_correlations(path: Path, estimates: Estimates) -> None:
 
 # Warn if residuals exceed the noise in short windows by this factor.
 _POOR = 3.0
-# Reduction of the sum of squares that counts as evidence: three sigma.
-_EVIDENCE = 9.0
 # Change of a number at half the step that matters, in standard errors, and most halvings.
 _MOVED, _HALVED = 0.5, 6
 # Names of velocities in arrays.
@@ -314,7 +312,7 @@ def _finer_steps(solution: Solution, problem: FitProblem, estimates: Estimates, 
         shifts, gain = response(solution, problem, change)
         sizes = abs(shifts) / errors
         # A log of the scene's own simulation fits worse at another step size than its own.
-        if sizes.max(initial=0.0) <= _MOVED or (halved == 1 and gain > _EVIDENCE):
+        if sizes.max(initial=0.0) <= _MOVED or (halved == 1 and gain > EVIDENCE):
             break
         named = named or estimates.estimates[int(sizes.argmax())].name
         moved, free, now = moved or float(sizes.max()), fine, after

@@ -12,10 +12,15 @@ from hnn_vi_ros.learning.arguments import Course, INPUTS
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.shooting import FitProblem, search, Solution
 
-# Difference in the sum of squares that decides between courses: three sigma.
+# Reduction of the sum of squares that counts as evidence for another fit: three sigma.
 EVIDENCE = 9.0
 # Number of evaluations of another course, which begin at the solution.
 _TRIED = 3
+
+
+def evidence(freedom: int, ratio: float) -> float:
+    """Return by how many variances a fit of this ratio of misfits reduces the sum of squares."""
+    return freedom * (1.0 - ratio**2)
 
 
 class InputCourses(NamedTuple):
@@ -45,7 +50,7 @@ class InputCourses(NamedTuple):
 
     def evidence(self, other: Course) -> float:
         """Return the reduction of the sum of squares by another course, in variances."""
-        return self.freedom * (1.0 - (self.others[other] / self.own)**2)
+        return evidence(self.freedom, self.others[other] / self.own)
 
     @property
     def better(self) -> Course | None:

@@ -10,13 +10,14 @@ from hnn_vi_ros.learning.data.motions import EvenMotion, part_of
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.input_courses import (
-    EVIDENCE, input_courses, InputCourses, misfit_with)
+    evidence, EVIDENCE, input_courses, InputCourses, misfit_with)
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import samples_of
 from hnn_vi_ros.learning.fit.noise import covariances, Process
 from hnn_vi_ros.learning.fit.rigid_model import RigidModel
 from hnn_vi_ros.learning.fit.shooting import Fitted, projected, units_of
-from hnn_vi_ros.learning.fit.windows import constant_forces, KnownModel
+from hnn_vi_ros.learning.fit.step_forces import constant_forces
+from hnn_vi_ros.learning.fit.windows import KnownModel
 from hnn_vi_ros.models import CoordinateCard, FittedNumber
 import numpy as np
 
@@ -67,7 +68,7 @@ class RigidProblem(TrainingProblem):
     def is_evidence(self, gain: float) -> bool:
         """Return True if residuals that are smaller by this share are three sigma smaller."""
         return self.fitted is not None and (
-            self.fitted.solution.freedom * (1.0 - (1.0 - gain)**2) > EVIDENCE)
+            evidence(self.fitted.solution.freedom, 1.0 - gain) > EVIDENCE)
 
     def misfit_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
         """Return the residuals with other forces, of a fit to positions."""

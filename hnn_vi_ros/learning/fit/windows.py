@@ -15,7 +15,7 @@ from hnn_vi_ros.errors import (
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.learning.fit.step_forces import command_names, constant_forces
 from hnn_vi_ros.simulation import (
     Change, Dependence, difference, DifferentiableRun, flow_rates, OnNumber, Simulation, sum_of,
     System)
@@ -109,69 +109,6 @@ class KnownModel(NamedTuple):
 
 # Tolerance in steps: sample times further from whole steps would shift the phase of a drive.
 _OFF_GRID = 0.01
-
-
-def impulse(motion: EvenMotion, times: np.ndarray) -> np.ndarray:
-    """
-    Return the integral of the measured forces from the first sample to given times [s].
-
-    The first force acts before the first sample unless the run began idle; the last one acts after
-    the last sample.
-    """
-    times = np.maximum(times, 0.0) if motion.idle else times
-    inside = np.clip(times, 0.0, motion.spacing * (len(motion.tau) - 1))
-    beyond = times - inside
-    return motion.course.antiderivative()(inside) + beyond[:, None] * np.where(
-        beyond[:, None] < 0.0, motion.tau[0], motion.tau[-1])
-
-
-def slope(motion: EvenMotion, times: np.ndarray) -> np.ndarray:
-    """Return the slope of the measured forces at given times [s], its mean at a kink."""
-    rate, end = motion.course.derivative(), motion.spacing * (len(motion.tau) - 1)
-    off = _OFF_GRID * motion.spacing
-    return 0.5 * sum(rate(np.minimum(at, end - off)) * (at > 0.0)[:, None]
-                     for at in (times - off, times + off))
-
-
-def constant_forces(motion: EvenMotion, edges: np.ndarray, h: float, rates: bool) -> np.ndarray:
-    """
-    Return the constant force of each step that moves a body as the measured forces do.
-
-    Parameters
-    ----------
-    motion : EvenMotion
-        The measured forces.
-    edges : np.ndarray, shape (N + 1,)
-        Start and end times of N steps, since the first sample [s].
-    h : float
-        Step size [s].
-    rates : bool
-        True if velocities are compared too.
-
-    Returns
-    -------
-    np.ndarray, shape (N, m)
-        Its mean in each step moves positions as F + h^2 F'' / 12 would, up to h^4; velocities
-        without this term would be off by h^2 F' / 12.
-
-    """
-    total = impulse(motion, edges)
-    if not rates:
-        total = total - h**2 / 12.0 * slope(motion, edges)
-    return np.diff(total, axis=0) / h
-
-
-def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
-                  motions: Sequence[EvenMotion]) -> Sequence[str]:
-    """Return the coordinates on which measured forces act; raise DataError on a mismatch."""
-    names, m = [coordinate.name for coordinate in coordinates], motions[0].tau.shape[1]
-    if not effect.names:
-        raise DataError('external_force: identify cannot use the input map of its model; give it '
-                        'coordinates instead')
-    if m in (len(effect.names), len(names)):
-        return effect.names if m == len(effect.names) else names
-    raise DataError(f'external_force has {len(effect.names)} coordinates and H has {len(names)}, '
-                    f'but the data contain {m} forces; give one for each coordinate of either')
 
 
 def check_times(effects: Sequence[Effect], motions: Sequence[EvenMotion], h: float) -> None:
@@ -285,8 +222,23 @@ def cut_windows(motions: Sequence[EvenMotion], horizon: float, seen: Seen | None
 
     """
     most = max(2, int(horizon / motions[0].spacing * (1.0 + 1e-9)) + 1)
-    pieces = [(run, part) for run, motion in enumerate(motions) for part in np.array_split(
-        np.arange(len(motion.t)), math.ceil(len(motion.t) / most))]
+    return _windows_of(motions, [
+        (run, part) for run, motion in enumerate(motions) for part in np.array_split(
+            np.arange(len(motion.t)), math.ceil(len(motion.t) / most))], seen)
+
+
+def refined(windows: Windows, motions: Sequence[EvenMotion]) -> Windows:
+    """Return the same windows of motions with all samples, of which theirs are every n-th."""
+    every, pieces = round(windows.spacing / motions[0].spacing), []
+    for run, first in enumerate(windows.first[windows.run == run] for run in range(len(motions))):
+        pieces += [(run, part) for part in np.split(
+            np.arange(len(motions[run].t)), every * first[1:])]
+    return _windows_of(motions, pieces, None)
+
+
+def _windows_of(motions: Sequence[EvenMotion], pieces: Sequence[tuple[int, np.ndarray]],
+                seen: Seen | None) -> Windows:
+    """Return windows of given samples of runs."""
     longest = max(len(part) for _, part in pieces)
     channels = [motion.measured for motion in motions]
     measured = np.zeros((len(pieces), longest, channels[0].shape[1]))

@@ -1,0 +1,77 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Measured forces between samples, and the constant force of each step that stands for them."""
+
+from collections.abc import Sequence
+
+from hnn_vi_ros.effects import ExternalForce
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+# Distance from a kink at which slopes are taken on each side, in samples.
+_OFF_KINK = 0.01
+
+
+def impulse(motion: EvenMotion, times: np.ndarray) -> np.ndarray:
+    """
+    Return the integral of the measured forces from the first sample to given times [s].
+
+    The first force acts before the first sample unless the run began idle; the last one acts after
+    the last sample.
+    """
+    times = np.maximum(times, 0.0) if motion.idle else times
+    inside = np.clip(times, 0.0, motion.spacing * (len(motion.tau) - 1))
+    beyond = times - inside
+    return motion.course.antiderivative()(inside) + beyond[:, None] * np.where(
+        beyond[:, None] < 0.0, motion.tau[0], motion.tau[-1])
+
+
+def slope(motion: EvenMotion, times: np.ndarray) -> np.ndarray:
+    """Return the slope of the measured forces at given times [s], its mean at a kink."""
+    rate, end = motion.course.derivative(), motion.spacing * (len(motion.tau) - 1)
+    off = _OFF_KINK * motion.spacing
+    return 0.5 * sum(rate(np.minimum(at, end - off)) * (at > 0.0)[:, None]
+                     for at in (times - off, times + off))
+
+
+def constant_forces(motion: EvenMotion, edges: np.ndarray, h: float, rates: bool) -> np.ndarray:
+    """
+    Return the constant force of each step that moves a body as the measured forces do.
+
+    Parameters
+    ----------
+    motion : EvenMotion
+        The measured forces.
+    edges : np.ndarray, shape (N + 1,)
+        Start and end times of N steps, since the first sample [s].
+    h : float
+        Step size [s].
+    rates : bool
+        True if velocities are compared too.
+
+    Returns
+    -------
+    np.ndarray, shape (N, m)
+        Its mean in each step moves positions as F + h^2 F'' / 12 would, up to h^4; velocities
+        without this term would be off by h^2 F' / 12.
+
+    """
+    total = impulse(motion, edges)
+    if not rates:
+        total = total - h**2 / 12.0 * slope(motion, edges)
+    return np.diff(total, axis=0) / h
+
+
+def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
+                  motions: Sequence[EvenMotion]) -> Sequence[str]:
+    """Return the coordinates on which measured forces act; raise DataError on a mismatch."""
+    names, m = [coordinate.name for coordinate in coordinates], motions[0].tau.shape[1]
+    if not effect.names:
+        raise DataError('external_force: identify cannot use the input map of its model; give it '
+                        'coordinates instead')
+    if m in (len(effect.names), len(names)):
+        return effect.names if m == len(effect.names) else names
+    raise DataError(f'external_force has {len(effect.names)} coordinates and H has {len(names)}, '
+                    f'but the data contain {m} forces; give one for each coordinate of either')
