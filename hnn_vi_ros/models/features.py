@@ -48,7 +48,7 @@ def pack_features(card: MechanicalCard, features: list[list[float]]) -> Features
     rows = np.array(features, dtype=np.float64).reshape(len(features), len(card.kinds))
     periodic = np.array([is_periodic(card.kinds, row) for row in features], dtype=np.int64)
     starts = np.cumsum(1 + periodic) - 1 - periodic
-    return Features(rows, periodic, starts, *np.zeros((4, _even(card.inputs(features)))))
+    return Features(rows, periodic, starts, *np.zeros((4, _even(card.input_count(features)))))
 
 
 def even_layers(layers: Layers) -> Layers:

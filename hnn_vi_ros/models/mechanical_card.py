@@ -25,7 +25,7 @@ Kind = Literal['revolute', 'continuous', 'prismatic']
 MOST_MEMBERS = 64
 # Fields that are equal in all members of an ensemble.
 _SHARED = ('kinds', 'features', 'mass_features', 'diagonal_mass', 'friction_features', 'delay',
-           'course')
+           'inputs')
 
 
 class CoulombTerm(StrictModel):
@@ -220,7 +220,7 @@ class MechanicalCard(StrictModel):
         'g of each motor, whose force for a command u is that of u / (1 + g abs(u)); null: 0'))
     delay: float = Field(0.0, description=(
         'delay of the commands relative to the data, to be applied to similar data [s]'))
-    course: Literal['held', 'linear', 'spline'] | None = Field(None, description=(
+    inputs: Literal['held', 'linear', 'spline'] | None = Field(None, description=(
         'course of the commands between samples, as selected for the data; null: the default'))
 
     @model_validator(mode='after')
@@ -279,16 +279,16 @@ class MechanicalCard(StrictModel):
     @property
     def networks(self) -> dict[str, NetworkShape]:
         """Return inputs and outputs of each network."""
-        mass = NetworkShape(self.inputs(self.mass_features), lambda d, _: len(self.entries))
+        mass = NetworkShape(self.input_count(self.mass_features), lambda d, _: len(self.entries))
         found = {'mass': mass,
-                 'potential': NetworkShape(self.inputs(self.features))}
+                 'potential': NetworkShape(self.input_count(self.features))}
         if self.friction_features is not None:
             k = len(self.kinds)
             found['friction'] = NetworkShape(
-                self.inputs(self.friction_features), lambda d, _: k * (k + 1) // 2)
+                self.input_count(self.friction_features), lambda d, _: k * (k + 1) // 2)
         return found
 
-    def inputs(self, features: list[list[float]]) -> int:
+    def input_count(self, features: list[list[float]]) -> int:
         """Return the number of inputs for these features; without features it is one, 0."""
         return max(1, sum(2 if is_periodic(self.kinds, row) else 1 for row in features))
 

@@ -16,7 +16,7 @@ from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.judging.evaluation import (
     constant_velocity, Fan, linear_model, score, whole_records)
 from hnn_vi_ros.learning.judging.report import shown
-from hnn_vi_ros.models import load_checkpoint
+from hnn_vi_ros.models import load_checkpoint, save_checkpoint
 from hnn_vi_ros.simulation import Simulation
 from machines import driven, from_file
 from messages import refused
@@ -115,6 +115,39 @@ def test_model_is_judged_in_a_second_command(made, tmp_path, capsys):
     evaluate.main([str(out), '--data', f'{data}:c', '--keys', 't,q,,tau'])
     said = capsys.readouterr().out
     assert 'On these motions its residuals' in said and 'is part of the errors above.' in said
+
+
+def test_evaluate_takes_forces_between_samples_as_the_model_does(made, tmp_path, capsys):
+    checkpoint = load_checkpoint(made.model)
+    mechanical = checkpoint.card.mechanical.model_copy(update={'inputs': 'spline'})
+    smooth = tmp_path / 'smooth.safetensors'
+    save_checkpoint(smooth, replace(checkpoint, card=checkpoint.card.model_copy(
+        update={'mechanical': mechanical})))
+    config = {name: dict(CONFIG['data'], **data) for name, data in (
+        ('none', {}), ('spline', {'inputs': 'spline'}), ('linear', {'inputs': 'linear'}))}
+    log, errors = str(sparse(made, tmp_path)), {}
+    for model, data in ((made.model, 'none'), (made.model, 'spline'), (smooth, 'none'),
+                        (smooth, 'linear')):
+        path = tmp_path / f'{data}.yaml'
+        path.write_text(dump_yaml(CONFIG | {'data': config[data]}))
+        found = tmp_path / f'{model.stem}_{data}.json'
+        evaluate.main([str(model), '--data', log, '--config', str(path), '--json', str(found)])
+        errors[model == smooth, data] = json.loads(
+            found.read_text())['horizons']['0.5'][0]
+        said = 'as spline, as in the data of the model' in capsys.readouterr().out
+        assert said is (model == smooth and data == 'none')
+    assert errors[True, 'none'] == pytest.approx(errors[False, 'spline'], rel=1e-9)
+    assert abs(errors[True, 'none'] / errors[False, 'none'] - 1.0) > 1e-6
+    # What the user states holds.
+    assert errors[True, 'linear'] == pytest.approx(errors[False, 'none'], rel=1e-9)
+
+
+def sparse(made: Training, folder: Path) -> Path:
+    """Return a file of every fourth sample of a run, between which the courses differ."""
+    with np.load(made.data) as arrays:
+        np.savez(folder / 'sparse.npz', **{
+            key.partition('/')[2]: part[::4] for key, part in arrays.items() if key[0] == 'c'})
+    return folder / 'sparse.npz'
 
 
 def check_report(folder: Path) -> None:
