@@ -33,7 +33,7 @@ from hnn_vi_ros.learning.judging.evaluation import (
     as_json, Fan, finite, judge, linear_model, names_of, outside, parts_of, Predict, predicted_by,
     simulated, simulation_of, table, unaccounted, variance_of, verdict, whole_records)
 from hnn_vi_ros.learning.judging.residuals import (
-    errors_text, judged_model, residuals_of, STEP, with_fitted_states)
+    errors_text, judged_along, judged_model, STEP)
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models import domain_of, load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
@@ -83,9 +83,9 @@ def _judged(arguments: Namespace) -> _Judgement:
     checkpoint = getattr(hamiltonian, 'checkpoint', None)
     card = None if checkpoint is None or checkpoint.card.mechanical is None else checkpoint.card
     mechanical = None if card is None else card.mechanical
-    if mechanical is not None and mechanical.course and not (data.inputs or motions[0].held):
-        motions = [replace(motion, inputs=mechanical.course) for motion in motions]
-        description += (f'; forces between samples as {mechanical.course}, as in the data of the '
+    if mechanical is not None and mechanical.inputs and not (data.inputs or motions[0].held):
+        motions = [replace(motion, inputs=mechanical.inputs) for motion in motions]
+        description += (f'; forces between samples as {mechanical.inputs}, as in the data of the '
                         'model')
     if mechanical is not None and mechanical.delay:
         motions = [delayed(motion, mechanical.delay / motion.spacing) for motion in motions]
@@ -103,8 +103,7 @@ def _judged(arguments: Namespace) -> _Judgement:
         error = card.prediction_error
         noise = np.array(error.noise) if error and error.noise else first_noise(motions)
         model = judged_model(hamiltonian, effects, motions)
-        residuals = residuals_of(model, motions, noise)
-        motions = with_fitted_states(model, motions, noise, residuals)
+        residuals, motions = judged_along(model, motions, noise)
         known = {'noise': noise.tolist(), 'residuals': residuals}
         said = '\n' + errors_text(residuals, noise, card.coordinates)
     others = _baselines(arguments, hamiltonian)

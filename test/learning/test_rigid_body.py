@@ -16,7 +16,8 @@ from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import momentum
 from hnn_vi_ros.learning.judging.missing import missing_force
-from hnn_vi_ros.learning.judging.residuals import followed, is_noise, noise_text, residuals_of
+from hnn_vi_ros.learning.judging.residuals import (
+    followed, is_noise, judged_along, judged_model, noise_text)
 from hnn_vi_ros.learning.tasks.machine import learn, problem_of
 from hnn_vi_ros.models import CoordinateCard
 from hnn_vi_ros.simulation import Simulation
@@ -144,7 +145,7 @@ def test_noise_of_positions_biases_neither_gravity_nor_friction():
     # Dry friction that there is not is left out.
     assert float(coulomb.abs().max()) < 1e-4 * found['gravity1']
     assert problem.noise == pytest.approx(np.deg2rad([0.5]), rel=0.1)
-    residuals = residuals_of(problem.known(), [motion], problem.noise)
+    residuals, _ = judged_along(problem.known(), [motion], problem.noise)
     assert is_noise(residuals) and followed(residuals) == pytest.approx(motion.t[-1], rel=0.01)
     assert 'times the noise of the sensors in windows of up to 12 s' in noise_text(residuals)
 
@@ -204,7 +205,21 @@ def test_what_a_rigid_body_misses_is_not_taken_for_noise():
     problem = problem_of(slide, [motion])
     # Residuals of the shortest windows are 34 px; polynomials leave a few of their motion.
     assert 0.9 < problem.noise.item() < 3.0
-    assert not is_noise(residuals_of(problem.known(), [motion], problem.noise))
+    assert not is_noise(judged_along(problem.known(), [motion], problem.noise)[0])
+
+
+def test_states_of_a_chaotic_motion_are_those_of_windows_that_grew():
+    """Fitted at once to windows of 6 s, states were wrong by as much as the elbow moves."""
+    h, noise, pendulum = 0.01, 5e-3, HAMILTONIANS['double_pendulum']()
+    run = Simulation(pendulum, INTEGRATORS['implicit_midpoint'](), h, [2.0, 0.9], [0.0, 4.0])
+    truth = np.array([run.q.copy() for _ in range(601) if run.advance(1)])
+    q = truth + noise * np.random.default_rng(0).normal(size=truth.shape)
+    motion = smoothed('chaos', h * np.arange(len(q)), q, None, 0.0 * q, 8.0)
+    residuals, (found,) = judged_along(
+        judged_model(pendulum, [], [motion]), [motion], np.full(2, noise))
+    assert followed(residuals) == pytest.approx(6.0)
+    # Four unknowns of 1202 samples; sixteen times (the chaos stretches their errors) as large.
+    assert np.sqrt(np.mean((found.q_smooth - truth)**2)) < 16.0 * noise * np.sqrt(4 / 1202)
 
 
 @pytest.mark.long

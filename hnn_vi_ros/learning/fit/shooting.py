@@ -22,7 +22,7 @@ from hnn_vi_ros.hamiltonians import momentum
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.noise import covariances, likeliest, Process
 from hnn_vi_ros.learning.fit.windows import (
-    CannotFollow, cut_windows, ParametricModel, Prediction, Seen, Windows)
+    CannotFollow, cut_windows, ParametricModel, Prediction, refined, Seen, Windows)
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -471,13 +471,13 @@ def _searched(model: ParametricModel, windows: Windows, noise: np.ndarray, start
     return values, starts
 
 
-def residuals_by_length(model: ParametricModel, motions: Sequence[EvenMotion],
-                        noise: np.ndarray) -> dict[float, np.ndarray]:
+def fits_by_length(model: ParametricModel, motions: Sequence[EvenMotion], noise: np.ndarray
+                   ) -> list[tuple[float, Solution, np.ndarray]]:
     """
-    Return the residuals of a model without free numbers in windows of several lengths.
+    Fit the initial states of a model without free numbers in windows of several lengths.
 
-    Only the initial states of the windows are fitted. They grow up to whole runs, until all
-    residuals are _POOR of the noise, or until a simulation fails.
+    They grow up to whole runs, until all residuals are _POOR of the noise, or until a simulation
+    fails.
 
     Parameters
     ----------
@@ -490,30 +490,31 @@ def residuals_by_length(model: ParametricModel, motions: Sequence[EvenMotion],
 
     Returns
     -------
-    dict of float to np.ndarray, shape (C,)
-        Root mean square of the residuals, in units of the noise, for each length [s].
+    list of (float, Solution, np.ndarray of shape (C,))
+        Length [s], fit, and root mean square of the residuals in units of the noise, each.
 
     """
     longest = max(motion.t[-1] - motion.t[0] for motion in motions)
     length, before = min(first_length(motions), longest), None
-    found: dict[float, np.ndarray] = {}
+    found = list[tuple[float, Solution, np.ndarray]]()
     while True:
         before = longer(model, motions, length, noise, True, _ROUGH, before)
         ratios = noise_of(before.solution, False) / noise
         if not np.isfinite(ratios).all():
             return found
-        found[length] = ratios
-        if length >= longest or (found[length] > _POOR).all():
+        found.append((length, before.solution, ratios))
+        if length >= longest or (ratios > _POOR).all():
             return found
         length = min(_LONGER * length, longest)
 
 
-def with_states_of(model: ParametricModel, motions: Sequence[EvenMotion], length: float,
-                   noise: np.ndarray) -> list[EvenMotion]:
-    """Return motions whose smoothed states are those of a model in windows of this length [s]."""
-    fitted = longer(model, motions, length, noise, True, _ROUGH, None)
-    solution, none = fitted.solution, np.zeros(0)
-    prediction = Prediction(model, none, solution.windows)
+def with_states_of(model: ParametricModel, motions: Sequence[EvenMotion], fitted: Solution
+                   ) -> list[EvenMotion]:
+    """Return motions whose smoothed states are those of a model, fitted to every n-th sample."""
+    none, windows = np.zeros(0), refined(fitted.windows, motions)
+    # From other states, long windows of a chaotic motion would end in a false minimum.
+    solution, _ = _settled(model, windows, fitted.noise, fitted.starts, none, True, _ROUGH, False)
+    prediction = Prediction(model, none, windows)
     states = prediction.states(solution.starts[:, None])[:, 0]
     q, v = states[..., :states.shape[-1] // 2], prediction.velocities(states)
     found = []

@@ -10,7 +10,7 @@ from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.rigid_problem import thinned
-from hnn_vi_ros.learning.fit.shooting import residuals_by_length, with_states_of
+from hnn_vi_ros.learning.fit.shooting import fits_by_length, with_states_of
 from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts, ParametricModel
 import numpy as np
 
@@ -23,10 +23,13 @@ ONLY_NOISE = 1.25
 Residuals = dict[str, list[float]]
 
 
-def residuals_of(model: ParametricModel, motions: Sequence[EvenMotion], noise: np.ndarray
-                 ) -> Residuals:
+def judged_along(model: ParametricModel, motions: Sequence[EvenMotion], noise: np.ndarray
+                 ) -> tuple[Residuals, list[EvenMotion]]:
     """
-    Return the residuals of a model on motions.
+    Return the residuals of a model on motions, and these with its states as the smoothed ones.
+
+    Where it does not follow them, even in the shortest windows, the states stay those of the
+    filter.
 
     Parameters
     ----------
@@ -38,9 +41,11 @@ def residuals_of(model: ParametricModel, motions: Sequence[EvenMotion], noise: n
         Noise of each measured quantity.
 
     """
-    d = motions[0].q.shape[1]
-    return {f'{length:.3g}': ratios[:d].tolist() for length, ratios in residuals_by_length(
-        model, thinned(motions, None)[0], noise).items()}
+    d, fits = motions[0].q.shape[1], fits_by_length(model, thinned(motions, None)[0], noise)
+    residuals = {f'{length:.3g}': ratios[:d].tolist() for length, _, ratios in fits}
+    within = followed(residuals)
+    longest = [solution for length, solution, _ in fits if float(f'{length:.3g}') <= within]
+    return residuals, with_states_of(model, motions, longest[-1]) if longest else [*motions]
 
 
 def followed(residuals: Mapping[str, Sequence[float]]) -> float:
@@ -88,14 +93,3 @@ def judged_model(hamiltonian: Hamiltonian, effects: Sequence[Effect],
     """Return a trained model as it is judged along motions."""
     return KnownModel('the model', ModelParts(
         hamiltonian, ImplicitMidpoint(), effects, min(STEP, motions[0].spacing)))
-
-
-def with_fitted_states(model: ParametricModel, motions: Sequence[EvenMotion],
-                       noise: np.ndarray, residuals: Residuals) -> list[EvenMotion]:
-    """
-    Return motions whose smoothed states are those of a model where it follows them.
-
-    Where it does not, even in the shortest windows, the states stay those of the filter.
-    """
-    within = followed(residuals)
-    return with_states_of(model, motions, within, noise) if within else [*motions]

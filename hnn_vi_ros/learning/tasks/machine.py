@@ -30,7 +30,7 @@ from hnn_vi_ros.learning.judging.evaluation import (
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.judging.residuals import (
-    errors_text, is_noise, judged_model, residuals_of, STEP, with_fitted_states)
+    errors_text, is_noise, judged_along, judged_model, STEP)
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, TrainingTask
 from hnn_vi_ros.learning.tasks.records import Records
 from hnn_vi_ros.learning.tasks.selection import MOST_DELAY, selected
@@ -139,8 +139,7 @@ class MachineTask(TrainingTask):
         if positions_alone(test):
             noise = first_noise(test) if problem.noise is None else problem.noise
             model, step_size = judged_model(hamiltonian, effects, test), STEP
-            residuals = residuals_of(model, test, noise)
-            test = with_fitted_states(model, test, noise, residuals)
+            residuals, test = judged_along(model, test, noise)
             known = {'residuals': residuals, 'noise': noise.tolist()}
             said = errors_text(residuals, noise, config.coordinates) + (
                 '' if is_noise(residuals) else '\n' + missing_force(network, self._test, names))
@@ -350,7 +349,7 @@ def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
     return described(
         config, network.networks(), name, command, family='mechanical', box=Box.of(q, p),
         mechanical=network.card(config.coordinates[0].p_unit).model_copy(
-            update={'delay': delay, 'course': config.data.inputs}), dataset=description,
+            update={'delay': delay, 'inputs': config.data.inputs}), dataset=description,
         losses=losses, domain=DomainCard.of(q, v, tau), selection=selection)
 
 

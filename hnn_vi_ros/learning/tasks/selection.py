@@ -20,7 +20,7 @@ from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of, sl
 from hnn_vi_ros.learning.fit.rigid_problem import positions_alone, RigidProblem
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.residuals import (
-    is_noise, noise_text, ONLY_NOISE, Residuals, residuals_of, with_fitted_states)
+    is_noise, judged_along, noise_text, ONLY_NOISE, Residuals)
 from hnn_vi_ros.models import CandidateCard, chain_angles, Errors, PLANAR_CHAIN, SelectionCard
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -196,8 +196,7 @@ class _Trials(NamedTuple):
         if not isinstance(problem, RigidProblem) or problem.noise is None:
             return self, {}
         model, noise = problem.known(), problem.noise
-        residuals = residuals_of(model, [*self.furthest, *self.ordinary], noise)
-        pieces = with_fitted_states(model, [*self.furthest, *self.ordinary], noise, residuals)
+        residuals, pieces = judged_along(model, [*self.furthest, *self.ordinary], noise)
         far = len(self.furthest)
         return self._replace(furthest=pieces[:far], ordinary=pieces[far:]), residuals
 
