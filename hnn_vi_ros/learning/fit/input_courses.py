@@ -14,8 +14,8 @@ from hnn_vi_ros.learning.fit.shooting import FitProblem, search, Solution
 
 # Reduction of the sum of squares that counts as evidence for another fit: three sigma.
 EVIDENCE = 9.0
-# Number of evaluations of another course, which begin at the solution.
-_TRIED = 3
+# Number of evaluations of another course, which begin at the solution, and their tolerance.
+_TRIED, _TOLERANCE = 10, 1e-5
 
 
 def evidence(freedom: int, ratio: float) -> float:
@@ -98,6 +98,6 @@ def misfit_with(solution: Solution, problem: FitProblem, motions: Sequence[EvenM
     windows = replace(solution.windows, motions=motions)
     other = FitProblem(problem.model, windows, problem.noise, solution.starts, problem.robust)
     try:
-        return search(other, solution.values, evaluations=_TRIED).misfit
+        return search(other, solution.values, _TOLERANCE, _TRIED).misfit
     except HnnViRosError:
         return math.inf

@@ -284,6 +284,12 @@ class _Forces(NamedTuple):
     course: Course
     delay: float
 
+    def like(self, course: Course, free: bool) -> list['_Forces']:
+        """Return forces of another course, of the same delay and of the same mean in time."""
+        later = 0.5 * ((self.course == 'held') - (course == 'held'))
+        return [self._replace(course=course, delay=self.delay + moved) for moved in (
+            {0.0, later} if free else {0.0})]
+
     def __str__(self) -> str:
         return self.course + (f', delayed by {self.delay:g} samples' if self.delay else '')
 
@@ -302,8 +308,10 @@ def _with_forces(config: MachineConfig, trials: _Trials, first: CandidateCard, r
     courses = [now.course] if given.inputs or now.course == 'held' else INPUTS
     while rigid.is_driven(base.kept) and len(cards) < _ROUNDS:
         misfit = cache(partial(_misfit, rigid, base, config))
-        best = min((_best_delay(misfit, now._replace(course=course)) if free else
-                    now._replace(course=course) for course in courses), key=misfit)
+        near = _best_delay(misfit, now) if free else now
+        best = min((one for course in courses for one in near.like(course, free)), key=misfit)
+        if free and best.course != near.course:
+            best = _refined(misfit, best)
         gain = 1.0 - misfit(best) / misfit(now)
         if not rigid.is_evidence(gain):
             break
@@ -328,17 +336,21 @@ def _misfit(rigid: RigidProblem, base: _Trials, config: MachineConfig, forces: _
 
 def _best_delay(misfit: Callable[[_Forces], float], forces: _Forces) -> _Forces:
     """Return forces with the delay that fits best, searched from theirs."""
-    def at(delay: float) -> float:
-        return misfit(forces._replace(delay=round(delay, 2)))
-    best = forces.delay
     for side in (1.0, -1.0):
-        while abs(best + side) <= MOST_DELAY and at(best + side) < at(best):
-            best += side
-    if not best:
+        while abs(forces.delay + side) <= MOST_DELAY and misfit(
+                later := forces._replace(delay=forces.delay + side)) < misfit(forces):
+            forces = later
+    return _refined(misfit, forces)
+
+
+def _refined(misfit: Callable[[_Forces], float], forces: _Forces) -> _Forces:
+    """Return forces with the best delay within a sample of theirs, unless that is 0."""
+    if not forces.delay:
         return forces
-    found = minimize_scalar(at, bounds=(best - 1.0, best + 1.0), method='bounded',
-                            options={'xatol': 0.05})
-    return forces._replace(delay=round(float(min(best, found.x, key=at)), 2))
+    found = minimize_scalar(
+        lambda delay: misfit(forces._replace(delay=round(delay, 2))),
+        bounds=(forces.delay - 1.0, forces.delay + 1.0), method='bounded', options={'xatol': 0.05})
+    return min(forces, forces._replace(delay=round(float(found.x), 2)), key=misfit)
 
 
 def _with_data(config: MachineConfig, **changes: object) -> MachineConfig:
