@@ -8,7 +8,6 @@ from typing import get_args, Literal
 from hnn_vi_ros.files import complete_by, Parser
 
 # Layouts of files of bodies that rotate.
-LAYOUTS = ('so3', 'se3')
 # Course of measured forces between samples.
 Course = Literal['held', 'linear', 'spline']
 INPUTS: tuple[Course, ...] = get_args(Course)
@@ -17,11 +16,6 @@ ACTIVATIONS = ('tanh', 'sine', 'relu', 'softplus')
 _IMPORTED = """\
 A file alone must contain the weights and biases of a multilayer perceptron with one output, as of
 torch.nn.Sequential. Any other module comes from a function without arguments that returns it.
-
-The Lie-group Hamiltonian code saves several networks of one body, M_net.linear1.weight, ...:
-
-    so3              a rotating body: M_net, V_net, g_net and, with friction, Dw_net
-    se3              a body that also translates: M_net1, M_net2, V_net, g_net, and Dv_net, Dw_net
 
 Only the tensors of a file are unpickled. H is that of the module, with the unit, zero and box that
 its authors chose."""
@@ -120,13 +114,6 @@ def import_model() -> Parser:
     parser.add_argument('--box', required=True, metavar='LOW:HIGH,...', help=(
         'set the bounds of the training data: one interval for each coordinate, then for each '
         'momentum, or one for all; outside of them a simulation raises an alarm'))
-    parser.add_argument('--layout', choices=LAYOUTS, help=(
-        'read the networks of a rotating body, see below'))
-    parser.add_argument('--epsilon', type=float, metavar='NUMBER', help=(
-        'for --layout: set epsilon of M_net, whose root is added to the diagonal of the root '
-        'of M^-1; 0 for none; the file does not contain it'))
-    parser.add_argument('--floor', type=float, default=0.0, metavar='NUMBER', help=(
-        'for --layout: add this constant to the diagonal of M^-1 itself (default: 0)'))
     parser.add_argument('--out', type=Path, metavar='FILE',
                         help='write the model to this file (default: models/<name>.safetensors)')
     return parser

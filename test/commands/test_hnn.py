@@ -221,7 +221,7 @@ def test_shells_complete_commands_options_names_and_files(tmp_path, capsys):
     assert set(shipped_names('training')) <= offered('hnn train --config ')
     assert set(INTEGRATORS) <= offered('hnn run kepler --integrator ')
     # Dashes may stand in names of commands; an option without names has files.
-    assert '--layout' in offered('hnn import --')
+    assert '--weights' in offered('hnn import --')
     assert '--replace' in offered('hnn recover-bag --')
     assert 'pens/' in offered('hnn run kepler --plot ')
     for shell in SHELLS:

@@ -214,8 +214,7 @@ def test_file_that_unpacks_to_more_than_the_limit_is_refused(tmp_path):
 
 @pytest.mark.parametrize('more', [
     ['--coordinates', 'x,y'], ['--coordinates', 'x/y'], ['--out', 'm.pt'], ['--box=1:-1'],
-    ['--box=-1:1,-1:1,0:1'], ['--box=one'], ['--floor', '1'], ['--weights', 'source.pt'],
-    ['--activation', 'relu', '--layout', 'so3']])
+    ['--box=-1:1,-1:1,0:1'], ['--box=one'], ['--weights', 'source.pt']])
 def test_unusable_argument_gives_one_line(tmp_path, monkeypatch, more):
     monkeypatch.chdir(tmp_path)
     torch.save(sequential('tanh', 2, 8, 1).state_dict(), 'source.pt')
