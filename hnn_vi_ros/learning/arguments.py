@@ -73,11 +73,11 @@ def evaluate() -> Parser:
         'q; without TAU no forces act (default: t,q,dq,tau)'))
     parser.add_argument('--joints', metavar='NAME,...', help=(
         'read these joints of a bag, one per coordinate (default: the names of the coordinates)'))
-    parser.add_argument('--horizons', type=float, nargs='+', default=[0.1, 0.5],
-                        metavar='S', help='report errors after these times [s] (default: 0.1 0.5)')
-    parser.add_argument('--every', type=float, default=0.05, metavar='S', help=(
+    parser.add_argument('--horizons', type=float, nargs='+', metavar='S', help=(
+        'report errors after these times [s] (default: 0.1 0.5; more if samples are rare)'))
+    parser.add_argument('--every', type=float, metavar='S', help=(
         'start a prediction at this interval [s] (default: 0.05)'))
-    parser.add_argument('--longest', type=float, default=2.0, metavar='S', help=(
+    parser.add_argument('--longest', type=float, metavar='S', help=(
         'predict for at most this time to find the valid prediction time [s] (default: 2)'))
     parser.add_argument('--whole', action='store_true', help=(
         'also simulate each run once, from start to end'))

@@ -30,8 +30,9 @@ from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.fit.rigid_problem import positions_alone
 from hnn_vi_ros.learning.fit.shooting import first_noise
 from hnn_vi_ros.learning.judging.evaluation import (
-    as_json, Fan, finite, judge, linear_model, names_of, outside, parts_of, Predict, predicted_by,
-    simulated, simulation_of, table, unaccounted, variance_of, verdict, whole_records)
+    as_json, Fan, finite, judge, Judging, linear_model, names_of, outside, parts_of, Predict,
+    predicted_by, simulated, simulation_of, table, unaccounted, variance_of, verdict,
+    whole_records)
 from hnn_vi_ros.learning.judging.residuals import (
     errors_text, judged_along, judged_model, STEP)
 from hnn_vi_ros.learning.tasks import body
@@ -76,6 +77,9 @@ def _judged(arguments: Namespace) -> _Judgement:
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
     names = names_of(hamiltonian)
     motions, description, data = _motions(arguments, arguments.data, hamiltonian.coordinates)
+    for option, usual in Judging().paced(motions)._asdict().items():
+        if getattr(arguments, option) is None:
+            setattr(arguments, option, usual)
     if arguments.held_out:
         motions = train_and_test(motions, data.test_runs)[1]
         description += ', only the runs held out by a training with this configuration'

@@ -150,6 +150,25 @@ def sparse(made: Training, folder: Path) -> Path:
     return folder / 'sparse.npz'
 
 
+def test_samples_further_apart_than_the_shortest_horizon_are_judged(tmp_path, capsys):
+    simulation = Simulation(
+        HAMILTONIANS['pendulum'](), INTEGRATORS['implicit_midpoint'](), 0.01, [0.5], [0.0],
+        [EFFECTS['external_force'](['angle'], timeout=100.0)])
+    q, v = driven(simulation, np.zeros((4000, 1)))
+    np.savez(tmp_path / 'rare.npz', t=0.2 * np.arange(200), q=q[::20], dq=v[::20])
+    config = tmp_path / 'rare.yaml'
+    config.write_text(dump_yaml(CONFIG | {
+        'data': {'kind': 'arrays', 'tau': None},
+        'loss': CONFIG['loss'] | {'windows': [{'duration': 0.4, 'steps': 5}]}}))
+    model = tmp_path / 'rare.safetensors'
+    train.main(['--config', str(config), '--data', str(tmp_path / 'rare.npz'), '--out',
+                str(model)])
+    assert '| prediction | 0.2 s: angle | 1 s: angle |' in capsys.readouterr().out
+    assert [*load_checkpoint(model).card.prediction_error.horizons] == ['0.2', '1']
+    evaluate.main([str(model), '--data', str(tmp_path / 'rare.npz'), '--keys', 't,q,dq'])
+    assert '| prediction | 0.2 s: angle | 1 s: angle |' in capsys.readouterr().out
+
+
 def check_report(folder: Path) -> None:
     """Check the files of an evaluation."""
     page = (folder / 'report.md').read_text()

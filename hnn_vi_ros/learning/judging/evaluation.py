@@ -377,6 +377,32 @@ def variance_of(motions: Sequence[EvenMotion]) -> np.ndarray:
     return np.where(moves, q.var(axis=0), np.inf)
 
 
+class Judging(NamedTuple):
+    """
+    Times at which predictions are judged, each in s.
+
+    Parameters
+    ----------
+    horizons : tuple of float
+        Horizons of errors.
+    every : float
+        Time between starts.
+    longest : float
+        Limit of valid prediction times.
+
+    """
+
+    horizons: tuple[float, ...] = (0.1, 0.5)
+    every: float = 0.05
+    longest: float = 2.0
+
+    def paced(self, motions: Sequence[EvenMotion]) -> 'Judging':
+        """Return longer times if samples are further apart than the shortest horizon."""
+        slow = max(1.0, motions[0].spacing / min(self.horizons))
+        return Judging(tuple(round(slow * horizon, 9) for horizon in self.horizons),
+                       slow * self.every, slow * self.longest)
+
+
 def samples_in(time: float, motion: EvenMotion) -> int:
     """Return the number of samples in a time [s], at most all samples of the motion."""
     return round(min(time / motion.spacing, len(motion.t)))

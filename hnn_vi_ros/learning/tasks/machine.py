@@ -25,8 +25,8 @@ from hnn_vi_ros.learning.fit.shooting import first_noise
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped_blocks, calibrated, drafted, ensemble_text, kept_and_held, machine_calibration)
 from hnn_vi_ros.learning.judging.evaluation import (
-    balance, judge, linear_model, numbers, outside, own_effects, Predict, predicted_by, simulated,
-    simulation_of, table, variance_of, verdict)
+    balance, judge, Judging, linear_model, numbers, outside, own_effects, Predict, predicted_by,
+    simulated, simulation_of, table, variance_of, verdict)
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.judging.residuals import (
@@ -40,10 +40,6 @@ from hnn_vi_ros.models import (
 import numpy as np
 from scipy.optimize import minimize_scalar
 import torch
-
-# Horizons of the judged errors, distance between starts, and limit of valid prediction times
-# [s].
-_HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
 
 
 class MachineTask(TrainingTask):
@@ -132,7 +128,8 @@ class MachineTask(TrainingTask):
         else:
             checkpoint = with_force_errors(checkpoint, problem.module, self._test)
         config, test, network = self._config, self._test, problem.module
-        horizons = [horizon for horizon in _HORIZONS if any(
+        judging = Judging().paced(test)
+        horizons = [horizon for horizon in judging.horizons if any(
             motion.t[-1] - motion.t[0] >= horizon for motion in test)]
         hamiltonian, effects = _parts_of(checkpoint)
         names, step_size, said, known = [one.name for one in config.coordinates], None, '', {}
@@ -145,7 +142,7 @@ class MachineTask(TrainingTask):
                 '' if is_noise(residuals) else '\n' + missing_force(network, self._test, names))
         scores, fans = judge(
             simulation_of(hamiltonian, ImplicitMidpoint(), effects, test, step_size),
-            effects, test, horizons, _EVERY, _LONGEST, self._baselines(network))
+            effects, test, horizons, judging.every, judging.longest, self._baselines(network))
         domain = domain_of(hamiltonian)
         checkpoint = with_energy_error(checkpoint, test)
         card = checkpoint.card.model_copy(update={
@@ -159,7 +156,7 @@ class MachineTask(TrainingTask):
             ensemble_text(card))))
         return Judged(
             replace(checkpoint, card=card), text,
-            f'{text}\n\n{_remarks(config, card)}\n{identified_text(card)}'.rstrip(),
+            f'{text}\n\n{_remarks(config, card, judging.every)}\n{identified_text(card)}'.rstrip(),
             lambda path: draw_predictions(path, card.name, hamiltonian.coordinates,
                                           shown(fans, max(horizons))))
 
@@ -399,7 +396,7 @@ def _scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
     return text
 
 
-def _remarks(config: MachineConfig, card: ModelCard) -> str:
+def _remarks(config: MachineConfig, card: ModelCard, every: float) -> str:
     """Return the remarks below the table of a report."""
     held, error = ', '.join(config.data.test_runs) or 'the last fifth of each run', \
         card.energy_error
@@ -409,7 +406,7 @@ def _remarks(config: MachineConfig, card: ModelCard) -> str:
         f'which it varies by {error.spread:.3g} J.\n')
     return (f'Held out: {held}. The table contains the RMS error at the end of each horizon, in '
             'simulations of the held-out data with the measured forces, started every '
-            f'{_EVERY:g} s. The energy mismatch is the change of H over each horizon minus the '
+            f'{every:g} s. The energy mismatch is the change of H over each horizon minus the '
             'work of forces and friction, relative to its range; it is omitted if that is below a '
             'tenth of the kinetic energy. A plain network of (q, v, tau) has the same hidden '
             f'layers; a rigid body is a chain of links fitted by least squares.\n\n{energy}')
@@ -430,8 +427,9 @@ def _read(source: Path, config: MachineConfig, given: Sequence[str]
     if not train:
         raise DataError(f'{source}: data.test_runs leave no run for training')
     longest = max(motion.t[-1] - motion.t[0] for motion in test)
-    if longest < _HORIZONS[0]:
+    shortest = min(Judging().paced(test).horizons)
+    if longest < shortest:
         raise DataError(f'{source}: the held-out data last {longest:.3g} s, expected at least '
-                        f'{_HORIZONS[0]:g} s for an evaluation; name longer runs in '
+                        f'{shortest:g} s for an evaluation; name longer runs in '
                         'data.test_runs')
     return train, test, description
