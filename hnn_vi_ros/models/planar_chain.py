@@ -24,6 +24,7 @@ cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
+from itertools import combinations
 from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians import Graph, mass_kernels, Symbol
@@ -105,19 +106,25 @@ def is_chain(kind: str, angles: Sequence[Sequence[float]] | np.ndarray, kinds: S
                 and np.linalg.matrix_rank(A) == d - carts)
 
 
-def parameter_names(angles: Sequence[Sequence[float]], springs: bool = False) -> list[str]:
-    """Return the names: inertia, coupling, gravity, motor_inertia, stiffness, spring_force."""
+def parameter_places(angles: Sequence[Sequence[float]], springs: bool = False
+                     ) -> list[tuple[str, tuple[int, ...]]]:
+    """Return the kind of each parameter, and its link or its two links."""
     d, carts = len(angles), sum(not any(row) for row in angles)
-    own = [f'inertia{i + 1}' for i in range(d)]
-    pairs = [f'coupling{i + 1}{j + 1}' for i in range(d) for j in range(i + 1, d)]
-    gravity = [f'gravity{i + 1}' for i in range(d)]
     # For links whose coordinates are their own angles, it is a part of the inertia.
     relative = bool((np.count_nonzero(angles, axis=1) > 1).any())
-    motors = [f'motor_inertia{i + 1}' for i in range(carts + 1, d)] if relative else []
-    held = [f'stiffness{i + 1}' for i in range(d)] + [
-        f'stiffness{i + 1}{j + 1}' for i in range(d) for j in range(i + 1, d)] + [
-        f'spring_force{i + 1}' for i in range(carts, d)]
-    return own + pairs + gravity + motors + held * springs
+    links: list[tuple[int, ...]] = [(i,) for i in range(d)]
+    pairs: list[tuple[int, ...]] = [*combinations(range(d), 2)]
+    places = {'inertia': links, 'coupling': pairs, 'gravity': links,
+              'motor_inertia': links[carts + 1:] if relative else []}
+    if springs:
+        places |= {'stiffness': [*links, *pairs], 'spring_force': links[carts:]}
+    return [(kind, place) for kind, own in places.items() for place in own]
+
+
+def parameter_names(angles: Sequence[Sequence[float]], springs: bool = False) -> list[str]:
+    """Return the names: inertia, coupling, gravity, motor_inertia, stiffness, spring_force."""
+    return [kind + ''.join(str(link + 1) for link in place)
+            for kind, place in parameter_places(angles, springs)]
 
 
 def is_spring(name: str) -> bool:

@@ -679,8 +679,8 @@ class MechanicalNetwork(torch.nn.Module):
                 for kind, parts in zip(('weight', 'bias'), network.folded(), strict=True)
                 for k, part in enumerate(parts, 1)}
 
-    def card(self, p_unit: str = 'N m s') -> MechanicalCard:
-        """Return the model card entry for momenta in this unit."""
+    def card(self, p_units: Sequence[str] | None = None) -> MechanicalCard:
+        """Return the model card entry for momenta in these units, by default N m s."""
         structure, input_map = self.structure, self.input_map()
         if input_map is None and structure.friction.fade:
             input_map = self.identity
@@ -690,15 +690,15 @@ class MechanicalNetwork(torch.nn.Module):
             kinds=structure.kinds, features=structure.features, friction=self.friction.card(),
             floor=self.floor, mass_features=structure.mass_features,
             mass_scale=self.root_inertia.tolist(), diagonal_mass=structure.diagonal_mass,
-            prior=self._prior_card(p_unit), friction_features=structure.friction_features,
-            input_map=motors, fade=fade)
+            prior=self._prior_card(p_units or ['N m s'] * self.d),
+            friction_features=structure.friction_features, input_map=motors, fade=fade)
 
-    def _prior_card(self, p_unit: str) -> PriorCard | None:
+    def _prior_card(self, p_units: Sequence[str]) -> PriorCard | None:
         structure = self.structure
         if self.prior is None or structure.prior is None:
             return None
         return PriorCard(
-            kind=structure.prior, parameters=self.prior.quantities(p_unit), tree=structure.tree,
+            kind=structure.prior, parameters=self.prior.quantities(p_units), tree=structure.tree,
             angles=structure.angles, identification=self.prior.identification,
             estimates=dict(self.prior.estimates), alone=not structure.residual)
 

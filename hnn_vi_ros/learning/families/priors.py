@@ -10,12 +10,13 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models import (
     EACH, exact_system, FittedNumber, force_unit, functions_of, Identification, INERTIAL,
-    is_spring, parameter_names, pseudo_inertia, Quantity, TreeCard, unit_terms)
+    is_spring, parameter_names, parameter_places, pseudo_inertia, Quantity, TreeCard, unit_terms)
 import numpy as np
 import torch
 
-# Units of inertia for each unit of forces.
-_INERTIAS = {'N m': 'kg m2', 'N': 'kg', '1': '1'}
+# Units of inertia for each unit of forces, and true for a link that slides.
+_INERTIAS = {('N', True): 'kg', ('N', False): 'kg m', ('N m', True): 'kg m',
+             ('N m', False): 'kg m2'}
 # Smallest initial inertia of links, relative to that of the data, and largest initial coupling as
 # a share of the largest possible one.
 _LEAST, _MOST = 1e-3, 0.9
@@ -119,16 +120,21 @@ class PlanarChain(PriorModule):
         """Return the usual sizes of the parameters, shape (k,)."""
         return self.unit.expand(len(self.names))
 
-    def quantities(self, p_unit: str) -> dict[str, Quantity]:
-        """Return the parameters with units, for momenta in `p_unit` and angles in rad."""
-        force = force_unit(p_unit)
-        slides = force == 'N' or not any(map(any, self.angles))
-        inertia, stiffness = _INERTIAS.get(force, f'{force} s2/m' if slides else f'{force} s2'), (
-            f'{force}/m' if slides else f'{force}/rad')
-        units = {'gravity': force, 'spring_force': force,
-                 'stiffness': '1' if force == '1' else stiffness}
-        return {name: Quantity(value=value, unit=units.get(name.rstrip('0123456789'), inertia))
-                for name, value in zip(self.names, self.values().tolist(), strict=True)}
+    def quantities(self, p_units: Sequence[str]) -> dict[str, Quantity]:
+        """Return the parameters with units, for momenta in these units and angles in rad."""
+        forces, slides = [*map(force_unit, p_units)], [not any(row) for row in self.angles]
+        found = {}
+        for name, (kind, place), value in zip(
+                self.names, parameter_places(self.angles, self._sizes[-1] > 0),
+                self.values().tolist(), strict=True):
+            # The force on the first link, and the second that moves.
+            unit, slide = forces[place[0]], slides[place[-1]]
+            if unit != '1' and kind == 'stiffness':
+                unit += '/m' if slide else '/rad'
+            elif unit != '1' and kind not in ('gravity', 'spring_force'):
+                unit = _INERTIAS.get((unit, slide), f'{unit} s2' + ('/m' if slide else ''))
+            found[name] = Quantity(value=value, unit=unit)
+        return found
 
     def raw_of(self, values: torch.Tensor) -> torch.Tensor:
         """Return the raw parameters of values; NaN if M would not be positive definite."""
@@ -208,7 +214,7 @@ class ExactPrior(PriorModule):
         """Return the usual sizes of the parameters, shape (k,)."""
         return self.defaults
 
-    def quantities(self, p_unit: str) -> dict[str, Quantity]:
+    def quantities(self, p_units: Sequence[str]) -> dict[str, Quantity]:
         """Return the parameters in the units of the system."""
         return {name: Quantity(value=value, unit=f'that of {self.system.kind}')
                 for name, value in zip(self.names, self.values().tolist(), strict=True)}
@@ -373,7 +379,7 @@ class RigidTree(PriorModule):
         return torch.cat([moments[:, 3, 3, None], moments[:, :3, 3],
                           about[:, _ROWS, _COLUMNS]], dim=1)
 
-    def quantities(self, p_unit: str) -> dict[str, Quantity]:
+    def quantities(self, p_units: Sequence[str]) -> dict[str, Quantity]:
         """Return the parameters with their SI units."""
         return {name: Quantity(value=value, unit=unit) for (name, unit), value in zip(
             self.tree.units.items(), self.values().tolist(), strict=True)}

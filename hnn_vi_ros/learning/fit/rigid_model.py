@@ -198,7 +198,7 @@ class RigidUnknowns(ABC):
         forces = [force_unit(one.p_unit) for one in coordinates]
         speeds = [f'{one.q_unit}/s' for one in coordinates]
         found = [(name, one.unit) for name, one in prior.quantities(
-            coordinates[0].p_unit).items()]
+            [one.p_unit for one in coordinates]).items()]
         for kind, count, units in zip(
                 ('viscous friction', 'dry friction', 'offset', 'input map', 'fade',
                  'Stribeck speed'), self.sizes[1:], (

@@ -345,7 +345,7 @@ def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
         p = (network.masses(torch.tensor(q)) @ torch.tensor(v)[:, :, None])[:, :, 0].numpy()
     return described(
         config, network.networks(), name, command, family='mechanical', box=Box.of(q, p),
-        mechanical=network.card(config.coordinates[0].p_unit).model_copy(
+        mechanical=network.card([one.p_unit for one in config.coordinates]).model_copy(
             update={'delay': delay, 'inputs': config.data.inputs}), dataset=description,
         losses=losses, domain=DomainCard.of(q, v, tau), selection=selection)
 
