@@ -16,7 +16,8 @@ from hnn_vi_ros.exports import lazy_exports
 if TYPE_CHECKING:
     from hnn_vi_ros.learning.arguments import Course, INPUTS
     from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
-    from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
+    from hnn_vi_ros.learning.data.motions import EvenMotion
+    from hnn_vi_ros.learning.data.sampling import steps_between
     from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
     from hnn_vi_ros.learning.export_module import export
     from hnn_vi_ros.learning.fit.config import load_machine

@@ -10,8 +10,8 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning import ArraysData, guessed, read_motions, steps_between
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import (
-    even_motions, increasing, Motion, MotionData, of_positions, part_of, Recording, unexplained,
-    unwound)
+    even_motions, Motion, MotionData, of_positions, part_of, Recording)
+from hnn_vi_ros.learning.data.sampling import increasing, unexplained, unwound
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of

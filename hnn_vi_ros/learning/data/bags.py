@@ -11,8 +11,8 @@ from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.data.bag_signals import ARRAY, JOINT_STATE, SignalReader, STATES
 from hnn_vi_ros.learning.data.dataset import (
     Derivatives, mass_matrix, Names, SavitzkyGolay, StateOptions, time_blocks)
-from hnn_vi_ros.learning.data.motions import (
-    cubic, GAP, increasing, Motion, MotionData, NONE, Recording, unwound)
+from hnn_vi_ros.learning.data.motions import GAP, Motion, MotionData, NONE, Recording
+from hnn_vi_ros.learning.data.sampling import cubic, increasing, unwound
 from hnn_vi_ros.recording import MOMENTUM, RATE
 import numpy as np
 from pydantic import Field, model_validator

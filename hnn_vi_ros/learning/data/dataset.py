@@ -11,8 +11,9 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.learning.data.motions import (
-    check_rates, cubic, Motion, OnBad, part_of, pieces_of, ReadingReport, Recording, resampled,
+    check_rates, Motion, OnBad, part_of, pieces_of, ReadingReport, Recording, resampled,
     unwound_piece)
+from hnn_vi_ros.learning.data.sampling import cubic
 from hnn_vi_ros.models import Box, Interval
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.learning.data.faults import unwrapped
-from hnn_vi_ros.learning.data.motions import repeated_text, unexplained
+from hnn_vi_ros.learning.data.sampling import repeated_text, unexplained
 from hnn_vi_ros.learning.data.text import COLUMN, lacking, LogFormat, read_log
 from hnn_vi_ros.learning.data.units import parsed, split_unit
 import numpy as np

@@ -3,10 +3,11 @@
 """
 Measured motions: a common container for all formats and fits; cleaning, resampling, smoothing.
 
-Arrays, bags and logs become motions; bad samples are dropped, counted and reported.
+Arrays, bags and logs become motions; bad samples are dropped, counted and reported. Functions of
+times and values alone are in sampling.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
@@ -15,11 +16,13 @@ from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.arguments import Course
 from hnn_vi_ros.learning.data.faults import faults
+from hnn_vi_ros.learning.data.sampling import (
+    Between, clock_resets, cubic, even_times, increasing, linear, low_pass, repeated_text, spaced,
+    unexplained, unwound)
 import numpy as np
 from pydantic import BeforeValidator, Field
-from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
-from scipy.signal import butter, periodogram, sosfiltfilt
+from scipy.signal import periodogram
 
 MIN_SAMPLES = 20
 # Value of ``forces`` for no forces.
@@ -30,35 +33,20 @@ MOST = 1e100
 _LATEST = 1e11
 # Velocities are differences of positions if this share of them is, to the digits of a file.
 _MOST_OF_THEM, _DIGITS = 0.9, 1e-6
-# Order of the low-pass filter. It runs forward and backward: twice the order, no phase shift.
-_ORDER = 2
 # Highest automatic cut-off [Hz], and cut-off relative to the highest frequency of the motion;
 # power of the motion there, relative to the noise.
 _FASTEST, _ABOVE_MOTION, _SIGNAL = 40.0, 2.0, 4.0
-# A low-pass filter with a cut-off above this share of the Nyquist frequency is skipped.
-_WHOLE = 0.9
 # Gap threshold in usual intervals; nothing is interpolated over a gap.
 GAP = 10.0
 # Smallest distance of samples in usual intervals: between closer ones, noise looks like speed, and
 # a spline without measured rates swings out beside them.
 _CLOSE = 0.5
-MAX_ROWS = 1_000_000
 # Largest accepted share of bad samples.
 _MOST_BAD = 0.5
 # Largest accepted share of the motion that the rates do not explain.
 _UNEXPLAINED = 0.25
 # Relative difference below which intervals of runs are regarded as equal.
 _ALIKE = 0.01
-# Tolerance for the resolution of a log's clock, as a share of a step; smaller excesses add no
-# further step.
-_CLOCK = 0.01
-# Maximum number of steps between samples: logs have 0.25 to 4, and a thousand times as many if
-# milliseconds are read as seconds.
-_MOST_STEPS = 250
-# Number of samples on each side that distinguish a reset clock from late samples.
-_AROUND = 20
-# Rates are judged only where a coordinate moves by this multiple of its noise.
-_SEEN = 20.0
 OnBad = Annotated[Literal['drop', 'split', 'fail'], Field(description=(
     'treatment of samples that are late, duplicated or lack a number: drop them and interpolate, '
     'split the motion there, or fail. A gap of more than ten intervals starts a new motion, or '
@@ -70,8 +58,6 @@ TEST_RUNS: list[str] = Field([], description=(
     'runs for testing the model; none: the last fifth of each run'))
 
 Record = TypeVar('Record', bound=Any)
-# Interpolation: maps new times, times t and values, shape (N, k), to values at the new times.
-Between = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 class MotionData(StrictModel):
@@ -378,16 +364,6 @@ def _kept(motion: Motion, on_bad: str, report: ReadingReport) -> np.ndarray:
     return _without_faults(motion, parts, on_bad, report) if report.least > 1 else kept
 
 
-def repeated_text(t: np.ndarray) -> str:
-    """Describe times of which most repeat the previous one, as rounded ones do; '' for others."""
-    steps = np.diff(t[np.isfinite(t)])
-    repeated, longer = int((steps == 0.0).sum()), steps[steps > 0.0]
-    if not longer.size or repeated <= _MOST_BAD * len(steps):
-        return ''
-    return (f'{repeated} of {len(t)} times repeat the previous one, as times rounded to '
-            f'{longer.min():.4g} do; log them with more digits')
-
-
 def _without_faults(motion: Motion, parts: Sequence[np.ndarray], on_bad: str,
                     report: ReadingReport) -> np.ndarray:
     """Return the samples of the parts of a motion that its sensor got right."""
@@ -435,36 +411,6 @@ def unwound_piece(motion: Motion, rows: np.ndarray, report: ReadingReport) -> Mo
     q, turning = unwound(piece.t, piece.q, piece.v)
     report.note(*(f'coordinate {k + 1} unwrapped' for k in turning))
     return replace(piece, q=q)
-
-
-def spaced(t: np.ndarray, least: float) -> np.ndarray:
-    """Return the indices of samples at least this time [s] apart, each as early as possible."""
-    kept = [0]
-    if (np.diff(t) >= least).all():
-        return np.arange(len(t))
-    for i, time in enumerate(t):
-        if time - t[kept[-1]] >= least:
-            kept.append(i)
-    return np.array(kept)
-
-
-def even_times(t: np.ndarray, spacing: float) -> np.ndarray:
-    """Return evenly spaced times [s] from the first time on, none after the last."""
-    count = int((t[-1] - t[0]) / spacing * (1.0 + 1e-12)) + 1
-    if count > MAX_ROWS:
-        raise DataError(f'data.spacing = {spacing:g} s makes more than {MAX_ROWS} rows; increase '
-                        'it')
-    return np.minimum(t[0] + spacing * np.arange(count), t[-1])
-
-
-def linear(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Interpolate values of shape (N, k) linearly at other times."""
-    return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
-
-
-def cubic(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Interpolate values of shape (N, k) with a cubic spline at other times."""
-    return CubicSpline(t, values)(times)
 
 
 def resampled(motion: Motion, spacing: float, between: Between = linear) -> Motion:
@@ -529,19 +475,6 @@ def differenced(motion: Motion) -> bool:
         for rates in (motion.v[1:], motion.v[:-1]))
 
 
-def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np.ndarray:
-    """Apply a zero-phase low-pass filter with this cut-off [Hz] along axis 0 (even times)."""
-    share = 2.0 * spacing * cutoff
-    if share > _WHOLE:
-        return values
-    try:
-        return np.ascontiguousarray(
-            sosfiltfilt(butter(_ORDER, share, output='sos'), values, axis=0))
-    except np.linalg.LinAlgError as problem:
-        raise DataError(f'{name}: a smoothing of {cutoff:g} Hz is too low for a sampling interval '
-                        f'of {spacing:.4g} s; increase it') from problem
-
-
 def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau: np.ndarray,
              cutoff: float, a: np.ndarray | None = None) -> EvenMotion:
     """Return a smoothed motion at even times, with missing rates estimated."""
@@ -569,123 +502,6 @@ def of_positions(motions: Sequence[EvenMotion]) -> list[EvenMotion]:
     return [replace(smoothed(one.name, one.t, one.q, None, one.tau, cutoff, one.a),
                     where=one.where, inputs=one.inputs, idle=one.idle, cutoff_alone=cutoff)
             for one in bare]
-
-
-def clock_resets(t: np.ndarray) -> np.ndarray:
-    """
-    Return the indices of samples before which the clock was set back, in increasing order.
-
-    A reset is detected if three quarters of the samples before are later than three quarters of
-    those after. A single wrong stamp or a few late ones do not count.
-    """
-    found: list[int] = []
-    for i in np.flatnonzero(np.diff(t) < 0.0) + 1:
-        before, after = t[max(i - _AROUND, 0):i], t[i:i + _AROUND]
-        if min(len(before), len(after)) == _AROUND and (not found or i - found[-1] >= _AROUND) \
-                and np.quantile(before, 0.25) > np.quantile(after, 0.75):
-            found.append(int(i))
-    return np.array(found, dtype=int)
-
-
-def increasing(t: np.ndarray) -> np.ndarray:
-    """
-    Return the indices of the largest set of samples with increasing times, shape (M,).
-
-    This is the longest increasing subsequence: a stamp far ahead costs one sample, not all that
-    follow (M. Fredman, On computing the length of longest increasing subsequences, Discrete
-    Mathematics 11, 1975). Times less than a picosecond apart are equal.
-    """
-    with np.errstate(over='ignore', invalid='ignore'):
-        t = np.round(t, 12)
-    if (np.diff(t) > 0.0).all():
-        return np.arange(len(t))
-    least: list[float] = []  # smallest final time of a subsequence of each length
-    ends: list[int] = []
-    before = np.full(len(t), -1)
-    for i, time in enumerate(t):
-        length = int(np.searchsorted(least, time)) if least and time <= least[-1] else len(least)
-        before[i] = ends[length - 1] if length else -1
-        least[length:length + 1], ends[length:length + 1] = [time], [i]
-    chain, at = [], ends[-1]
-    while at >= 0:
-        chain.append(at)
-        at = int(before[at])
-    return np.array(chain[::-1])
-
-
-def unwound(t: np.ndarray, q: np.ndarray, v: np.ndarray | None) -> tuple[np.ndarray, list[int]]:
-    """
-    Unwrap angles that jump by a turn; return the coordinates and the indices of those unwrapped.
-
-    A wrapped angle jumps by more than half a turn between samples, and its range is within 2 pi.
-    Rates, if given, determine the number of turns between two samples; otherwise the smallest
-    possible number is taken.
-
-    Parameters
-    ----------
-    t : np.ndarray, shape (N,)
-        Times [s].
-    q : np.ndarray, shape (N, d)
-        Coordinates.
-    v : np.ndarray, shape (N, d), or None
-        Rates of the coordinates.
-
-    """
-    steps = np.diff(q, axis=0)
-    turning = [k for k in range(q.shape[1]) if np.abs(steps[:, k]).max(initial=0.0) > np.pi
-               and np.ptp(q[:, k]) <= 2.0 * np.pi * (1.0 + 1e-6)]
-    q = q.copy()
-    for k in turning:
-        expected = 0.0 if v is None else 0.5 * (v[1:, k] + v[:-1, k]) * np.diff(t)
-        turns = np.round((expected - steps[:, k]) / (2.0 * np.pi))
-        q[1:, k] += 2.0 * np.pi * np.cumsum(turns)
-    return q, turning
-
-
-def unexplained(t: np.ndarray, x: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """
-    Return the share of the motion of each coordinate not explained by its rates, shape (d,).
-
-    This is the minimum over lags 1, 2, 4, ... of the mean squared change of x minus the integral
-    of the rates, divided by that of x: 0 for exact rates, 1 for zero rates, NaN for a coordinate
-    that hardly moves.
-
-    Parameters
-    ----------
-    t : np.ndarray, shape (N,)
-        Times [s].
-    x, rate : np.ndarray, shape (N, d)
-        Coordinates and their supposed rates.
-
-    """
-    rest = x - cumulative_trapezoid(rate, t, axis=0, initial=0.0)
-    return np.array([_share(*columns) for columns in zip(x.T, rest.T, strict=True)])
-
-
-def _share(x: np.ndarray, rest: np.ndarray) -> float:
-    changes = np.abs(np.diff(x))
-    steps = changes[changes > 0.0]
-    if not len(steps):
-        return np.nan
-    # Sensor noise is at least the quantum and at least the median second difference.
-    noise = max(float(steps.min()), float(np.median(np.abs(np.diff(x, 2)))))
-    shares, apart = [], 1
-    while apart <= len(x) // 2:
-        moved, left = (float(np.mean((part[apart:] - part[:-apart])**2)) for part in (x, rest))
-        if moved > (_SEEN * noise)**2:
-            shares.append(left / moved)
-        apart *= 2
-    return min(shares, default=np.nan)
-
-
-def steps_between(spacing: float, step_size: float) -> int:
-    """Return the number of steps of about `step_size` or less in an interval [s], or DataError."""
-    count = max(1, math.ceil(spacing / step_size - _CLOCK))
-    if count > _MOST_STEPS:
-        raise DataError(f'samples lie {count} steps of {step_size:g} s apart; are the times in s? '
-                        'Write their unit in the header, such as t [ms], or take a larger '
-                        'step_size in the scene')
-    return count
 
 
 def delayed(motion: EvenMotion, samples: float) -> EvenMotion:

@@ -15,7 +15,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.motions import EvenMotion, low_pass
+from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.data.sampling import low_pass
 from hnn_vi_ros.learning.families.choices import Inverse, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.priors import RigidTree

@@ -14,7 +14,8 @@ from hnn_vi_ros.errors import (
     DataError, HnnViRosError, ModelError, StateError, UnsupportedSystem)
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import Integrator
-from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
+from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.data.sampling import steps_between
 from hnn_vi_ros.learning.fit.step_forces import command_names, constant_forces
 from hnn_vi_ros.simulation import (
     Change, Dependence, difference, DifferentiableRun, flow_rates, OnNumber, Simulation, sum_of,

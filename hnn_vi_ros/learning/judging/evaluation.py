@@ -15,7 +15,8 @@ from hnn_vi_ros.errors import DataError, StepFailure
 from hnn_vi_ros.files import is_path
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
 from hnn_vi_ros.integrators import ImplicitMidpoint, Integrator, VariationalMidpoint
-from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
+from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.data.sampling import steps_between
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta
 from hnn_vi_ros.models import Domain, load_checkpoint, load_learned, rows_of_each
 from hnn_vi_ros.run import VALID
