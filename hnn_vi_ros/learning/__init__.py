@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.fit.excitation import ExcitationData
     from hnn_vi_ros.learning.fit.input_courses import EVIDENCE, input_courses, InputCourses
     from hnn_vi_ros.learning.fit.noise import covariances, Process, processes
+    from hnn_vi_ros.learning.fit.growing import fit_numbers, Fitted
     from hnn_vi_ros.learning.fit.shooting import (
-        fit_numbers, FitProblem, Fitted, projected, search, Solution, told_directions, units_of)
+        FitProblem, projected, search, Solution, told_directions, units_of)
     from hnn_vi_ros.learning.fit.windows import (
         check_times, DELAY, ModelParts, Number, Prediction, Seen, Windows)
 

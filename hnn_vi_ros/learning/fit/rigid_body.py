@@ -23,8 +23,8 @@ from hnn_vi_ros.learning.fit.noise import covariances
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, Physical, RigidModel
 from hnn_vi_ros.learning.fit.rigid_problem import (
     positions_alone, RigidProblem, sensors_of, thinned)
-from hnn_vi_ros.learning.fit.shooting import (
-    cost_at_start, fit_numbers, Fitted, projected, refitted, units_of)
+from hnn_vi_ros.learning.fit.growing import cost_at_start, fit_numbers, Fitted, refitted
+from hnn_vi_ros.learning.fit.shooting import projected, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.learning.fit.windows import CannotFollow
 from hnn_vi_ros.models import chain_angles, PLANAR_CHAIN

@@ -15,7 +15,8 @@ from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import samples_of
 from hnn_vi_ros.learning.fit.noise import covariances, Process
 from hnn_vi_ros.learning.fit.rigid_model import RigidModel
-from hnn_vi_ros.learning.fit.shooting import Fitted, projected, units_of
+from hnn_vi_ros.learning.fit.growing import Fitted
+from hnn_vi_ros.learning.fit.shooting import projected, units_of
 from hnn_vi_ros.learning.fit.step_forces import constant_forces
 from hnn_vi_ros.learning.fit.windows import KnownModel
 from hnn_vi_ros.models import CoordinateCard, FittedNumber

@@ -21,7 +21,7 @@ from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Fading, MachineProblem, scales_of
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body, fit_records, fit_rigid_body
 from hnn_vi_ros.learning.fit.rigid_problem import positions_alone, RigidProblem
-from hnn_vi_ros.learning.fit.shooting import first_noise
+from hnn_vi_ros.learning.fit.growing import first_noise
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped_blocks, calibrated, drafted, ensemble_text, kept_and_held, machine_calibration)
 from hnn_vi_ros.learning.judging.evaluation import (
