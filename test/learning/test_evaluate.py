@@ -22,6 +22,7 @@ from machines import driven, from_file
 from messages import refused
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from trainings import trained, Training
 
 # Not the installed file, whose folder depends on the machine.
@@ -167,6 +168,23 @@ def test_samples_further_apart_than_the_shortest_horizon_are_judged(tmp_path, ca
     assert [*load_checkpoint(model).card.prediction_error.horizons] == ['0.2', '1']
     evaluate.main([str(model), '--data', str(tmp_path / 'rare.npz'), '--keys', 't,q,dq'])
     assert '| prediction | 0.2 s: angle | 1 s: angle |' in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_report_names_the_force_that_is_missing_although_it_is_small_in_the_test(tmp_path, capsys):
+    """Quadratic drag: at the end, where the test is, hardly a tenth of that at the start."""
+    t = 0.01 * np.arange(3000)
+    q = solve_ivp(lambda t, z: [z[1], -14.0 * np.sin(z[0]) - 0.08 * z[1] * abs(z[1])], (0.0, 30.0),
+                  [2.5, 0.0], t_eval=t, rtol=1e-8, atol=1e-8).y[0]
+    q += 3e-3 * np.random.default_rng(0).normal(size=len(t))
+    np.savez(tmp_path / 'drag.npz', t=t, q=q[:, None])
+    config = tmp_path / 'drag.yaml'
+    config.write_text(dump_yaml(CONFIG | {
+        'data': {'kind': 'arrays', 'v': None, 'tau': None}, 'loss': {'kind': 'trajectory'},
+        'family': {'kind': 'mechanical', 'prior': 'pendulum', 'residual': False}}))
+    train.main(['--config', str(config), '--data', str(tmp_path / 'drag.npz'), '--out',
+                str(tmp_path / 'drag.safetensors')])
+    assert 'is missing, which goes with velocity' in capsys.readouterr().out
 
 
 def check_report(folder: Path) -> None:

@@ -139,7 +139,8 @@ class MachineTask(TrainingTask):
             residuals, test = judged_along(model, test, noise)
             known = {'residuals': residuals, 'noise': noise.tolist()}
             said = errors_text(residuals, noise, config.coordinates) + (
-                '' if is_noise(residuals) else '\n' + missing_force(network, self._test, names))
+                '' if is_noise(residuals) else '\n' + missing_force(
+                    network, [*self._train, *self._test], names))
         scores, fans = judge(
             simulation_of(hamiltonian, ImplicitMidpoint(), effects, test, step_size),
             effects, test, horizons, judging.every, judging.longest, self._baselines(network))
