@@ -23,7 +23,7 @@ from hnn_vi_ros.learning.fit.noise import covariances
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, Physical, RigidModel
 from hnn_vi_ros.learning.fit.rigid_problem import (
     positions_alone, RigidProblem, sensors_of, thinned)
-from hnn_vi_ros.learning.fit.growing import cost_at_start, fit_numbers, Fitted, refitted
+from hnn_vi_ros.learning.fit.growing import cost_at_start, excess_of, fit_numbers, Fitted, refitted
 from hnn_vi_ros.learning.fit.shooting import projected, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.learning.fit.windows import CannotFollow
@@ -46,6 +46,9 @@ _PLAIN = {'stribeck': 0, 'directed': False, 'offset': False, 'fade': False, 'loa
 _DIFFERENCE = 1e-5
 # Maximum number of windows that start within the length of one.
 _OVERLAP = 20
+# Ratio of the residuals without idle numbers to those with them that shows a false minimum; by
+# the criterion they grow by log(N) / 2 N.
+_NO_WORSE = 1.02
 # Relative tolerance of the fit to positions: errors of the numbers are far larger.
 _TOLERANCE = 1e-5
 
@@ -140,8 +143,23 @@ def _without_idle_numbers(fitted: Fitted) -> Fitted:
         idle.append(k)
     if not idle:
         return fitted
-    kept = np.delete(np.arange(n), idle)
-    return refitted(fitted, model.without(idle), np.maximum(x, low)[kept], _TOLERANCE)
+    return _refitted_without(fitted, model.without(idle), np.delete(np.maximum(x, low), idle))
+
+
+def _refitted_without(fitted: Fitted, model: RigidModel, values: np.ndarray) -> Fitted:
+    """
+    Return the fit of a model without some numbers in the longest windows where it is no worse.
+
+    Long windows of a chaotic motion have false minima even beside the solution.
+    """
+    for k in range(len(fitted.fits), 0, -1):
+        found = refitted(fitted._replace(fits=fitted.fits[:k]), model, values, _TOLERANCE)
+        length, before = fitted.stages[k - 1]
+        now = excess_of(found.solution, found.problem, found.sensor)
+        if now <= _NO_WORSE * before:
+            return found._replace(stages=[
+                *fitted.stages[:k - 1], (length, now), *fitted.stages[len(fitted.fits):]])
+    return fitted
 
 
 def fit_smoothed(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequence[EvenMotion]
