@@ -77,6 +77,11 @@ class RigidProblem(TrainingProblem):
         return misfit_with(self.fitted.solution, self.fitted.problem,
                            thinned(motions, loss.step_size)[0])
 
+    def gain_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
+        """Return the share by which other forces reduce the residuals."""
+        assert self.fitted is not None
+        return 1.0 - self.misfit_with(motions, loss) / self.fitted.solution.misfit
+
     def estimates(self, coordinates: Sequence[CoordinateCard], q: np.ndarray | None
                   ) -> dict[str, FittedNumber]:
         """

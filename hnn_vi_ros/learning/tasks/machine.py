@@ -10,6 +10,7 @@ from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint
+from hnn_vi_ros.learning.arguments import Course
 from hnn_vi_ros.learning.data.motions import (
     delayed, EvenMotion, MotionData, of_positions, train_and_test)
 from hnn_vi_ros.learning.families.choices import (
@@ -91,8 +92,30 @@ class MachineTask(TrainingTask):
 
     def problem(self, config: MachineConfig, device: str) -> TrainingProblem:
         """Return a new network with its prior fitted, and the remaining stages; see Task."""
-        return problem_of(self._chosen(config), bootstrapped_blocks(self._known, config.seed)
-                          if self._ensemble else self._known)
+        if self._ensemble:
+            return problem_of(self._chosen(config), bootstrapped_blocks(self._known, config.seed))
+        problem = problem_of(self._chosen(config), self._known)
+        course = self._better_course(problem, config)
+        if course is None:
+            return problem
+        text = f'forces between samples as {course}, which fits whole motions better'
+        print(f'{text}:', flush=True)
+        self._description += f'; {text}'
+        self._config = self._config.model_copy(update={
+            'data': self._config.data.model_copy(update={'inputs': course})})
+        self._train, self._test, self._known = (
+            [replace(motion, inputs=course) for motion in part]
+            for part in (self._train, self._test, self._known))
+        return problem_of(self._chosen(config), self._known)
+
+    def _better_course(self, problem: TrainingProblem, config: MachineConfig) -> Course | None:
+        """Return the other course of smooth forces if whole motions show that it is better."""
+        if self._selection is None or config.data.inputs or self._train[0].held or not (
+                isinstance(problem, RigidProblem) and problem.is_driven(self._train)):
+            return None
+        other: Course = 'linear' if self._train[0].inputs == 'spline' else 'spline'
+        return other if problem.is_evidence(problem.gain_with(
+            [replace(motion, inputs=other) for motion in self._train], config.windows)) else None
 
     def _chosen(self, config: MachineConfig) -> MachineConfig:
         """Return a configuration of another seed with the selected family and loss."""
