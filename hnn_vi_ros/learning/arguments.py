@@ -7,7 +7,6 @@ from typing import get_args, Literal
 
 from hnn_vi_ros.files import complete_by, Parser
 
-# Layouts of files of bodies that rotate.
 # Course of measured forces between samples.
 Course = Literal['held', 'linear', 'spline']
 INPUTS: tuple[Course, ...] = get_args(Course)
@@ -76,9 +75,10 @@ def evaluate() -> Parser:
     parser.add_argument('--horizons', type=float, nargs='+', metavar='S', help=(
         'report errors after these times [s] (default: 0.1 0.5; more if samples are rare)'))
     parser.add_argument('--every', type=float, metavar='S', help=(
-        'start a prediction at this interval [s] (default: 0.05)'))
+        'start a prediction at this interval [s] (default: 0.05; more if samples are rare)'))
     parser.add_argument('--longest', type=float, metavar='S', help=(
-        'predict for at most this time to find the valid prediction time [s] (default: 2)'))
+        'predict for at most this time to find the valid prediction time [s] (default: 2; more '
+        'if samples are rare)'))
     parser.add_argument('--whole', action='store_true', help=(
         'also simulate each run once, from start to end'))
     parser.add_argument('--from', type=int, default=0, metavar='N', dest='first', help=(

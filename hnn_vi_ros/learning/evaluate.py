@@ -26,9 +26,9 @@ from hnn_vi_ros.learning.data.sources import (
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import BodyConfig, FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.excitation import ExcitationData
+from hnn_vi_ros.learning.fit.growing import first_noise
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.fit.rigid_problem import positions_alone
-from hnn_vi_ros.learning.fit.growing import first_noise
 from hnn_vi_ros.learning.judging.evaluation import (
     as_json, Fan, finite, judge, Judging, linear_model, names_of, outside, parts_of, Predict,
     predicted_by, simulated, simulation_of, table, unaccounted, variance_of, verdict,

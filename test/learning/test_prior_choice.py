@@ -272,7 +272,7 @@ def test_smooth_forces_at_rare_samples_bias_no_number(delay: float):
     """
     Chords of a force of 2.6 Hz at 20 Hz are too small by (2 pi f h)^2 / 12, 5 %.
 
-    Without the delay, a fit has such friction that chords and other delays fit it best.
+    With a wrong delay the fit has wrong friction, and with that another delay fits it best.
     """
     times, noise, truth = 0.05 * np.arange(400), 2e-3, [0.25, 4.0]
 
@@ -292,7 +292,7 @@ def test_smooth_forces_at_rare_samples_bias_no_number(delay: float):
     assert chosen.data.inputs == 'spline' and 'between samples as spline' in card.held_out
     # The noise over the speed, 2e-3 / 0.5 s / sqrt(400), is .004 of a sample; found to 0.01.
     assert chosen.data.delay == pytest.approx(delay, abs=0.02)
-    problem = problem_of(chosen, as_selected(motions, config.data, chosen.data))
+    problem = problem_of(chosen, as_selected(motions, chosen.data, chosen.data.delay))
     for name, number in problem.estimates(chosen.coordinates, None).items():
         if name in ('inertia1', 'gravity1'):
             low, high = number.interval
@@ -320,7 +320,7 @@ def test_forces_that_act_earlier_or_later_than_logged_are_moved(delay: float):
     chosen, card = selected(config, motions, problem_of)
     assert chosen.data.delay == pytest.approx(delay, abs=0.1)
     assert f'delayed by {chosen.data.delay:g} samples' in card.held_out
-    (moved,) = as_selected(motions, config.data, chosen.data)
+    (moved,) = as_selected(motions, chosen.data, chosen.data.delay)
     assert np.abs(moved.tau[5:-5, 0] - force(t[5:-5])).max() < 0.05
     stated = config.model_copy(update={'data': config.data.model_validate(
         {'kind': 'arrays', 'delay': 0.0})})

@@ -18,7 +18,7 @@ EVIDENCE = 9.0
 _TRIED, _TOLERANCE = 10, 1e-5
 
 
-def evidence(freedom: int, ratio: float) -> float:
+def evidence_of(freedom: int, ratio: float) -> float:
     """Return by how many variances a fit of this ratio of misfits reduces the sum of squares."""
     return freedom * (1.0 - ratio**2)
 
@@ -50,7 +50,7 @@ class InputCourses(NamedTuple):
 
     def evidence(self, other: Course) -> float:
         """Return the reduction of the sum of squares by another course, in variances."""
-        return evidence(self.freedom, self.others[other] / self.own)
+        return evidence_of(self.freedom, self.others[other] / self.own)
 
     @property
     def better(self) -> Course | None:
@@ -88,8 +88,9 @@ def input_courses(solution: Solution, problem: FitProblem, taken: Course, stated
         Returns the fitted motions with forces of another course.
 
     """
+    scale = solution.misfit / problem.misfit(solution)
     return InputCourses(taken, stated or taken == 'held', solution.misfit, {
-        other: misfit_with(solution, problem, motions(other)) for other in INPUTS
+        other: scale * misfit_with(solution, problem, motions(other)) for other in INPUTS
         if other != taken}, solution.freedom)
 
 
@@ -98,6 +99,6 @@ def misfit_with(solution: Solution, problem: FitProblem, motions: Sequence[EvenM
     windows = replace(solution.windows, motions=motions)
     other = FitProblem(problem.model, windows, problem.noise, solution.starts, problem.robust)
     try:
-        return search(other, solution.values, _TOLERANCE, _TRIED).misfit
+        return other.misfit(search(other, solution.values, _TOLERANCE, _TRIED))
     except HnnViRosError:
         return math.inf

@@ -17,13 +17,13 @@ import math
 from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import Structure, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.fit.growing import cost_at_start, excess_of, fit_numbers, Fitted, refitted
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.noise import covariances
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, Physical, RigidModel
 from hnn_vi_ros.learning.fit.rigid_problem import (
     positions_alone, RigidProblem, sensors_of, thinned)
-from hnn_vi_ros.learning.fit.growing import cost_at_start, excess_of, fit_numbers, Fitted, refitted
 from hnn_vi_ros.learning.fit.shooting import projected, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.learning.fit.windows import CannotFollow
@@ -46,8 +46,8 @@ _PLAIN = {'stribeck': 0, 'directed': False, 'offset': False, 'fade': False, 'loa
 _DIFFERENCE = 1e-5
 # Maximum number of windows that start within the length of one.
 _OVERLAP = 20
-# Ratio of the residuals without idle numbers to those with them that shows a false minimum; by
-# the criterion they grow by log(N) / 2 N.
+# Share by which residuals without idle numbers may grow beyond what the criterion allows; more
+# shows a false minimum.
 _NO_WORSE = 1.02
 # Relative tolerance of the fit to positions: errors of the numbers are far larger.
 _TOLERANCE = 1e-5
@@ -143,22 +143,29 @@ def _without_idle_numbers(fitted: Fitted) -> Fitted:
         idle.append(k)
     if not idle:
         return fitted
-    return _refitted_without(fitted, model.without(idle), np.delete(np.maximum(x, low), idle))
+    # By the criterion residuals grow by no more than this.
+    limit = _NO_WORSE * math.sqrt(1.0 + len(idle) * price / solution.freedom)
+    return _refitted_without(
+        fitted, model.without(idle), np.delete(np.maximum(x, low), idle), limit)
 
 
-def _refitted_without(fitted: Fitted, model: RigidModel, values: np.ndarray) -> Fitted:
+def _refitted_without(fitted: Fitted, model: RigidModel, values: np.ndarray, limit: float
+                      ) -> Fitted:
     """
     Return the fit of a model without some numbers in the longest windows where it is no worse.
 
     Long windows of a chaotic motion have false minima even beside the solution.
     """
     for k in range(len(fitted.fits), 0, -1):
-        found = refitted(fitted._replace(fits=fitted.fits[:k]), model, values, _TOLERANCE)
+        try:
+            found = refitted(fitted._replace(fits=fitted.fits[:k]), model, values, _TOLERANCE)
+        except CannotFollow:
+            continue
         length, before = fitted.stages[k - 1]
         now = excess_of(found.solution, found.problem, found.sensor)
-        if now <= _NO_WORSE * before:
+        if now <= limit * before:
             return found._replace(stages=[
-                *fitted.stages[:k - 1], (length, now), *fitted.stages[len(fitted.fits):]])
+                *fitted.stages[:k - 1], (length, now), *fitted.stages[k:]])
     return fitted
 
 

@@ -9,13 +9,13 @@ import math
 from hnn_vi_ros.learning.data.motions import EvenMotion, part_of
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.fit.growing import Fitted
 from hnn_vi_ros.learning.fit.input_courses import (
-    evidence, EVIDENCE, input_courses, InputCourses, misfit_with)
+    EVIDENCE, evidence_of, input_courses, InputCourses, misfit_with)
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import samples_of
 from hnn_vi_ros.learning.fit.noise import covariances, Process
 from hnn_vi_ros.learning.fit.rigid_model import RigidModel
-from hnn_vi_ros.learning.fit.growing import Fitted
 from hnn_vi_ros.learning.fit.shooting import projected, units_of
 from hnn_vi_ros.learning.fit.step_forces import constant_forces
 from hnn_vi_ros.learning.fit.windows import KnownModel
@@ -69,7 +69,7 @@ class RigidProblem(TrainingProblem):
     def is_evidence(self, gain: float) -> bool:
         """Return True if residuals that are smaller by this share are three sigma smaller."""
         return self.fitted is not None and (
-            evidence(self.fitted.solution.freedom, 1.0 - gain) > EVIDENCE)
+            evidence_of(self.fitted.solution.freedom, 1.0 - gain) > EVIDENCE)
 
     def misfit_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
         """Return the residuals with other forces, of a fit to positions."""
@@ -80,7 +80,16 @@ class RigidProblem(TrainingProblem):
     def gain_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
         """Return the share by which other forces reduce the residuals."""
         assert self.fitted is not None
-        return 1.0 - self.misfit_with(motions, loss) / self.fitted.solution.misfit
+        return 1.0 - self.misfit_with(motions, loss) / self.fitted.problem.misfit(
+            self.fitted.solution)
+
+    def no_worse(self, other: TrainingProblem) -> float | None:
+        """Return the longest windows [s] of both fits if the other is no worse there, or None."""
+        if not isinstance(other, RigidProblem) or self.fitted is None or other.fitted is None:
+            return None
+        own, others = dict(self.fitted.stages), dict(other.fitted.stages)
+        length = max(own.keys() & others.keys(), default=None)
+        return length if length is not None and others[length] <= own[length] else None
 
     def estimates(self, coordinates: Sequence[CoordinateCard], q: np.ndarray | None
                   ) -> dict[str, FittedNumber]:

@@ -149,6 +149,10 @@ class FitProblem:
             squares = 2.0 * _SOFT**2 * (np.sqrt(1.0 + squares / _SOFT**2) - 1.0)
         return squares.sum(axis=(1, 2))
 
+    def misfit(self, solution: Solution) -> float:
+        """Return the misfit of a solution of these windows, in which outliers count less."""
+        return math.sqrt(float(self.cost(solution.residuals).sum()) / solution.freedom)
+
     def _scaled(self, values: np.ndarray) -> np.ndarray:
         """Return the scaled derivatives in standard deviations, 0 for missing samples."""
         shape = (1, 1, -1) + (1,) * (values.ndim - 3)

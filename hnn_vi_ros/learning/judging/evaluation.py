@@ -401,7 +401,7 @@ class Judging(NamedTuple):
         """Return longer times if samples are further apart than the shortest horizon."""
         slow = max(1.0, motions[0].spacing / min(self.horizons))
         return Judging(tuple(round(slow * horizon, 9) for horizon in self.horizons),
-                       slow * self.every, slow * self.longest)
+                       max(slow * self.every, motions[0].spacing), slow * self.longest)
 
 
 def samples_in(time: float, motion: EvenMotion) -> int:

@@ -10,19 +10,18 @@ from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint
-from hnn_vi_ros.learning.arguments import Course
 from hnn_vi_ros.learning.data.motions import (
     delayed, EvenMotion, MotionData, of_positions, train_and_test)
 from hnn_vi_ros.learning.families.choices import (
     AUTO, Forward, RigidBodyChoice, Structure, TrajectoryLoss)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.growing import first_noise
 from hnn_vi_ros.learning.fit.inertias import identified_text, identify_inertias, with_force_errors
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Fading, MachineProblem, scales_of
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body, fit_records, fit_rigid_body
 from hnn_vi_ros.learning.fit.rigid_problem import positions_alone, RigidProblem
-from hnn_vi_ros.learning.fit.growing import first_noise
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped_blocks, calibrated, drafted, ensemble_text, kept_and_held, machine_calibration)
 from hnn_vi_ros.learning.judging.evaluation import (
@@ -68,6 +67,7 @@ class MachineTask(TrainingTask):
         self._train, self._test, description = _read(source, config, given)
         self._delay = estimated_delay(config, self._train) \
             if config.data.delay == 'estimate' else config.data.delay
+        measured = self._measured = self._train, self._test
         if self._delay:
             self._train, self._test = ([delayed(motion, self._delay) for motion in part]
                                        for part in (self._train, self._test))
@@ -75,10 +75,10 @@ class MachineTask(TrainingTask):
         print(f'data: {description}; {_ranges(config, self._train)}', flush=True)
         _check_motors(config, self._train)
         self._config, self._selection = selected(config, self._train, problem_of)
-        self._train, self._test = (as_selected(part, config.data, self._config.data)
-                                   for part in (self._train, self._test))
         if isinstance(self._config.data.delay, float):
             self._delay = self._config.data.delay
+        self._train, self._test = (as_selected(part, self._config.data, self._delay)
+                                   for part in measured)
         self._known, self._held = kept_and_held(self._train, config) if ensemble else (
             self._train, [])
         # Source and licence of the data are stored with the model.
@@ -95,27 +95,31 @@ class MachineTask(TrainingTask):
         if self._ensemble:
             return problem_of(self._chosen(config), bootstrapped_blocks(self._known, config.seed))
         problem = problem_of(self._chosen(config), self._known)
-        course = self._better_course(problem, config)
-        if course is None:
+        if self._selection is None or config.data.inputs or self._train[0].inputs != 'linear' \
+                or not isinstance(problem, RigidProblem) or not problem.is_driven(self._train):
             return problem
-        text = f'forces between samples as {course}, which fits whole motions better'
-        print(f'{text}:', flush=True)
-        self._description += f'; {text}'
-        self._config = self._config.model_copy(update={
-            'data': self._config.data.model_copy(update={'inputs': course})})
-        self._train, self._test, self._known = (
-            [replace(motion, inputs=course) for motion in part]
-            for part in (self._train, self._test, self._known))
-        return problem_of(self._chosen(config), self._known)
+        return self._with_smooth_forces(problem, config)
 
-    def _better_course(self, problem: TrainingProblem, config: MachineConfig) -> Course | None:
-        """Return the other course of smooth forces if whole motions show that it is better."""
-        if self._selection is None or config.data.inputs or self._train[0].held or not (
-                isinstance(problem, RigidProblem) and problem.is_driven(self._train)):
-            return None
-        other: Course = 'linear' if self._train[0].inputs == 'spline' else 'spline'
-        return other if problem.is_evidence(problem.gain_with(
-            [replace(motion, inputs=other) for motion in self._train], config.windows)) else None
+    def _with_smooth_forces(self, problem: RigidProblem, config: MachineConfig) -> RigidProblem:
+        """Return the fit with a spline of the forces if long windows show that it is better."""
+        data = self._config.data.model_copy(update={'inputs': 'spline'})
+        train, test = (as_selected(part, data, self._delay) for part in self._measured)
+        if not problem.is_evidence(problem.gain_with(train, config.windows)):
+            return problem
+        chosen = self._chosen(config).model_copy(update={'data': data})
+        try:
+            found = problem_of(chosen, train)
+        except DataError:
+            return problem
+        length = problem.no_worse(found)
+        if length is None or not isinstance(found, RigidProblem):
+            return problem
+        text = f'forces between samples as spline, which fits windows of {length:.3g} s better'
+        print(text, flush=True)
+        self._description += f'; {text}'
+        self._config = self._config.model_copy(update={'data': data})
+        self._train, self._test, self._known = train, test, train
+        return found
 
     def _chosen(self, config: MachineConfig) -> MachineConfig:
         """Return a configuration of another seed with the selected family and loss."""
@@ -161,9 +165,10 @@ class MachineTask(TrainingTask):
             model, step_size = judged_model(hamiltonian, effects, test), STEP
             residuals, test = judged_along(model, test, noise)
             known = {'residuals': residuals, 'noise': noise.tolist()}
+            missing = '' if is_noise(residuals) else missing_force(
+                network, [*self._train, *self._test], names)
             said = errors_text(residuals, noise, config.coordinates) + (
-                '' if is_noise(residuals) else '\n' + missing_force(
-                    network, [*self._train, *self._test], names))
+                f'\nOf all motions, also those of the training: {missing}' if missing else '')
         scores, fans = judge(
             simulation_of(hamiltonian, ImplicitMidpoint(), effects, test, step_size),
             effects, test, horizons, judging.every, judging.longest, self._baselines(network))
@@ -329,22 +334,23 @@ def whole(network: MechanicalNetwork, config: MachineConfig, motion: EvenMotion)
     return found
 
 
-def as_selected(motions: Sequence[EvenMotion], given: MotionData, chosen: MotionData
+def as_selected(motions: Sequence[EvenMotion], chosen: MotionData, delay: float
                 ) -> list[EvenMotion]:
-    """Return motions with the selected velocities, forces between samples, and delay."""
+    """Return motions with the selected velocities, and forces of this delay [samples]."""
     if chosen.velocities and not positions_alone(motions):
         motions = of_positions(motions)
+    # A delay that is no whole number interpolates forces by their course.
     motions = [replace(motion, inputs=chosen.inputs or motion.inputs) for motion in motions]
-    return motions if isinstance(chosen.delay, str) or chosen.delay == given.delay else [
-        delayed(motion, chosen.delay) for motion in motions]
+    return [delayed(motion, delay) for motion in motions] if delay else motions
 
 
 def learn(config: MachineConfig, motions: Sequence[EvenMotion]
           ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Fit a network, after its prior if it has one; return it and its losses."""
-    given = config.data
     config, _ = selected(config, motions, problem_of)
-    problem = problem_of(config, as_selected(motions, given, config.data))
+    delay = config.data.delay
+    problem = problem_of(config, as_selected(
+        motions, config.data, 0.0 if isinstance(delay, str) else delay))
     return problem.module, problem.fit()
 
 

@@ -286,9 +286,9 @@ class _Forces(NamedTuple):
 
     def like(self, course: Course, free: bool) -> list['_Forces']:
         """Return forces of another course, of the same delay and of the same mean in time."""
-        later = 0.5 * ((self.course == 'held') - (course == 'held'))
-        return [self._replace(course=course, delay=self.delay + moved) for moved in (
-            {0.0, later} if free else {0.0})]
+        moved = round(self.delay + 0.5 * ((self.course == 'held') - (course == 'held')), 2)
+        return [_Forces(course, delay) for delay in {self.delay, moved if free else self.delay}
+                if abs(delay) <= MOST_DELAY]
 
     def __str__(self) -> str:
         return self.course + (f', delayed by {self.delay:g} samples' if self.delay else '')
@@ -316,7 +316,7 @@ def _with_forces(config: MachineConfig, trials: _Trials, first: CandidateCard, r
         if not rigid.is_evidence(gain):
             break
         own = _with_data(config, **{'inputs': best.course} | (
-            {'delay': best.delay} if best.delay else {}))
+            {'delay': best.delay} if free else {}))
         moved = base.with_forces(best)
         if gain < _NEEDED and best.delay == now.delay:
             # Less than what another trial could show.
@@ -349,7 +349,8 @@ def _refined(misfit: Callable[[_Forces], float], forces: _Forces) -> _Forces:
         return forces
     found = minimize_scalar(
         lambda delay: misfit(forces._replace(delay=round(delay, 2))),
-        bounds=(forces.delay - 1.0, forces.delay + 1.0), method='bounded', options={'xatol': 0.05})
+        bounds=(max(forces.delay - 1.0, -MOST_DELAY), min(forces.delay + 1.0, MOST_DELAY)),
+        method='bounded', options={'xatol': 0.05})
     return min(forces, forces._replace(delay=round(float(found.x), 2)), key=misfit)
 
 
