@@ -23,7 +23,7 @@ from hnn_vi_ros.simulation.dense_step import DenseStep
 from hnn_vi_ros.simulation.following import CommandLaw, follow_each
 from hnn_vi_ros.simulation.processors import heed
 from hnn_vi_ros.simulation.rescue import Rescue
-from hnn_vi_ros.simulation.state import State
+from hnn_vi_ros.simulation.state import HEAD, State
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 from numpy.typing import ArrayLike
@@ -403,6 +403,16 @@ class Simulation:
         with self._elsewhere(self.state.without_counts(row)):
             self.step_size = step_size
             return self.record(samples, every)
+
+    def neighbour(self, row: np.ndarray, dq: np.ndarray, dp: np.ndarray) -> np.ndarray:
+        """Return a row moved by (dq, dp); rotations keep their q."""
+        near, n = row.copy(), self._z.q.size
+        q, p = (self._state(near[HEAD + k * n:HEAD + (k + 1) * n]) for k in (0, 1))
+        if not self.hamiltonian.rotations:
+            q += dq
+        p[..., :self._momenta] += dp
+        near[2] = -1.0
+        return near
 
     def clock_trial(self, row: np.ndarray, elapsed: float) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -69,7 +69,7 @@ class State:
         """Return rows, (m, R), of states (q, p), (m, 2 d), after `step` steps, at `time` [s]."""
         rows = np.tile(self._fresh, (len(z), 1))
         rows[:, 1], rows[:, HEAD:HEAD + d] = step, z[:, :d]
-        rows[:, HEAD + self._n:HEAD + self._n + d] = z[:, d:]
+        rows[:, HEAD + self._n:HEAD + self._n + z.shape[1] - d] = z[:, d:]
         rows[:, self._clock] = time
         return rows
 

@@ -23,7 +23,7 @@ from hnn_vi_ros.simulation import (
     Alarm, BoxGuard, build, EnergyGuard, Guard, make_guards, PoleGuard, SampledScale, Simulation)
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.simulation.guards.base import SampleBlock
-from hnn_vi_ros.simulation.guards.paths import PathGuard
+from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard
 from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
 import numpy as np
@@ -196,7 +196,7 @@ PLACED = [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, PathGuard, Pole
     (simulation_of('pendulum'), PLACED),
     (simulation_of('henon_heiles', q=(0.0, 0.1), p=(0.1, 0.0)), PLACED),
     (simulation_of('pendulum', effects=[EFFECTS['damping'](0.1)]),
-     [EnergyGuard, CostGuard, RescueGuard]),
+     [EnergyGuard, CostGuard, ForcedPathGuard, RescueGuard]),
     # Gravity beside a pendulum's own moves its separatrix, which is searched for.
     (simulation_of('pendulum', effects=[EFFECTS['gravity']('angle', 1.0, 1.0)]), PLACED),
     (build(load_scene('pendulum')),

@@ -1,11 +1,13 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Guard of the path error, estimated by trials with half the step size."""
+"""Guards of the path error, estimated by trials with half the step size."""
 
 import math
+from typing import NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Observed, SampleBlock
+from hnn_vi_ros.simulation.guards.base import (
+    Alarm, BlockGuard, Observed, SampleBlock, StateGuard)
 from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
 import numpy as np
 
@@ -19,19 +21,109 @@ _MIN_RANGE_SHARE = 1e-3
 _MAX_PATH_ERROR = 0.5 * math.pi / 400.0
 # Maximum number of steps between samples for a trial to start at the earlier one.
 _MAX_SAMPLE_STEPS = 16
+# Steps at which trials of conservative runs start, relative to those of the trial before.
+_TIMES_APART = 4
+# Largest estimated error of a coordinate over its amplitude so far. Estimates are right within a
+# factor of about five: runs that are off by 1 % of the amplitude pass, by 30 % do not.
+_MAX_ESTIMATE = 0.06
+# Trials of forced runs: number of steps, times between them as a multiple of that before, and
+# distance of the neighbour relative to the motion.
+_FORCED_STEPS, _FORCED_APART, _NEIGHBOUR = 48, 2.5, 1e-6
+# Length of the first of them relative to the others, for the amplitude.
+_FIRST_LOOK = 4
+# Steps over which errors add up where no contraction limits it: about a hundred turns. With forces
+# and order 1 fewer: the displacement of the states (see PathGuard) changes along the path, so that
+# errors of windows are larger than what adds up.
+_MEMORY, _SHORT_MEMORY = 1e4, 240.0
+# Ranges below this share of a coordinate are rounding errors.
+_MIN_RELATIVE_RANGE = 1e-9
+
+
+class _Window(NamedTuple):
+    """First step of a trial, error per step of each coordinate, and contraction rate per step."""
+
+    step: int
+    rate: np.ndarray
+    contraction: np.ndarray
+
+
+class PathEstimate:
+    """
+    Estimate of the path error of a run from the errors of some of its windows.
+
+    A window of n steps errs by e, so that errors grow by e / n in each step; they decay at the
+    rate lambda at which neighbouring motions approach each other: E' = e / n - lambda E.
+
+    Attributes
+    ----------
+    value : float
+        The largest estimate of abs(E) over the amplitude of its coordinate so far [1].
+
+    """
+
+    def __init__(self, turning: np.ndarray):
+        self.value, self._turning = 0.0, turning
+        self._low, self._high = np.array(math.inf), np.array(-math.inf)
+        self._error, self._last = np.zeros(1), _Window(0, np.zeros(1), np.zeros(1))
+
+    def add(self, step: int, paths: np.ndarray, error: np.ndarray, rate: np.ndarray,
+            contraction: np.ndarray | float, ahead: int) -> None:
+        """
+        Add a window.
+
+        Parameters
+        ----------
+        step : int
+            First step of the window.
+        paths : np.ndarray, shape (N, ..., d)
+            Coordinates in the window.
+        error : np.ndarray, shape (..., d)
+            Largest error of each coordinate in the window.
+        rate : np.ndarray, shape (..., d)
+            The part of it that grows, per step.
+        contraction : np.ndarray, shape (..., 1), or float
+            Rate at which neighbouring motions approach each other, per step.
+        ahead : int
+            Number of steps until the next window, through which the error is extrapolated.
+
+        """
+        self._low = np.minimum(self._low, paths.min(axis=0))
+        self._high = np.maximum(self._high, paths.max(axis=0))
+        amplitude = 0.5 * (self._high - self._low)
+        # A full turn of a periodic angle is as far as its error can go.
+        amplitude[..., self._turning] = np.minimum(amplitude[..., self._turning], math.pi)
+        amplitude = np.maximum(amplitude, np.maximum(
+            _MIN_RANGE_SHARE * amplitude.max(axis=-1, keepdims=True),
+            _MIN_RELATIVE_RANGE * np.maximum(np.abs(self._low), np.abs(self._high))))
+        now = _Window(step, rate, contraction + 1.0 / _MEMORY)
+        mean = _Window(*(0.5 * (new + old) for new, old in zip(now, self._last, strict=True)))
+        self._error = _after(step - self._last.step, mean, self._error)
+        self._last = now
+        estimate = np.maximum(_after(ahead, now, self._error), error)
+        with np.errstate(invalid='ignore'):
+            share = np.where(amplitude > 0.0, estimate / amplitude, 0.0)
+        # Not finite: the trial has diverged.
+        self.value = max(self.value, float(share.max()) if np.isfinite(share).all() else math.inf)
+
+
+def _after(steps: int, window: _Window, error: np.ndarray) -> np.ndarray:
+    """Return the error after a number of steps at the rates of a window."""
+    last = window.rate / window.contraction
+    return last + (error - last) * np.exp(-window.contraction * steps)
 
 
 class PathGuard(BlockGuard):
     """
     Path error: it stays below 0.4 % of the path length, so that 100 turns are counted correctly.
 
-    Trials start at the initial state, and where a derivative of H has doubled; they take up to
-    three turns and 128 steps of h, and the same with h / 2. The paths differ by (1 - 2^-p) times
-    the error of the former, with p the order of the method. Each coordinate and momentum is
-    compared with the length of its own path. For an oscillator with relative frequency error s,
-    error over length is pi s / 2; it loses a quarter of a turn in a hundred turns at s = 1 / 400.
-    A path error below 1 % of the size of the path raises no alarm, since the length of three
-    turns is at least twelve times that size.
+    Trials start at the initial state, where a derivative of H has doubled, and at times that grow
+    in proportion; they take up to three turns and 128 steps of h, and the same with h / 2. The
+    paths differ by (1 - 2^-p) times the error of the former, with p the order of the method. Each
+    coordinate and momentum is compared with the length of its own path. For an oscillator with
+    relative frequency error s, error over length is pi s / 2; it loses a quarter of a turn in a
+    hundred turns at s = 1 / 400. A path error below 1 % of the size of the path raises no alarm,
+    since the length of three turns is at least twelve times that size. The errors of the trials
+    also add up to an estimate of the error so far; see PathEstimate.
 
     With order 1 there is only the trial at the initial state: H~ - H changes along the path, so a
     trial from a later state would follow a different motion.
@@ -53,6 +145,7 @@ class PathGuard(BlockGuard):
 
     def __init__(self, simulation: Simulation):
         self._simulation, self.raised, self._error = simulation, False, 0.0
+        self._estimate, self._next = PathEstimate(simulation.system.turning), math.inf
         # Largest derivatives so far, and the previous sample.
         self._largest = np.zeros(0)
         self._before: tuple[int, np.ndarray, np.ndarray] | None = None
@@ -63,7 +156,8 @@ class PathGuard(BlockGuard):
         later = self._simulation.integrator.order > 1
         while not self.raised and at < len(slopes):
             if self._before is not None:
-                beyond = later & (slopes[at:] > _MIN_RATE_RATIO * self._largest).any(axis=1)
+                beyond = later & ((slopes[at:] > _MIN_RATE_RATIO * self._largest).any(axis=1)
+                                  | (block.step[at:] >= self._next))
                 at = at + int(beyond.argmax()) if beyond.any() else len(slopes)
             if at < len(slopes):
                 if self._begin(block, at, slopes[at]):
@@ -85,21 +179,23 @@ class PathGuard(BlockGuard):
         before = self._sample(block, i - 1) if i > 0 else self._before
         if before is not None and start[0] - before[0] <= _MAX_SAMPLE_STEPS:
             start = before
-        self._error, largest = self._try(*start[1:])
+        self._error, largest = self._try(*start)
         if not self._largest.size:
             self._largest = np.zeros_like(slopes)
         self._largest = np.maximum(np.maximum(self._largest, slopes), largest)
-        for half in np.split(self._largest, 2):
+        for half in np.split(self._largest, [block.q.shape[1]]):
             half[:] = np.maximum(half, _MIN_RANGE_SHARE * half.max())
-        return not self._error <= _MAX_PATH_ERROR
+        return not (self._error <= _MAX_PATH_ERROR and self._estimate.value <= _MAX_ESTIMATE)
 
-    def _try(self, q: np.ndarray, p: np.ndarray) -> tuple[float, np.ndarray]:
+    def _try(self, step: int, q: np.ndarray, p: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the path error over the path length, and the largest derivatives of H."""
         simulation, h, start = self._simulation, self._simulation.step_size, np.append(q, p)
+        self._next = max(step + _MAX_STEPS, _TIMES_APART * step)
         try:
             row, = simulation.rows(start[None])
-            path, better = (np.vstack([start, np.hstack(simulation.trial(
-                row, h / parts, _MAX_STEPS, parts))]) for parts in (1, 2))
+            path, better = (np.vstack([start, np.hstack([
+                part.reshape(_MAX_STEPS, -1) for part in simulation.trial(
+                    row, h / parts, _MAX_STEPS, parts)])]) for parts in (1, 2))
         except (StepFailure, RescuePending):
             # A failing step is reported by the run itself.
             return 0.0, np.zeros(start.size)
@@ -119,14 +215,114 @@ class PathGuard(BlockGuard):
             # A method of order 1 may be conjugate to one of order 2 in states displaced by part
             # of a step. This displacement does not grow after the first turn: subtract it.
             begin = end // _MAX_TURNS
-            worst -= errors[:begin + 1].max(axis=0) if turned.any() else worst
+            worst -= errors[:begin + 1].max(axis=0)
+            counted = counted & turned.any()
+        self._estimate.add(step, better[part, :q.size], worst[:q.size],
+                           worst[:q.size] / (end - begin), 0.0,
+                           (self._next - step) // 2)
         slopes = np.hstack(simulation.hamiltonian.gradient(
             better[part, :q.size], better[part, q.size:]))
         return (float((worst / (lengths[end] - lengths[begin]))[counted].max(initial=0.0)),
                 np.abs(slopes).max(axis=0))
 
     def _alarm(self, step: int) -> Alarm:
+        if self._error <= _MAX_PATH_ERROR:
+            return _estimate_alarm(step, self._estimate.value)
         return Alarm(self.kind, step, self._error, _MAX_PATH_ERROR,
                      f'the path error is {100.0 * self._error:.2g} % of the path length: the '
                      'number of turns is wrong; use a smaller step_size, or a method of higher '
                      'order', '1')
+
+
+def _estimate_alarm(step: int, value: float) -> Alarm:
+    size = f'by about {100.0 * value:.2g} % of' if value < 1.0 else 'by more than'
+    return Alarm(PathGuard.kind, step, value, _MAX_ESTIMATE,
+                 f'a repetition of some steps with half the step size shows that the path is off '
+                 f'{size} its amplitude; use a smaller step_size, or a method of higher order',
+                 '1')
+
+
+class ForcedPathGuard(StateGuard):
+    """
+    Path error of runs with forces: it stays below some per cent of the amplitude of the path.
+
+    The balance of energy and work does not show it, since the work is that along the wrong path.
+    Trials of 16 to 48 steps of h, with the current commands held, are repeated with h / 2, at the
+    first state, whenever the run is twice as long, and where forces or velocities have doubled. A
+    neighbouring motion shows how fast errors decay; see PathEstimate.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Simulation of one trajectory, or of several that step together.
+
+    """
+
+    each = True
+    kind, remedy = PathGuard.kind, PathGuard.remedy
+
+    def __init__(self, simulation: Simulation):
+        self._simulation, self._estimate = simulation, PathEstimate(simulation.system.turning)
+        self._first, self._next, self._raised = -1, 0, False
+        # Largest force and velocity so far.
+        self._force = self._speed = 0.0
+
+    def update(self, sample: Observed) -> Alarm | None:
+        if self._raised or not (
+                sample.step >= self._next
+                or _largest(sample.dH_dq) > _MIN_RATE_RATIO * self._force
+                or _largest(sample.dH_dp) > _MIN_RATE_RATIO * self._speed):
+            return None
+        if self._first < 0:
+            self._first = sample.step
+        self._force = max(self._force, _largest(sample.dH_dq))
+        self._speed = max(self._speed, _largest(sample.dH_dp))
+        self._try(sample.step)
+        self._raised = not self._estimate.value <= _MAX_ESTIMATE
+        return self.renew(sample) if self._raised else None
+
+    def renew(self, sample: Observed) -> Alarm:
+        return _estimate_alarm(sample.step, self._estimate.value)
+
+    def _try(self, step: int) -> None:
+        """Run a trial from the current state."""
+        simulation, h, row = self._simulation, self._simulation.step_size, self._simulation.row
+        elapsed, n = step - self._first, _FORCED_STEPS
+        self._next = self._first + max(elapsed + n, int(_FORCED_APART * elapsed))
+        start = simulation.q.copy(), simulation.p.copy()
+        try:
+            # Later amplitudes count: a run that starts at rest has hardly moved after n steps.
+            path = simulation.trial(row, h, n if elapsed else _FIRST_LOOK * n)[0]
+            finer = simulation.trial(row, 0.5 * h, n, 2)
+            sizes = [_ranges(one, part) for one, part in zip(start, finer, strict=True)]
+            near = simulation.trial(simulation.neighbour(
+                row, *(_NEIGHBOUR * size for size in sizes)), 0.5 * h, n, 2)
+        except (StepFailure, RescuePending):
+            # A failing step is reported by the run itself.
+            return
+        self._speed, self._force = (max(old, 2.0 * _largest(np.diff(part, axis=0)) / h)
+                                    for old, part in zip((self._speed, self._force), finer))
+        apart = sum(np.square((one[-1] - other[-1]) / np.where(size > 0.0, size, math.inf)).sum(
+            axis=-1, keepdims=True) for one, other, size in zip(near, finer, sizes, strict=True))
+        begun = sum((size > 0.0).sum(axis=-1, keepdims=True) for size in sizes)
+        kept = np.sqrt(apart / np.maximum(begun, 1)) / _NEIGHBOUR
+        errors, order = np.abs(path[:n] - finer[0]), simulation.integrator.order
+        if order > 1:
+            errors /= 1.0 - 0.5 ** order
+        # With order 1, a part is the displacement of the states; see PathGuard. It does not add up.
+        early = n // _MAX_TURNS if order == 1 else 0
+        self._estimate.add(
+            step, np.concatenate([start[0][None], path, finer[0]]), errors.max(axis=0),
+            (errors.max(axis=0) - errors[:early].max(axis=0, initial=0.0)) / (n - early),
+            -np.log(np.clip(kept, _NEIGHBOUR, 1.0)) / n + (1.0 / _SHORT_MEMORY if order == 1 else 0.0),
+            (self._next - step) // 2)
+
+
+def _largest(values: np.ndarray) -> float:
+    """Return the largest magnitude; faster than numpy for few values."""
+    return max(map(abs, values.ravel().tolist()), default=0.0)
+
+
+def _ranges(start: np.ndarray, path: np.ndarray) -> np.ndarray:
+    """Return the range of each column of a path and its start."""
+    return np.maximum(path.max(axis=0), start) - np.minimum(path.min(axis=0), start)

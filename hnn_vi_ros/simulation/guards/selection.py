@@ -12,7 +12,7 @@ from hnn_vi_ros.simulation.guards.bands import (
 from hnn_vi_ros.simulation.guards.base import Guard, Scale
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.loops import ClosureGuard, SingularGuard
-from hnn_vi_ros.simulation.guards.paths import PathGuard
+from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.saddles import MOST_COORDINATES, SaddleSearch
 from hnn_vi_ros.simulation.guards.steps import (
@@ -60,10 +60,14 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
         # On a constraint or between walls, saddles of H are not saddles of the motion.
         yield BarrierGuard('saddle', math.inf, method.order, SaddleSearch(
             hamiltonian, lambda: simulation.rescue_ready))
-    if searchable(simulation):
-        # An H learned through a scheme is valid at its own step size only, not at half of it.
-        if hamiltonian.scheme is None:
+    # An H learned through a scheme is valid at its own step size only, not at half of it.
+    if hamiltonian.scheme is None:
+        if not simulation.conservative:
+            if not any(effect.random for effect in simulation.effects):
+                yield ForcedPathGuard(simulation)
+        elif simulation.q.size == hamiltonian.dimension:
             yield PathGuard(simulation)
+    if searchable(simulation):
         # Networks and robots have no poles.
         if hamiltonian.box is None and hamiltonian.robot is None:
             yield PoleGuard(hamiltonian)

@@ -15,6 +15,7 @@ from hnn_vi_ros.simulation.guards.bands import EnergyGuard, InvariantGuard, plai
 from hnn_vi_ros.simulation.guards.base import (
     Alarm, BlockGuard, Guard, judge, Look, SampleBlock, StateGuard, Waiting)
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard
 from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.simulation.simulation import Simulation
@@ -348,4 +349,5 @@ def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
 def watch_of_block(simulation: Simulation) -> Watch:
     """Return the guards that apply to a block of trajectories as a whole; see show_many."""
     return Watch(simulation, None, kinds=(
-        CostGuard, RescueGuard, SolutionGuard, *[EnergyGuard] * (not simulation.conservative)))
+        CostGuard, RescueGuard, SolutionGuard, ForcedPathGuard,
+        *[EnergyGuard] * (not simulation.conservative)))

@@ -254,8 +254,10 @@ class Trajectory:
         change = float(np.abs(self.energy - self.energy[:1]).max(initial=0.0))
         first = np.ravel(self.energy[:1])
         balance = self.balance()
-        by_effects = '' if balance is None else (
-            f', equal to the work of effects to {np.abs(balance).max(initial=0.0):.2g} J')
+        by_effects = ''
+        if balance is not None and change > 0.0:
+            share = float(np.abs(balance).max(initial=0.0)) / change
+            by_effects = f', of which the work of effects leaves {100.0 * share:.2g} % unexplained'
         return [f'{len(self.t)} samples{many}',
                 f't = {self.t[0]:g} to {self.t[-1]:g} s' if len(self.t) else 'no samples',
                 'H = ' + (f'{first[0]:.6g}' if first.size == 1 else

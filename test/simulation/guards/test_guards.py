@@ -11,6 +11,7 @@ from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.simulation import BlockGuard, BoxGuard, EnergyGuard, judge, Waiting
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.simulation.guards.base import accounted_energy, SampleBlock
+from hnn_vi_ros.simulation.guards.paths import PathGuard
 import numpy as np
 import pytest
 
@@ -146,7 +147,9 @@ def test_energy_error_of_a_damped_pendulum_is_an_alarm(method, step_size, wrong)
         trajectory = simulate(scene, duration=40.0)
     # The energy rises by half of its scale, or falls: H(0) = 19.3 J.
     assert (trajectory.energy.max() > 1.4 * trajectory.energy[0]) == wrong
-    assert [alarm.kind for alarm in trajectory.alarms] == ['energy not accounted for'] * wrong
+    # Next to the upper equilibrium, the path is another matter.
+    kinds = [alarm.kind for alarm in trajectory.alarms if alarm.kind != PathGuard.kind]
+    assert kinds == ['energy not accounted for'] * wrong
 
 
 @pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf])

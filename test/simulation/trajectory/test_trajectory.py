@@ -237,5 +237,5 @@ def test_plot_shows_what_the_work_of_effects_leaves_of_the_energy():
     assert np.array_equal(left.get_ydata(), run.balance())
     # A method of order 2 at 0.01 s, against a change by joules.
     assert np.abs(run.balance()).max() < 1e-2 < 0.1 * np.abs(energy.get_ydata()).max()
-    assert 'equal to the work of effects to ' in repr(run)
+    assert 'of which the work of effects leaves ' in repr(run)
     assert simulate('exact_pendulum', 0.1).work is None
