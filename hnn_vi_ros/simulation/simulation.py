@@ -461,6 +461,7 @@ class Simulation:
     def _elsewhere(self, row: np.ndarray) -> Iterator[Any]:
         """Restore a row, and the current state at the end; yield the internal steps' workspace."""
         h, now, costs = self.step_size, self.row, self._costs()
+        attempted = self.system.effect_state.step.copy()
         loops = self.system.constraints
         sine = loops.constraints.sine if isinstance(loops, LoopManifold) else np.empty(0)
         watched = sine.copy()
@@ -477,6 +478,7 @@ class Simulation:
             if own is not None:
                 own.own_step[0] = 0.0
             self.step_size = h
+            self.system.effect_state.step[:] = attempted
             self.put(now)
             sine[:] = watched
             vars(self).update(costs)

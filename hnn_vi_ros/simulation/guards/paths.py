@@ -95,9 +95,10 @@ class PathEstimate:
         amplitude = np.maximum(amplitude, np.maximum(
             _MIN_RANGE_SHARE * amplitude.max(axis=-1, keepdims=True),
             _MIN_RELATIVE_RANGE * np.maximum(np.abs(self._low), np.abs(self._high))))
-        now = _Window(step, rate, contraction + 1.0 / _MEMORY)
-        mean = _Window(*(0.5 * (new + old) for new, old in zip(now, self._last, strict=True)))
-        self._error = _after(step - self._last.step, mean, self._error)
+        now, last = _Window(step, rate, np.asarray(contraction) + 1.0 / _MEMORY), self._last
+        mean = _Window(step, 0.5 * (now.rate + last.rate),
+                       0.5 * (now.contraction + last.contraction))
+        self._error = _after(step - last.step, mean, self._error)
         self._last = now
         estimate = np.maximum(_after(ahead, now, self._error), error)
         with np.errstate(invalid='ignore'):
@@ -247,9 +248,9 @@ class ForcedPathGuard(StateGuard):
     Path error of runs with forces: it stays below some per cent of the amplitude of the path.
 
     The balance of energy and work does not show it, since the work is that along the wrong path.
-    Trials of 16 to 48 steps of h, with the current commands held, are repeated with h / 2, at the
-    first state, whenever the run is twice as long, and where forces or velocities have doubled. A
-    neighbouring motion shows how fast errors decay; see PathEstimate.
+    Trials of 48 steps of h, with the current commands held, are repeated with h / 2: at the first
+    state, whenever the run is 2.5 times as long as at the last trial, and where forces or
+    velocities have doubled. A neighbouring motion shows how fast errors decay; see PathEstimate.
 
     Parameters
     ----------
@@ -301,7 +302,8 @@ class ForcedPathGuard(StateGuard):
             # A failing step is reported by the run itself.
             return
         self._speed, self._force = (max(old, 2.0 * _largest(np.diff(part, axis=0)) / h)
-                                    for old, part in zip((self._speed, self._force), finer))
+                                    for old, part in zip(
+                                        (self._speed, self._force), finer, strict=True))
         apart = sum(np.square((one[-1] - other[-1]) / np.where(size > 0.0, size, math.inf)).sum(
             axis=-1, keepdims=True) for one, other, size in zip(near, finer, sizes, strict=True))
         begun = sum((size > 0.0).sum(axis=-1, keepdims=True) for size in sizes)
@@ -309,13 +311,13 @@ class ForcedPathGuard(StateGuard):
         errors, order = np.abs(path[:n] - finer[0]), simulation.integrator.order
         if order > 1:
             errors /= 1.0 - 0.5 ** order
-        # With order 1, a part is the displacement of the states; see PathGuard. It does not add up.
-        early = n // _MAX_TURNS if order == 1 else 0
+        # With order 1, a part is the displacement of the states; see PathGuard. It does not add
+        # up.
+        early, forgotten = (n // _MAX_TURNS, 1.0 / _SHORT_MEMORY) if order == 1 else (0, 0.0)
         self._estimate.add(
             step, np.concatenate([start[0][None], path, finer[0]]), errors.max(axis=0),
             (errors.max(axis=0) - errors[:early].max(axis=0, initial=0.0)) / (n - early),
-            -np.log(np.clip(kept, _NEIGHBOUR, 1.0)) / n + (1.0 / _SHORT_MEMORY if order == 1 else 0.0),
-            (self._next - step) // 2)
+            -np.log(np.clip(kept, _NEIGHBOUR, 1.0)) / n + forgotten, (self._next - step) // 2)
 
 
 def _largest(values: np.ndarray) -> float:

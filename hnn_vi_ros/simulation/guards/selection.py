@@ -67,10 +67,9 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
                 yield ForcedPathGuard(simulation)
         elif simulation.q.size == hamiltonian.dimension:
             yield PathGuard(simulation)
-    if searchable(simulation):
-        # Networks and robots have no poles.
-        if hamiltonian.box is None and hamiltonian.robot is None:
-            yield PoleGuard(hamiltonian)
+    # Networks and robots have no poles.
+    if searchable(simulation) and hamiltonian.box is None and hamiltonian.robot is None:
+        yield PoleGuard(hamiltonian)
     loops = simulation.system.constraints
     if isinstance(loops, LoopManifold):
         yield ClosureGuard(loops)
