@@ -15,11 +15,12 @@ import numpy as np
 
 
 class JointFrictionParameters(NamedTuple):
-    """b, F and k, each of shape (d,), the speed u, and command and clock of EffectState."""
+    """b, F, k and columns of motors, (d,), the speed u, and command and clock of EffectState."""
 
     damping: np.ndarray
     friction: np.ndarray
     load: np.ndarray
+    motors: np.ndarray
     speed: float
     command: np.ndarray
     clock: np.ndarray
@@ -79,15 +80,17 @@ class JointFriction(Force):
                 ) -> JointFrictionParameters:
         """Return b, F and k of each coordinate, u, and the command."""
         damping, friction, load = (np.nan_to_num(joint_numbers(
-            coordinates, self.source, of, given, place)) for of, given, place in (
-                (lambda joint: joint.damping, self.damping, coordinate_index),
-                (lambda joint: joint.friction, self.friction, coordinate_index),
-                (lambda joint: None, self.load, motor_index)))
+            coordinates, self.source, of, given)) for of, given in (
+                (lambda joint: joint.damping, self.damping),
+                (lambda joint: joint.friction, self.friction), (lambda joint: None, self.load)))
         if not (damping.any() or friction.any() or load.any()):
             raise ValueError(
                 'no joint has damping or friction; give them, or remove the effect')
+        motors = np.arange(load.size)
+        for name in self.load or ():
+            motors[coordinate_index(coordinates, name)] = motor_index(coordinates, name)
         return JointFrictionParameters(
-            damping, friction, load, self.speed, state.command, state.clock)
+            damping, friction, load, motors, self.speed, state.command, state.clock)
 
     @staticmethod
     @inlined
@@ -96,6 +99,6 @@ class JointFriction(Force):
         """Add -b v - (F + k abs(a)) tanh(v / u)."""
         acts = own.clock[0] < own.command[own.command.size - 1]
         for i in range(own.damping.size):
-            v, load = velocity[i], abs(own.command[i]) if acts else 0.0
+            v, load = velocity[i], abs(own.command[own.motors[i]]) if acts else 0.0
             f_p[i] -= own.damping[i] * v + (
                 own.friction[i] + own.load[i] * load) * math.tanh(v / own.speed)

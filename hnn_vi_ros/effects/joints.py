@@ -20,8 +20,7 @@ def check_given(source: str | None, check: Callable[..., None],
 
 
 def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,
-                  of: Callable[[Joint], float | None], given: Mapping[str, float] | None,
-                  place: Callable[[Sequence[Coordinate], str], int] = coordinate_index
+                  of: Callable[[Joint], float | None], given: Mapping[str, float] | None
                   ) -> np.ndarray:
     """
     Return one number for each coordinate, shape (d,); NaN for none.
@@ -36,8 +35,6 @@ def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,
         Function that returns the number of a joint, or None.
     given : mapping of str to float or None
         Numbers that replace those of the source, by coordinate.
-    place : callable
-        Returns the column of a coordinate; ``motor_index`` for numbers of its motor.
 
     Raises
     ------
@@ -55,5 +52,5 @@ def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,
         number = of(coordinate.joint)
         values[i] = np.nan if number is None else number
     for name, value in (given or {}).items():
-        values[place(coordinates, name)] = value
+        values[coordinate_index(coordinates, name)] = value
     return values

@@ -20,7 +20,8 @@ from hnn_vi_ros.integrators import (
     check_method, Integrator, method_name, methods_that, NO_SOLUTION, PhasePoint, REASONS,
     REDUNDANT)
 from hnn_vi_ros.kernels import Block, by_address, flat, Kernel, kind_of, original, provide, Target
-from hnn_vi_ros.phase_space import angle_columns, check_state, Coordinate, leaders
+from hnn_vi_ros.phase_space import (
+    angle_columns, check_state, Coordinate, leaders, scalar_columns)
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -51,7 +52,7 @@ class Motors:
     """
 
     def __init__(self, effects: Sequence[tuple[Effect, Any]], coordinates: Sequence[Coordinate]):
-        self._leaders = leaders(coordinates)
+        self._leaders, self._columns = leaders(coordinates), scalar_columns(coordinates)
         self._effects: list[tuple[Any, Any]] = [
             (effect, own) for effect, own in effects if isinstance(effect, Commanded)]
         self.takes = frozenset[str]().union(*(effect.takes for effect, _ in self._effects))
@@ -109,11 +110,9 @@ class Motors:
 
     def _check_limits(self, names: Sequence[str], positions: np.ndarray) -> None:
         """Raise ValueError if positions (n, m) of m joints are beyond a stop."""
-        columns = {name: column for effect, own in self._effects if POSITION in effect.takes
-                   for name, column in zip(effect.names, own.columns, strict=True)}
         for stops in self._stops:
             for name, wanted in zip(names, positions.T, strict=True):
-                mine = stops.columns == columns.get(name)
+                mine = stops.columns == self._columns.get(name)
                 for limit, sign in zip(stops.positions[mine], stops.signs[mine], strict=True):
                     beyond = sign * (wanted - limit) < -_LIMIT_TOLERANCE * (1.0 + abs(limit))
                     if beyond.any():

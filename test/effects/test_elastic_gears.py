@@ -5,7 +5,7 @@
 from pathlib import Path
 
 from helpers import effect, plain_run, Uncompiled
-from hnn_vi_ros.effects import EffectState
+from hnn_vi_ros.effects import EFFECTS, EffectState, JointCommand
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.run import joints_of
@@ -182,12 +182,25 @@ def test_rotor_adds_its_own_kinetic_energy_only(name: str):
         RigidBodyTree(robot, loops=[{}], drives={first: {'stiffness': 3.0, 'rotor_inertia': 1.0}})
 
 
-def test_friction_of_the_urdf_acts_on_joints_and_load_is_that_of_the_motor(lever):
+def test_friction_acts_on_joints_also_under_the_load_of_their_motors(lever):
+    """Add F + k abs(a) at the speed of the joint, while its rotor turns the other way."""
     coordinates = lever().create_hamiltonian().coordinates
-    own = effect('joint_friction', 'urdf', {'elbow': 0.3}, load={'elbow': 0.1}).resolve(
-        coordinates, EffectState.empty(1, 2, 0))
-    assert own.damping.tolist() == [0.3, 0.0]
-    assert own.load.tolist() == [0.0, 0.1]
+    kind = EFFECTS['joint_friction']
+    state, velocity, (f_q, f_p) = EffectState.empty(1, 2, 0), np.array([1.0, -1.0]), np.zeros((
+        2, 2))
+    own = kind('urdf', {'elbow': 0.3}, {'elbow': 0.2}, load={'elbow': 0.1}).resolve(
+        coordinates, state)
+    state.command[:] = 0.0, -2.0, 1.0  # of the rotor, and its expiry
+    kind.add_force(own, 0.0, velocity, velocity, velocity, f_q, f_p)
+    assert f_p == pytest.approx([-0.3 - 0.2 - 0.1 * 2.0, 0.0], rel=1e-15)
+
+
+def test_position_beyond_the_limit_of_a_geared_joint_is_refused(lever):
+    simulation = plain(lever('{kind: servo, coordinates: [elbow], stiffness: 5.0}, '
+                             '{kind: joint_limits, upper: {elbow: 0.5}}', 'implicit_midpoint'))
+    simulation.set_command(JointCommand(('elbow',), *np.array([[0.4], [0.0], [np.nan]])))
+    with refused(ValueError):
+        simulation.set_command(JointCommand(('elbow',), *np.array([[0.6], [0.0], [np.nan]])))
 
 
 def test_guard_names_a_gear_that_steps_do_not_resolve(lever):
