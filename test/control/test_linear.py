@@ -136,6 +136,20 @@ def test_b_is_the_derivative_by_commands_that_are_more_than_forces(load, fade, t
         assert steps.places == [[1.0]]
 
 
+def test_friction_under_load_without_commands_has_an_empty_b():
+    """Linearise a pendulum at rest, with the slope F / u of its friction."""
+    steps = BatchStep(load_scene('exact_pendulum').with_overrides(0.01, 'rk4', effects=[
+        {'kind': 'joint_friction', 'friction': {'angle': 0.1}, 'load': {'angle': 0.2},
+         'speed': 0.5}]))
+    z, u = find_equilibrium(steps, [0.1])
+    a, b = linearise(steps, (z, u))
+    plain = linearise(load_scene('exact_pendulum'), (z, []))[0]
+    v = steps.hamiltonian.inverse_mass(z[:1], np.zeros(1))[0, 0]
+    # Differences of tanh, by the cube root of eps.
+    assert a - plain == pytest.approx(np.array([[0.0, 0.0], [0.0, -0.1 / 0.5 * v]]), abs=1e-8)
+    assert b.shape == steps.derivatives(z)[2].shape == (2, 0)
+
+
 def test_a_of_a_double_pendulum_is_its_mass_matrix_and_weights():
     scene = load_scene('exact_double_pendulum').with_overrides(effects=[
         {'kind': 'external_force', 'coordinates': ['angle1']}])

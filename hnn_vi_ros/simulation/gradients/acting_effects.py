@@ -56,7 +56,8 @@ class ActingEffects:
                                     if effect.place(system.method) is Place.NODES]])
         self.any = self._channels > 0 or bool(self.rates.any())
         # True if commands do more than add forces on coordinates.
-        self.feels = any(getattr(effect, 'feels_command', False) for effect in effects)
+        self.feels = system.motors.size > 0 and any(
+            getattr(effect, 'feels_command', False) for effect in effects)
         timeouts = [effect.timeout for effect in effects if hasattr(effect, 'timeout')]
         self._timeout, self._effects = min(timeouts, default=np.inf), effects
 
