@@ -118,6 +118,10 @@ class Account(StepLayer):
             """Take one step; see Integrator."""
             inner, state, channel_effects, internal = options
             state.pending[:] = 0.0
+            if keeps_gradient and internal > 0 and state.step[0] != h:
+                # The gradient at the start contains mean rates over a step of another size.
+                state.step[0] = h
+                kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
             state.step[0] = h
             state.draws[1] = 0
             outcome, residual, gradients = step(kernel, h, inner, z, z1, memory[:-1])

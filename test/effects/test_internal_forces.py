@@ -21,6 +21,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 SECOND_ORDER = 'implicit_midpoint', 'generalized_leapfrog'
+# Methods that start from the gradient that the step before evaluated.
+KEEPING = 'explicit_euler', 'variational_euler'
 # sigma_0 [N/m], F_C and F_S - F_C [N], v_S [m/s]; sigma_2 and sigma_1 [N s/m], and v_d [m/s].
 BRISTLES = {'stiffness': 1000.0, 'friction': 1.0, 'stribeck': 0.5, 'speed': 0.01,
             'damping': 0.5, 'bristle_damping': 20.0, 'bristle_damping_speed': 0.1}
@@ -159,9 +161,9 @@ def test_bristles_store_or_lose_energy_but_add_none():
     assert last < 1e-3
 
 
-def both(h: float = 0.05) -> Simulation:
+def both(h: float = 0.05, method: str = 'implicit_midpoint') -> Simulation:
     """Return a driven pendulum with bristles and a motor."""
-    simulation = plain_run('pendulum', 'implicit_midpoint', h, [0.7], [0.0],
+    simulation = plain_run('pendulum', method, h, [0.7], [0.0],
                            bristles('angle', stiffness=50.0, speed=0.5),
                            effect('motor', 'angle', 0.2, 4.0, 6.0),
                            effect('external_force', ['angle'], 100.0))
@@ -169,12 +171,15 @@ def both(h: float = 0.05) -> Simulation:
     return simulation
 
 
-def test_internal_variables_belong_to_snapshots_and_to_restarts():
-    whole, resumed = both(), both()
+@pytest.mark.parametrize('method', ['implicit_midpoint', *KEEPING])
+def test_internal_variables_belong_to_snapshots_and_to_restarts(method):
+    whole, resumed = both(method=method), both(method=method)
     whole.advance(20)
     snapshot = whole.snapshot()
     assert (snapshot['live.resting'][:2] != 0.0).all()
     whole.advance(20)
+    resumed.advance(3)
+    resumed.trial(resumed.row, 0.02)
     resumed.restore(snapshot)
     resumed.advance(20)
     assert np.array_equal(resumed.row, whole.row)
@@ -182,7 +187,18 @@ def test_internal_variables_belong_to_snapshots_and_to_restarts():
     assert (whole.system.effect_state.resting == 0.0).all()
 
 
-@pytest.mark.parametrize('method', ['variational_euler', *SECOND_ORDER])
+@pytest.mark.parametrize('method', KEEPING)
+def test_first_step_of_another_size_has_its_own_mean_rates(method):
+    """Start as a trial, after steps of another size, and as a new run with a command: one path."""
+    coarse, fine = both(method=method), both(0.01, method)
+    paths = [fine.record(5, 1), coarse.trial(coarse.row, 0.01, 5)]
+    start = coarse.row
+    coarse.advance(3)
+    for path in (*paths, coarse.trial(start, 0.01, 5)):
+        assert np.array_equal(path, paths[0])
+
+
+@pytest.mark.parametrize('method', [*KEEPING, *SECOND_ORDER])
 @pytest.mark.parametrize('h', [0.001, 0.4])
 def test_motor_follows_a_held_command_exactly_at_any_step(method, h):
     simulation = plain_run(free('x'), method, h, [0.0], [0.0], effect('motor', 'x', 0.1),
@@ -244,7 +260,7 @@ def test_derivatives_by_numbers_are_differences_of_order_6_with_internal_forces(
         {'kind': 'lugre_friction', 'coordinate': 'angle', **BRISTLES | {
             'stiffness': 60.0, 'speed': 0.5, 'bristle_damping': 0.1}},
         {'kind': 'motor', 'coordinate': 'angle', 'time_constant': 0.15, 'torque_limit': 4.0,
-         'no_load_speed': 6.0}, {'kind': 'external_force', 'coordinates': ['angle']}])
+         'no_load_speed': 6.0, 'braking': 'full'}, {'kind': 'external_force', 'coordinates': ['angle']}])
     commands = 2.5 * np.sin(0.2 * np.arange(80))[:, None]
     names = [*(f'effects.0.{name}' for name in BRISTLES), 'effects.1.time_constant',
              'effects.1.torque_limit', 'effects.1.no_load_speed']
