@@ -4,7 +4,7 @@
 
 from collections.abc import Sequence
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from hnn_vi_ros.effects.base import Effect, EffectState, InternalForce, motor_index
 from hnn_vi_ros.effects.commands import Commanded, NUMBERS
@@ -16,12 +16,13 @@ import numpy as np
 
 
 class MotorParameters(NamedTuple):
-    """Column of the coordinate, T, tau_max, omega_0, and command and clock of EffectState."""
+    """Column, T, tau_max, omega_0, full braking, and command and clock of EffectState."""
 
     column: int
     time_constant: float
     torque_limit: float
     no_load_speed: float
+    brakes: bool
     command: np.ndarray
     clock: np.ndarray
 
@@ -31,8 +32,11 @@ class Motor(InternalForce):
     The lag and the torque-speed limit of a motor, applied to the command u of `external_force`.
 
     The torque x follows x' = (u - x) / T, exactly while u is held; what acts is x, limited to
-    +-tau_max max(0, 1 - abs(v) / omega_0), in place of u. x is part of snapshots and bags, and
-    0 at the start. Energy account: (limited x - u) v; `external_force` accounts for u v.
+    +-tau_max max(0, 1 - abs(v) / omega_0), in place of u. By default the line also limits a
+    torque against v, as in a datasheet's envelope; a DC motor with a current limit, whose back
+    EMF helps to brake, brakes with up to tau_max at any speed: ``braking: full``. x is part of
+    snapshots and bags, and 0 at the start. Energy account: (limited x - u) v; `external_force`
+    accounts for u v.
 
     Parameters
     ----------
@@ -46,6 +50,9 @@ class Motor(InternalForce):
         omega_0 > 0 [rad/s], [m/s]; by default that of the drive, or none.
     drive : str, optional
         A drive whose limits at its voltage are the defaults: see `effects.drives`.
+    braking : str
+        ``limited``: the line limits driving and braking torques; ``full``: driving torques, x v >
+        0, only.
 
     Raises
     ------
@@ -62,7 +69,7 @@ class Motor(InternalForce):
 
     def __init__(self, coordinate: str, time_constant: float = 0.0,
                  torque_limit: float | None = None, no_load_speed: float | None = None,
-                 drive: str | None = None):
+                 drive: str | None = None, braking: Literal['limited', 'full'] = 'limited'):
         if drive is not None:
             row = find_drive(drive)
             torque_limit = row.torque_limit if torque_limit is None else torque_limit
@@ -73,6 +80,7 @@ class Motor(InternalForce):
                 raise ValueError(f'{name} = {value} must be positive')
         if torque_limit is None and (no_load_speed is not None or not time_constant):
             raise ValueError('give time_constant, or torque_limit, or a drive with a voltage')
+        self.brakes = braking == 'full'
         self.coordinate, self.time_constant = coordinate, float(time_constant)
         self.torque_limit = math.inf if torque_limit is None else float(torque_limit)
         self.no_load_speed = math.inf if no_load_speed is None else float(no_load_speed)
@@ -80,7 +88,8 @@ class Motor(InternalForce):
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> MotorParameters:
         """Return the coordinate's column, the numbers, the command and the clock."""
         return MotorParameters(motor_index(coordinates, self.coordinate), self.time_constant,
-                               self.torque_limit, self.no_load_speed, state.command, state.clock)
+                               self.torque_limit, self.no_load_speed, self.brakes,
+                               state.command, state.clock)
 
     def check_beside(self, others: Sequence[Effect]) -> None:
         """Raise ValueError unless a plain external_force commands the coordinate."""
@@ -95,7 +104,8 @@ class Motor(InternalForce):
                 ) -> tuple[float, float]:
         """Return the limited torque minus the command, and the mean rate of x over the step h."""
         u = _command(own)
-        torque, limit = u + (x - u) * _decay(own, t), _limit(own, v)
+        torque = u + (x - u) * _decay(own, t)
+        limit = _limit(own, torque, v)
         return (min(max(torque, -limit), limit) - u, (u - x) * (1.0 - _decay(own, h)) / h)
 
     @staticmethod
@@ -104,11 +114,11 @@ class Motor(InternalForce):
                         dv: float) -> tuple[float, float]:
         """Return the changes of the force and of the mean rate of x."""
         u, decay = _command(own), _decay(own, t)
-        torque, limit = u + (x - u) * decay, _limit(own, v)
-        force = decay * dx
+        torque, force = u + (x - u) * decay, decay * dx
+        limit = _limit(own, torque, v)
         if abs(torque) > limit:
             falls = math.copysign(own.torque_limit / own.no_load_speed, torque * v)
-            force = -falls * dv if limit > 0.0 else 0.0
+            force = 0.0 if limit <= 0.0 or _at_full(own, torque, v) else -falls * dv
         return force, (_decay(own, h) - 1.0) * dx / h
 
 
@@ -123,6 +133,14 @@ def _decay(own: MotorParameters, t: float) -> float:
 
 
 @inlined
-def _limit(own: MotorParameters, v: float) -> float:
+def _at_full(own: MotorParameters, torque: float, v: float) -> bool:
+    """Return True if a torque brakes and the speed does not limit it."""
+    return own.brakes and torque * v < 0.0
+
+
+@inlined
+def _limit(own: MotorParameters, torque: float, v: float) -> float:
     """Return the largest torque at a speed; infinite at any speed if there is no limit at rest."""
+    if _at_full(own, torque, v):
+        return own.torque_limit
     return own.torque_limit * max(0.0, 1.0 - abs(v) / own.no_load_speed)

@@ -45,14 +45,16 @@ def reference(load: Callable, t: np.ndarray, start: tuple = (0.0, 0.0, 0.0)) -> 
                      max_step=2e-3).y
 
 
+@pytest.mark.parametrize('command', [4.0, -4.0])  # beyond the limit of the motor, both ways
 @pytest.mark.parametrize('effects', [
     [bristles('angle', stiffness=6.0, speed=1.0, bristle_damping=0.2)],
-    [effect('motor', 'angle', 0.3, 4.0, 6.0), effect('external_force', ['angle'], 100.0)]])
-def test_hessian_vector_of_an_internal_force_is_the_derivative_of_its_gradient(effects):
+    *([effect('motor', 'angle', 0.3, 1.0, 6.0, braking=braking),
+       effect('external_force', ['angle'], 100.0)] for braking in ('limited', 'full'))])
+def test_hessian_vector_of_an_internal_force_is_the_derivative_of_its_gradient(effects, command):
     system = System(Uncompiled(HAMILTONIANS['pendulum']()), effects,
                     INTEGRATORS['implicit_midpoint']())
     if len(effects) > 1:
-        system.motors.command([2.0], np.zeros(1))
+        system.motors.command([command], np.zeros(1))
     kernel, system.effect_state.step[0] = system.kernel, 0.3
     D, rng = kernel.dimension, np.random.default_rng(2)
     q, p, v_q, v_p = rng.normal(size=(4, D))
@@ -225,8 +227,21 @@ def test_motor_at_its_torque_limit_nears_its_no_load_speed():
     assert simulation.p[0] == v[-1]
 
 
-@pytest.mark.parametrize('method', [
-    'variational_euler', 'symplectic_euler_adjoint', *SECOND_ORDER])
+@pytest.mark.parametrize(('braking', 'speed', 'force'), [
+    ('full', 4.0, -2.0), ('full', -4.0, 2.0), ('limited', 1.0, -2.0 * (1.0 - 1.0 / 3.0)),
+    ('full', 1.0, -2.0), ('full', -1.0, -2.0 * (1.0 - 1.0 / 3.0)), ('full', 3.5, -2.0)])
+def test_full_braking_is_that_of_a_dc_motor_with_a_current_limit(braking, speed, force):
+    """Take tau_max against v at any speed, and the line along v."""
+    simulation = plain_run(free('x'), 'implicit_midpoint', 1e-6, [0.0], [speed], effect(
+        'motor', 'x', torque_limit=2.0, no_load_speed=3.0, braking=braking),
+        effect('external_force', ['x'], 100.0))
+    simulation.set_command([math.copysign(9.0, force)])
+    simulation.advance(1)
+    # The torque over a step of 1 us, with the round-off of the speed; the line falls by 1e-6.
+    assert (simulation.p[0] - speed) / 1e-6 == pytest.approx(force, rel=1e-5)
+
+
+@pytest.mark.parametrize('method', [*KEEPING, 'symplectic_euler_adjoint', *SECOND_ORDER])
 def test_derivatives_are_differences_of_order_6_with_internal_forces(method):
     """By initial states and commands, over two segments, through reversals of the motion."""
     run = DifferentiableRun(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS[method](), 0.02, [
@@ -260,7 +275,8 @@ def test_derivatives_by_numbers_are_differences_of_order_6_with_internal_forces(
         {'kind': 'lugre_friction', 'coordinate': 'angle', **BRISTLES | {
             'stiffness': 60.0, 'speed': 0.5, 'bristle_damping': 0.1}},
         {'kind': 'motor', 'coordinate': 'angle', 'time_constant': 0.15, 'torque_limit': 4.0,
-         'no_load_speed': 6.0, 'braking': 'full'}, {'kind': 'external_force', 'coordinates': ['angle']}])
+         'no_load_speed': 6.0, 'braking': 'full'},
+        {'kind': 'external_force', 'coordinates': ['angle']}])
     commands = 2.5 * np.sin(0.2 * np.arange(80))[:, None]
     names = [*(f'effects.0.{name}' for name in BRISTLES), 'effects.1.time_constant',
              'effects.1.torque_limit', 'effects.1.no_load_speed']
