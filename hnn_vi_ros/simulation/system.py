@@ -12,8 +12,8 @@ import warnings
 from hnn_vi_ros.effects import (
     Account, add_forces, ClosedChains, Command, Commanded, contents, Effect, effect_name,
     EffectError, EFFECTS, EffectState, EFFORT, Force, join, Joined,
-    JointCommand, JointPath, LoopManifold, Manifold, NUMBERS, OBSERVATION, Place, POSITION,
-    ServoTarget, StepLayer, Wrapped)
+    JointCommand, JointPath, LoopManifold, Manifold, NUMBERS, OBSERVATION, Place, ServoTarget,
+    StepLayer, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows
 from hnn_vi_ros.integrators import (

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from helpers import effect, plain_run, Uncompiled
+from helpers import plain_run, Uncompiled
 from hnn_vi_ros.effects import EFFECTS, EffectState, JointCommand
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.hamiltonians import RigidBodyTree
