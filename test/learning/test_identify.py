@@ -325,13 +325,45 @@ def test_fit_takes_finer_steps_where_the_error_of_the_method_shows(tmp_path, cap
         main([str(scene), '--data', str(tmp_path / f'{name}.npz'), '--free', 'length', '--json',
               str(tmp_path / f'{name}.json'), '--write', str(tmp_path / f'fit_{name}.yaml')])
         said.append(capsys.readouterr().out)
-    assert 'moves length by' in said[0] and 'moves' not in said[1]
+    assert 'Fitted with a step size of' in said[0] and 'moves length by' in said[0]
+    assert 'fits worse, as for data simulated' in said[1] and 'Fitted with' not in said[1]
     # At the step of the scene it was 1.1284, 30 standard errors off.
     found = json.loads((tmp_path / 'true.json').read_text())['length']
     assert found['low'] < 1.13 < found['high'] < found['low'] + 4e-4
     assert load_scene(tmp_path / 'fit_true.yaml').step_size < 0.25 / 30
     # A log of the scene's own steps without noise fits only these.
     assert load_scene(tmp_path / 'fit_own.yaml').step_size == 1 / 30
+
+
+@pytest.mark.parametrize('seed', [0, long(4)])
+def test_error_of_the_method_moves_no_number_by_a_third_of_a_standard_error(
+        seed, tmp_path, capsys):
+    """
+    Fit a chaotic arm at 5 ms, which errs by up to 8.8 standard errors, and by a method of order 8.
+
+    Half of the last step moves no number by more than 0.2 standard errors, and the smaller ones,
+    of a method of order 2, by a third of that in total.
+    """
+    coarse, fine = (load_scene('two_joint_arm').with_overrides(0.005, method)
+                    for method in ('implicit_midpoint', 'gauss8'))
+    random = np.random.default_rng([7, seed])
+    q = np.array(coarse.initial_state.q) + 0.3 * random.normal(size=2)
+    motion = hnn_vi_ros.simulate(coarse.with_overrides(0.00125, 'gauss8'), 2.0, every=16,
+                                 initial_state=(q.tolist(), [0.0, 0.0]))
+    np.savez(tmp_path / 'log.npz', t=motion.t,
+             q=motion.q + 0.002 * random.normal(size=motion.q.shape))
+    shutil.copy(*coarse.model_files().values(), tmp_path)
+    found = []
+    for name, scene in (('coarse', coarse), ('fine', fine)):
+        (tmp_path / f'{name}.yaml').write_text(scene.to_yaml().replace('../robots/', ''))
+        main([str(tmp_path / f'{name}.yaml'), '--data', str(tmp_path / 'log.npz'), '--posterior',
+              str(tmp_path / f'{name}.json'), '--free', 'forearm.mass', 'forearm.centre_z',
+              'upper_arm.centre_z'])
+        rows = json.loads((tmp_path / f'{name}.json').read_text())['parameters'].values()
+        found.append(np.array([[row['value'], row['standard_error']] for row in rows]))
+    assert 'Fitted with a step size of' in capsys.readouterr().out
+    (values, errors), (exact, _) = (rows.T for rows in found)
+    assert (abs(values - exact) <= 0.2 * (4.0 / 3.0 + 0.1) * errors).all()
 
 
 @pytest.mark.parametrize('inputs, least', [long('linear', 2**3), ('spline', 2**4)])
