@@ -124,7 +124,8 @@ def cost() -> Parser:
         'compare only step sizes that divide the interval of samples at this rate, as a '
         'publish_rate of the simulator requires'))
     parser.add_argument('--seconds', type=seconds, default=60.0, metavar='SECONDS', help=(
-        'approximate limit of the processor time, including compilation [s] (default: 60)'))
+        'approximate limit of the processor time for measuring [s]; methods are started while '
+        'compiling and measuring together take no longer (default: 60)'))
     _add_files(parser, {
         '--plot': 'plot error against time: .png, .svg or .pdf',
         '--csv': 'write every method and step size as a row of CSV'})

@@ -70,6 +70,7 @@ def _lines(scene: Scene, study: CostStudy, error: float | None) -> Iterator[str]
     yield f'{scene.name}: {what} up to {study.reference.horizon:g} s, and run times'
     yield f'no reference: {study.no_path}' if study.no_path else (
         f'reference: {study.reference.how}, accurate to {study.floor:.1e}')
+    yield from _errors_of_model(study)
     if scene.events:
         yield 'events of the scene are not detected'
     yield from ('', *_table(study, error), '')
@@ -78,6 +79,23 @@ def _lines(scene: Scene, study: CostStudy, error: float | None) -> Iterator[str]
     if study.unreached:
         yield (f'no time for: {", ".join(study.unreached)}; run it again, now that more is '
                'compiled, or increase --seconds')
+
+
+def _errors_of_model(study: CostStudy) -> Iterator[str]:
+    """Yield a line on the errors of a learned model itself."""
+    model = getattr(study.problem.hamiltonian, 'checkpoint', None)
+    if model is None:
+        return
+    card, found = model.card, list[str]()
+    if card.prediction_error is not None:
+        found += [f'coordinates by {max(errors):.2g} after {horizon} s (RMS of held-out motions)'
+                  for horizon, errors in card.prediction_error.horizons.items()
+                  if None not in errors]
+    if card.energy_error is not None:
+        found.append(f'H by {card.energy_error.rms:.2g} J (RMS in its box), of a spread of '
+                     f'{card.energy_error.spread:.2g} J')
+    yield (f'error of the model {card.name} itself, which no method reduces: '
+           f'{", ".join(found) or "not on its card"}')
 
 
 def _table(study: CostStudy, wanted: float | None) -> Iterator[str]:

@@ -123,6 +123,16 @@ def test_first_method_has_results_however_little_time_there_is(capsys):
     assert 'no time for: stormer_verlet, rk4; run it again' in out
 
 
+@pytest.mark.parametrize(('model', 'line'), [
+    ('pendulum', 'H by 0.00028 J (RMS in its box), of a spread of 12 J'),
+    ('emps_drive', 'coordinates by 0.0016 after 0.5 s (RMS of held-out motions), H by 0.46 J')])
+def test_error_of_a_learned_model_is_beside_those_of_methods(model, line, capsys):
+    assert cost.main([model, '--seconds', '1e-6', '--duration', '0.1']) == 0
+    found, = re.findall(r'error of the model .* itself, which no method reduces: .*',
+                        capsys.readouterr().out)
+    assert line in found
+
+
 @pytest.mark.long
 def test_scene_with_auto_effects_and_events_is_measured(tmp_path, capsys):
     path = tmp_path / 'mine.yaml'

@@ -217,7 +217,8 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
     horizon : float
         Simulated time [s]; shorter if the path cannot be determined that far.
     seconds : float
-        Approximate budget of processor time, compilation included [s].
+        Approximate budget of processor time for measuring [s]; methods are started while compiling
+        and measuring together take no longer.
     own : Method, optional
         Method of the scene, with its arguments; measured right after the baselines.
     error : float, optional
@@ -235,26 +236,29 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
         No method supports the problem.
 
     """
-    end = time.process_time() + seconds
     with warnings.catch_warnings():
         # Each simulation of an H in plain Python emits a warning.
         warnings.simplefilter('ignore')
         show(0.0, 'the reference')
         known = survey(problem, horizon, base or horizon, EVERY_SURVEYOR)
+        end = time.process_time() + seconds  # the survey has compiled the method of the reference
         reference = best_reference(
             problem, horizon, base or horizon, known, PATIENCE * problem.gradients)
         why = _why_no_path(problem, reference, known.method)
         study = CostStudy(problem, known, reference, why)
-        methods = list(_fitting(study, own))
+        methods, compiling = list(_fitting(study, own)), 0.0
         for k, method in enumerate(methods):
             left = end - time.process_time()
             if left < _LAST_START_SHARE * seconds and k > 0:
                 study.unreached = [other.kind for other in methods[k:]]
                 break
             show((1 + k) / (2 + len(methods)), str(method))
-            # The first method gets results whatever the budget; compilation may use up the rest.
-            last = end if k > 0 else math.inf
-            _measure_for(study, method, left / (len(methods) - k), last)
+            begun = time.process_time()
+            _warm_up(study, method)
+            compiling += time.process_time() - begun
+            # The first method gets results whatever the budget.
+            last = end + compiling if k > 0 else math.inf
+            _measure_for(study, method, (left + compiling) / (len(methods) - k), last)
         if error is not None:
             show(1.0, f'more step sizes near error {error:g}')
             try_between(study, error)
@@ -416,7 +420,6 @@ def ladder(study: CostStudy, method: Method, bound: float,
 
 def _measure_for(study: CostStudy, method: Method, seconds: float, last: float) -> None:
     """Add the costs of a method within its time [s]; the first few may use all the time left."""
-    _warm_up(study, method)
     end = time.process_time() + seconds
     before = [time.process_time()]
 

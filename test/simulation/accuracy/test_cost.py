@@ -177,6 +177,25 @@ def test_methods_that_time_does_not_suffice_for_are_named(few):
     assert study.unreached == ['stormer_verlet', 'rk4']
 
 
+def test_time_to_compile_a_method_takes_none_from_its_rows(few, monkeypatch):
+    few('gauss8', 'rk4')
+    rows = []
+    for compiling in (0.0, 1000.0):
+        clock = SimpleNamespace(now=0.0)
+
+        def now(clock=clock) -> float:
+            clock.now += 1e-3
+            return clock.now
+
+        def warm_up(study, method, clock=clock, compiling=compiling):
+            clock.now += compiling * (method.kind == 'rk4')
+        monkeypatch.setattr(cost, 'time', SimpleNamespace(process_time=now))
+        monkeypatch.setattr(cost, '_warm_up', warm_up)
+        study = measure_costs(problem_of('exact_pendulum'), 10.0, 60.0)
+        rows.append([row.step_size for row in study.costs if row.method.kind == 'rk4'])
+    assert len(rows[0]) > 3 and rows[0] == rows[1]
+
+
 def test_scene_s_own_method_keeps_its_arguments(few):
     few('time_transformed', 'yoshida4', 'gauss8')
     own = Method('yoshida4', {'base': 'implicit_midpoint'})
