@@ -40,7 +40,7 @@ _MAX_COST_BEYOND_FLOOR = 10.0
 # Share of a run used to measure the reported computing time.
 _TIMED_SHARE = 0.01
 # Format version of cached choices; changing it invalidates the cache.
-_FORMAT = 4
+_FORMAT = 5
 # Tolerances tried for the integrator taylor, as shares of the path error.
 _TAYLOR_TOLERANCES = 10.0 ** -np.arange(0.0, 8.0)
 

@@ -4,7 +4,8 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 import math
 import time
 from typing import NamedTuple
@@ -17,6 +18,7 @@ from hnn_vi_ros.simulation.accuracy.path_reference import best_reference, PathRe
 from hnn_vi_ros.simulation.accuracy.trials import (
     carried, EVERY_SURVEYOR, InitialValueProblem, Method, parts_between, parts_for, PathSurvey,
     survey, Tolerance, work)
+from hnn_vi_ros.simulation.dense_step import record_at
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
@@ -35,6 +37,8 @@ _CLOSE_ENCOUNTERS, _MIN_FORCE_RATIO = 'time_transformed', 6.0
 # run may end early; the same with a tolerance; number of checks if effects do work, since their
 # sum is evaluated only at checks.
 _SAMPLES, _CHECKS, _JUDGED_SAMPLES, _JUDGED_CHECKS, _WORK_CHECKS = 1000, 20, 20_000, 100, 2000
+# Number of instants between steps at which the path of a method that meets a tolerance is checked.
+_CHECKS_BETWEEN = 200
 # Ratio of the first step size to the one that resolves the path: the larger of this and the
 # order, since a run that diverges at once is cheap. Strides through the list of subdivisions,
 # by upper bound of the order: smaller for higher orders, whose error falls faster.
@@ -262,6 +266,11 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
         if error is not None:
             show(1.0, f'more step sizes near error {error:g}')
             try_between(study, error)
+            while not why and (best := study.recommended(error)) is not None:
+                between = error_between(study, problem.simulation(best.method, best.step_size))
+                if between <= best.path_error:
+                    break
+                study.costs[study.costs.index(best)] = replace(best, path_error=between)
     return study
 
 
@@ -532,9 +541,28 @@ def _judged(study: CostStudy, tolerance: Tolerance, method: Method, simulation: 
         if failure or (over and not by_path and simulation.gradients > limit):
             break
     error = carried(seen, t, tolerance.horizon, 1.0 if by_path else 0.0)
+    gradients = simulation.gradients
+    if by_path and not failure and error <= tolerance.error and spent / t < bound:
+        error = max(error, error_between(study, simulation) * max(1.0, error / max(
+            *seen, 1e-300)))
     return MethodCost(method, simulation.step_size, error if by_path else math.nan,
-                      math.nan if by_path else error, math.nan, simulation.gradients / t, failure,
+                      math.nan if by_path else error, math.nan, gradients / t, failure,
                       spent / t, t)
+
+
+def error_between(study: CostStudy, simulation: Simulation) -> float:
+    """
+    Return the largest path error of dense output, where the path is fastest in equal parts of it.
+
+    Errors of phase are largest there, and steps of several orbits may end elsewhere.
+    """
+    states = study.reference.states
+    moves = np.abs(np.diff(states, axis=0)).max(axis=1)
+    ends = np.linspace(0, len(moves), 1 + min(_CHECKS_BETWEEN, len(moves))).astype(int)
+    places = np.array([low + int(moves[low:high].argmax()) for low, high in pairwise(ends)])
+    simulation.restart(study.problem.q, study.problem.p)
+    found = np.hstack(record_at(simulation, study.reference.instants.gap * (1 + places)))
+    return float(np.abs(found - states[places]).max())
 
 
 def try_between(study: CostStudy, error: float) -> None:

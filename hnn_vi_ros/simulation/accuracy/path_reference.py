@@ -134,8 +134,10 @@ def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: flo
 
     """
     limit = PATIENCE * problem.gradients
-    instants = Instants.of(tolerance.horizon, base,
-                           _MIN_INSTANTS if limit >= _SLOW_LIMIT else _MIN_SLOW_INSTANTS)
+    # At least two instants, of 15 or more per base, in a step that resolves the path.
+    finer = math.ceil(min(2.0 * tolerance.horizon / known.step_size / 15.0, _MAX_INSTANTS))
+    instants = Instants.of(tolerance.horizon, base, max(_MIN_INSTANTS, finer)
+                           if limit >= _SLOW_LIMIT else _MIN_SLOW_INSTANTS)
     best = refined_path(problem, instants, known, limit, _REFERENCE_ERROR_SHARE * tolerance.error)
     if best is None or best.accuracy > _MAX_REFERENCE_ERROR_SHARE * tolerance.error:
         raise CalibrationError(_refusal(problem, tolerance, known, best))

@@ -16,6 +16,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import (
     build, Choice, InitialValueProblem, Method, resolve, simulate, Tolerance)
 from hnn_vi_ros.simulation.accuracy.automatic_choice import calibrate, CANDIDATES, remembered
+from hnn_vi_ros.simulation.dense_step import record_at
 from messages import refused
 import numpy as np
 from plain_systems import Plain
@@ -160,6 +161,20 @@ def test_cheap_gradients_are_not_bought_by_dear_steps():
     """To three digits a Gauss method takes fewer gradients of nanoseconds, and more time."""
     choice = calibrate(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-3, 200.0))
     assert choice.method == 'stormer_verlet'
+
+
+@pytest.mark.parametrize(('eccentricity', 'horizon', 'error', 'largest'), [
+    (0.5, 500.0, 1e-6, None), *(long(*row) for row in (
+        (0.5, 100.0, 1e-6, None), (0.5, 500.0, 1e-8, None), (0.8, 200.0, 1e-6, 1.0),
+        (0.9, 200.0, 1e-5, None), (0.9, 100.0, 1e-7, None), (0.9, 200.0, 1e-5, 1.0)))])
+def test_choice_holds_a_path_error_between_its_steps(eccentricity, horizon, error, largest):
+    """At times within steps of several orbits, and near the pericentre, where errors peak."""
+    mine = orbit(eccentricity, False).problem
+    choice = calibrate(mine, Tolerance(PATH, error, horizon), largest)
+    simulation = mine.simulation(Method(choice.method, choice.arguments), choice.step_size)
+    t = np.linspace(0.01, horizon, 4001)
+    exact = mine.hamiltonian.exact_motion(mine.q, mine.p, t).path
+    assert np.abs(np.hstack(record_at(simulation, t)) - exact).max() <= error
 
 
 @pytest.mark.long

@@ -11,8 +11,9 @@ from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import CostStudy, measure_costs, Method, MethodCost
 from hnn_vi_ros.simulation.accuracy import cost
-from hnn_vi_ros.simulation.accuracy.cost import fastest, run_errors
+from hnn_vi_ros.simulation.accuracy.cost import error_between, fastest, run_errors
 from hnn_vi_ros.simulation.accuracy.path_reference import exact_path, Instants
+from hnn_vi_ros.simulation.dense_step import record_at
 import numpy as np
 import pytest
 
@@ -194,6 +195,25 @@ def test_time_to_compile_a_method_takes_none_from_its_rows(few, monkeypatch):
         study = measure_costs(problem_of('exact_pendulum'), 10.0, 60.0)
         rows.append([row.step_size for row in study.costs if row.method.kind == 'rk4'])
     assert len(rows[0]) > 3 and rows[0] == rows[1]
+
+
+@pytest.mark.parametrize('kind', ['gauss8', 'taylor'])
+def test_error_between_steps_is_that_of_dense_output_where_the_path_is_fastest(few, kind):
+    """A path in steps of several orbits, of which the ends alone are near the exact one."""
+    if kind == 'taylor':
+        pytest.importorskip('heyoka', reason='heyoka, which computes the series, is not installed')
+    few(kind)
+    problem = problem_of('kepler')
+    study = measure_costs(problem, 100.0, 20.0, error=1e-6)
+    best = study.recommended(1e-6)
+    assert best is not None
+    simulation = problem.simulation(best.method, best.step_size)
+    t = np.linspace(0.01, 100.0, 4001)
+    exact = problem.hamiltonian.exact_motion(problem.q, problem.p, t).path
+    error = np.abs(np.hstack(record_at(simulation, t)) - exact).max()
+    # The fastest instants of 200 parts are not the worst time of all, by a tenth or two.
+    assert error_between(study, simulation) == pytest.approx(error, rel=0.2)
+    assert error <= 1e-6
 
 
 def test_scene_s_own_method_keeps_its_arguments(few):
