@@ -53,33 +53,49 @@ class BridgePicture:
     ----------
     scene : Scene
         Scene as described by ~/scene or a log.
-    target : Path, str or int
-        Destination; see RerunSink.
-    name : str
-        Name of the recording.
 
     Raises
     ------
     HnnViRosError
-        The model of the scene is missing, or the target cannot be opened.
+        The scene cannot be built, for example because its model is missing.
 
     """
 
-    def __init__(self, scene: Scene, target: Target, name: str):
+    def __init__(self, scene: Scene):
         # The simulation stays in its initial state.
         self._simulation = simulation = build(scene)
-        self._hamiltonian = hamiltonian = simulation.hamiltonian
+        self._hamiltonian = simulation.hamiltonian
         self._energy0, self._modified = simulation.energy, simulation.modified_energy is not None
+        self._box = simulation.hamiltonian.box or look_ahead(simulation, _PREVIEW_TIME)
+        self._mechanism = MECHANISMS[scene.mechanism] if scene.mechanism else None
         self.samples = 0
+
+    def open(self, target: Target, name: str) -> None:  # noqa: A003
+        """
+        Open the recording.
+
+        Parameters
+        ----------
+        target : Path, str or int
+            Destination; see RerunSink.
+        name : str
+            Name of the recording.
+
+        Raises
+        ------
+        RecordingError
+            The target cannot be opened.
+
+        """
+        simulation = self._simulation
         self._sink = RerunSink(
-            name, target, hamiltonian, simulation.q.copy(), simulation.p.copy(),
-            box=hamiltonian.box or look_ahead(simulation, _PREVIEW_TIME),
-            mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
+            name, target, self._hamiltonian, simulation.q.copy(), simulation.p.copy(),
+            box=self._box, mechanism=self._mechanism,
             effects=simulation.effects, step_size=simulation.step_size,
             conservative=simulation.conservative, modified=self._modified)
 
     def show(self, state: StateMessage) -> None:
-        """Display a sample."""
+        """Display a sample; ValueError if it does not fit the scene."""
         simulation, hamiltonian = self._simulation, self._hamiltonian
         h, energy0 = simulation.step_size, self._energy0
         dH_dp = np.asarray(hamiltonian.gradient(state.q, state.p)[1])
@@ -89,8 +105,8 @@ class BridgePicture:
                 hamiltonian, h, state.q, state.p, state.energy, -state.dp_dt, dH_dp)
         step = state.stamp * 1e-9 / h
         if not step < _MAX_STEP_NUMBER:
-            raise RecordingError(f'its scene has steps of {h:g} s, so its stamps exceed the '
-                                 'countable number of steps; check its step_size')
+            raise ValueError(f'its scene has steps of {h:g} s, so its stamps exceed the '
+                             'countable number of steps; check its step_size')
         balance = state.energy - energy0 - state.work
         self._sink.write(Sample(
             step=round(step), stamp=state.stamp, q=state.q,
@@ -226,14 +242,18 @@ class RerunBridge(RobustNode):
     def show_bag(self, bag: Path) -> int:
         """Display all samples of a bag; return their number."""
         run = RecordedRun(bag, self._settings.trust_code)
-        picture = BridgePicture(run.scene, self.target, bag.resolve().name)
+        picture = BridgePicture(run.scene)
+        picture.open(self.target, bag.resolve().name)
         self._picture = picture
         told = {number for number, name in run.names.items() if name in ('diagnostics', 'events')}
-        for message, state in run.in_order({run.channel, *told}):
-            if state is not None:
-                self._show(BridgePicture.show, state)
-            elif message.channel in told:
-                self._show(BridgePicture.tell, run.decoded(message, DiagnosticArray), run.node)
+        try:
+            for message, state in run.in_order({run.channel, *told}):
+                if state is not None:
+                    self._show(BridgePicture.show, state)
+                elif message.channel in told:
+                    self._show(BridgePicture.tell, run.decoded(message, DiagnosticArray), run.node)
+        except ValueError as problem:
+            raise RecordingError(f'{bag}: {problem}') from problem
         if run.reader.damage:
             self.get_logger().warning(run.reader.damage)
         return picture.samples
@@ -245,22 +265,20 @@ class RerunBridge(RobustNode):
             self._picture = None
 
     def _on_scene(self, message: String) -> None:
-        """Begin a new picture, unless the text of the scene is unchanged."""
+        """Begin a new picture, unless the scene is unchanged; HnnViRosError if it is unusable."""
         if message.data == self._described:
             return
         self._described = message.data
-        try:
-            scene, _ = described_scene(message.data, '~/scene', self._settings.trust_code)
-        except RecordingError as problem:
-            # Any node may have sent it, so the picture continues.
-            self.get_logger().error(str(problem))
-            return
+        scene, _ = described_scene(message.data, '~/scene', self._settings.trust_code)
+        # Any node may have sent it: if it cannot be built, the earlier picture continues.
+        picture = BridgePicture(scene)
         with self._end_if_lost():
             self.close()
             # After the first picture, use a file name that does not exist yet.
             target = next(target for target in self._targets if target == self.target
                           or not (isinstance(target, Path) and target.exists()))
-            self._picture = BridgePicture(scene, target, 'bridge')
+            picture.open(target, 'bridge')
+            self._picture = picture
             shown = f'port {target}' if isinstance(target, int) else target
             simulator = next(iter(self._topics)).removesuffix('/scene')
             self.get_logger().info(f'showing {simulator} on {shown}')

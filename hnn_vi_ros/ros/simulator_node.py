@@ -3,7 +3,6 @@
 """The simulator node: its lifecycle, from parameters to a run, and the process around it."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 import gc
 import time
 
@@ -15,7 +14,7 @@ from hnn_vi_ros.ros.initial_state import hear_initial_states
 from hnn_vi_ros.ros.node_parameters import Parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import Discovery, take_once
 from hnn_vi_ros.ros.plumbing.managed_node import steady_timer, SUCCESS
-from hnn_vi_ros.ros.plumbing.rclpy_internals import log, RCLError
+from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
 from hnn_vi_ros.ros.run.control import Answer, Control, Simulator
 from hnn_vi_ros.ros.run.preparation import check_pace, compile_rest, OPENING, prepare, Prepared
@@ -214,9 +213,8 @@ def main(argv: list[str]) -> int:
         try:
             executor = node.serve(received, node.settings.autostart)
             if node.control is not None:
-                # Answer pending requests for steps; a client may already be gone.
-                with suppress(RCLError):
-                    take_once(executor)
+                # Answer pending requests for steps.
+                take_once(executor)
             if node.topics is not None:
                 node.topics.wait_for_delivery(received)
         finally:

@@ -205,7 +205,7 @@ class Simulation:
         """Return an observation with periodic angles shifted by full turns to be nearest to q."""
         names = columns(self.hamiltonian.coordinates)[0]
         own = [names.index(name) if name in names else -1 for name in seen.names]
-        turning = np.array([k >= 0 and self.system.turning[k] for k in own])
+        turning = np.array([k >= 0 and self.system.turning[k] for k in own], dtype=bool)
         return seen._replace(position=seen.position - whole_turns(seen.position - q[own], turning))
 
     @property

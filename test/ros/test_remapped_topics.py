@@ -163,7 +163,8 @@ def test_message_that_a_bridge_cannot_show_is_told_and_ignored(tmp_path, capfd):
         'simulator/events', 'controller/plan', 'simulator/state'))
     with ros(*to_file(tmp_path / 'a.rrd')) as arguments:
         bridge = RerunBridge(arguments)
-        bridge._picture = BridgePicture(load_scene('exact_pendulum'), tmp_path / 'b.rrd', 'b')
+        bridge._picture = BridgePicture(load_scene('exact_pendulum'))
+        bridge._picture.open(tmp_path / 'b.rrd', 'b')
         timing, event = DiagnosticArray(status=[DiagnosticStatus(
             name='hnn_simulator: timing', values=[KeyValue(key='real_time_factor', value='fast')])
         ]), DiagnosticArray(status=[DiagnosticStatus(name='hnn_simulator: event')])

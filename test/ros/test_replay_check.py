@@ -336,8 +336,9 @@ def test_steps_of_next_to_no_time_are_one_line_to_node_and_bridge(tmp_path, monk
     run = RecordedRun(bag)
     with refused(ParameterError):
         Sampler(build(run.scene), 100.0)
-    picture = BridgePicture(run.scene, tmp_path / 'a.rrd', 'a')
-    with refused(RecordingError):
+    picture = BridgePicture(run.scene)
+    picture.open(tmp_path / 'a.rrd', 'a')
+    with refused(ValueError):
         picture.show(run.state(next(run.reader.messages([run.channel]))))
     picture.close()
     monkeypatch.setattr(BagReader, 'attachment', lambda self, name: b'publish_rate: 100.0')

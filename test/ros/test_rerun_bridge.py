@@ -192,7 +192,8 @@ def plan_of(names: list[str], points: list[tuple[list[float], list[float]]]) -> 
 @pytest.mark.filterwarnings('ignore')
 def test_plan_is_drawn_by_its_momenta_and_what_is_none_is_refused_in_a_line(tmp_path):
     scene = load_scene('exact_double_pendulum')
-    picture = BridgePicture(scene, tmp_path / 'plan.rrd', 'plan')
+    picture = BridgePicture(scene)
+    picture.open(tmp_path / 'plan.rrd', 'plan')
     q, v = np.array([[0.1, 0.2], [0.3, 0.4]]), np.array([[1.0, -1.0], [0.5, 0.0]])
     # In another order.
     picture.plan(plan_of(['angle2', 'angle1'], [

@@ -8,8 +8,9 @@ import gc
 import time
 
 from hnn_vi_ros.errors import listed
+from hnn_vi_ros.ros.plumbing.executor import NodeExecutor
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor, TimeoutException
+from rclpy.executors import TimeoutException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -132,22 +133,21 @@ def wait_for_delivery(node: Node, publishers: Iterable[Publisher], received: Seq
                                   f'{", ".join(late)}')
 
 
-def spin(node: Node, over: Callable[[], object]) -> SingleThreadedExecutor:
+def spin(node: Node, over: Callable[[], object]) -> NodeExecutor:
     """Spin a node until `over` returns true; return the executor, which is then no longer spun."""
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    executor = NodeExecutor(node)
     while not over():
         executor.spin_once(timeout_sec=0.1)
     return executor
 
 
-def take_once(executor: SingleThreadedExecutor) -> bool:
+def take_once(executor: NodeExecutor) -> bool:
     """
     Handle one message of each topic that has one, and resume each waiting handler.
 
     Parameters
     ----------
-    executor : SingleThreadedExecutor
+    executor : NodeExecutor
         Executor that is not being spun.
 
     Returns
@@ -159,9 +159,6 @@ def take_once(executor: SingleThreadedExecutor) -> bool:
     taken = False
     with suppress(TimeoutException):
         while True:
-            handler, _, _ = executor.wait_for_ready_callbacks(timeout_sec=0.0)
-            handler()
-            # Raises the exception of the callback, if any.
-            handler.result()
+            executor.take(0.0)
             taken = True
     return taken

@@ -12,9 +12,10 @@ import time
 from typing import Any
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError
+from hnn_vi_ros.ros.plumbing.executor import NodeExecutor
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
 from hnn_vi_ros.ros.plumbing.qos_overrides import PREFIX
-from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, log, RCLError, state_machine
+from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, log, state_machine
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
@@ -22,7 +23,7 @@ from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock as SteadyClock, ClockType, ROSClock
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -210,7 +211,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         if await self.change_state(Transition.TRANSITION_CONFIGURE):
             await self.change_state(Transition.TRANSITION_ACTIVATE)
 
-    def serve(self, received: Sequence[int], autostart: bool) -> SingleThreadedExecutor:
+    def serve(self, received: Sequence[int], autostart: bool) -> NodeExecutor:
         """
         Serve until the node has an exit status; return the executor, which is then not spun.
 
@@ -222,20 +223,14 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
             True to configure and activate at once, without a request.
 
         """
-        executor = SingleThreadedExecutor()
-        executor.add_node(self)
+        executor = NodeExecutor(self)
         if autostart:
             executor.create_task(self.autostart)
         while self.exit_status is None:
             if received:
                 self.stop(0, f'stopped by {signal.Signals(received[0]).name}')
                 continue
-            try:
-                executor.spin_once(timeout_sec=None if self.ticking else _SIGNAL_PERIOD)
-            except RCLError as problem:
-                # For example, a client that is gone before its answer: no reason to stop.
-                self.get_logger().warning(
-                    f'ROS: {" ".join(str(problem).split())}', throttle_duration_sec=1.0)
+            executor.spin_once(timeout_sec=None if self.ticking else _SIGNAL_PERIOD)
         return executor
 
     def end(self, status: int) -> int:

@@ -3,7 +3,7 @@
 """
 Internals of rclpy that this package uses, for lack of a public alternative.
 
-The errors RCLError and UnknownROSArgsError and the type of a node's logger have no public names.
+The error UnknownROSArgsError and the type of a node's logger have no public names.
 The default handler of ``change_state`` lets the error of an illegal transition end the process;
 the only remedy is another callback of the same service. A subscription passes one message to its
 callback, and gives no access to the other waiting ones. Loggers write to the terminal directly
@@ -22,7 +22,6 @@ from rclpy.subscription import Subscription
 if TYPE_CHECKING:
     from rclpy.lifecycle import LifecycleNodeMixin
 
-RCLError = rclpy_implementation.RCLError
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
 Logger = RcutilsLogger
 

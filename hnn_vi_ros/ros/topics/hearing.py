@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscriptions that report and ignore invalid messages."""
 
-from collections import Counter
 from collections.abc import Callable
 from itertools import islice
-import math
-import time
 from typing import Any
 
+from hnn_vi_ros.ros.plumbing.executor import Ignored
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription
 from hnn_vi_ros.ros.plumbing.rclpy_internals import waiting
 from hnn_vi_ros.ros.topics.inputs import Input
@@ -18,13 +16,9 @@ from rclpy.subscription import Subscription
 
 # Maximum size of a message; longer ones are ignored [bytes].
 LARGEST_MESSAGE = 1 << 20
-# Maximum length of a reason [characters]: room for the names of twelve joints and a remedy.
-LONGEST_REASON = 500
-# Minimum wall time between two log lines about ignored messages of a topic [s].
-_LOG_PERIOD = 1.0
 
 
-class Hearing:
+class Hearing(Ignored):
     """
     The subscriptions of a node.
 
@@ -37,21 +31,15 @@ class Hearing:
     ----------
     topics : list of str
         Names of the subscribed topics.
-    ignored : Counter of str
-        Number of ignored messages, by topic.
-    reasons : dict of str to str
-        Reason for ignoring the last such message, by topic.
+    ignored, reasons
+        Number of ignored messages, and reason for ignoring the last one, by topic.
 
     """
 
     def __init__(self, node: Node):
-        self._node = node
+        super().__init__(node)
         self._subscriptions: list[Subscription] = []
         self.topics: list[str] = []
-        self.ignored: Counter[str] = Counter()
-        self.reasons: dict[str, str] = {}
-        # Time of the next permitted log line, by topic [s].
-        self._due: dict[str, float] = {}
 
     def hear(self, one: Input, take: Callable[[Any], None], raw: bool = False,
              then: Callable[[], None] | None = None) -> Subscription:
@@ -63,11 +51,11 @@ class Hearing:
         one : Input
             Topic to subscribe to.
         take : callable
-            Handles a message; on an invalid one, raises ValueError and changes nothing.
+            Handles a message; on an invalid one, raises an error and changes nothing.
         raw : bool, optional
             True to pass the serialised bytes to `take`, not the message.
         then : callable, optional
-            Called after all waiting messages are handled; may raise ValueError.
+            Called after all waiting messages are handled; may raise an error.
 
         """
         topic = one.topic
@@ -80,14 +68,9 @@ class Hearing:
         def attempt(what: Callable[..., None], *arguments: bytes) -> None:
             try:
                 what(*arguments)
-            except (ValueError, RuntimeError) as problem:
-                # RuntimeError: the bytes are not a message of this type.
-                self.ignored[topic] += 1
-                reason = self.reasons[topic] = ' '.join(str(problem).split())[:LONGEST_REASON]
-                if (now := time.monotonic()) >= self._due.get(topic, -math.inf):
-                    self._due[topic] = now + _LOG_PERIOD
-                    self._node.get_logger().error(
-                        f'{topic}: message ignored: {reason} ({self.ignored[topic]} so far)')
+            except Exception as problem:
+                # Of any kind: no message may end the node, nor the handling of later ones.
+                self.ignore(topic, problem)
 
         def on_message(payload: bytes) -> None:
             attempt(use, payload)
