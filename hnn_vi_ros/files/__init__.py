@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.files.limits import (
         array_names, LONGEST_LINE, parse_json, plain_number, safetensors_header, sha256_of,
         text_lines, unpack_arrays)
-    from hnn_vi_ros.files.named_code import find_beside, import_named, NAMES_CODE
+    from hnn_vi_ros.files.named_code import CODE_REFUSED, find_beside, import_named, NAMES_CODE
     from hnn_vi_ros.files.regular_file import (
         check_new, in_bytes, limited, no_file, numbered, read_limited, refuse_pointer, regular,
         replacing, write_new, write_new_scene, write_text)

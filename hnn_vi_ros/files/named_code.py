@@ -16,6 +16,8 @@ from typing import Any
 from pydantic import AfterValidator, ValidationInfo
 
 _TRUST = 'trust_code'
+# Part of the message of a rejected name.
+CODE_REFUSED = 'is code, which is run only for scene files that you name'
 
 
 def trusting(trust_code: bool) -> dict[str, bool]:
@@ -26,8 +28,8 @@ def trusting(trust_code: bool) -> dict[str, bool]:
 def _check(name: str | None, info: ValidationInfo) -> str | None:
     if name is not None and not (info.context or {}).get(_TRUST, False):
         raise ValueError(
-            f'{repr(name)[:80]} is code, which is run only for scene files that you name; if you '
-            'trust its author, allow it with --trust-code or the parameter trust_code')
+            f'{repr(name)[:80]} {CODE_REFUSED}; if you trust its author, allow it with '
+            '--trust-code or the parameter trust_code')
     return name
 
 

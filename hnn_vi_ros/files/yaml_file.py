@@ -73,10 +73,10 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra='forbid', strict=True, allow_inf_nan=False, frozen=True)
 
 
-def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
-              ) -> tuple[Model, KeyPlaces]:
+def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError],
+              trust_code: bool = True) -> tuple[Model, KeyPlaces]:
     """
-    Read and validate one YAML file given by the user; return the places of its keys as well.
+    Read and validate one YAML file; return the places of its keys as well.
 
     Parameters
     ----------
@@ -86,10 +86,12 @@ def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
         Schema of the file.
     error : type of HnnViRosError
         Exception to raise, with one line a problem: file, line, key, expected value.
+    trust_code : bool, optional
+        False if the user has not named the file, which then must not name Python code.
 
     """
     data, places = parse_mapping(read_text(path, error), path, error)
-    return validate(data, places, schema, error, trust_code=True), places
+    return validate(data, places, schema, error, trust_code=trust_code), places
 
 
 def validate(data: Mapping[str, Any], places: KeyPlaces | Callable[[], KeyPlaces],

@@ -103,7 +103,9 @@ class Settings:
         '', 'bag from which to resume, with its last state and its recorded scene instead of '
         '`scene`; empty: start a new run')
     trust_code: bool = parameter(
-        False, 'run the Python code named in the scene of the bag of `resume`')
+        False, 'run the Python code named in the scene of a bag (`resume`), or in a scene file '
+        'that is set while the node runs; that of the scene given at the start is run in any case',
+        changes=START)
     real_time_factor: float = parameter(
         1.0, 'simulated seconds per second of wall time; 0: as fast as possible', '1', 0.0, 1e6,
         changes=ALWAYS)

@@ -169,7 +169,9 @@ class SimulatorNode(Simulator):
 
     def _prepare(self, settings: Settings, topics: BagTopics, discovery: Discovery) -> Prepared:
         """Prepare a run and store it, as the node may be stopped before it takes the result."""
-        self._prepared = prepare(settings, topics, discovery, self.get_logger(), self._set_stage)
+        self._prepared = prepare(
+            settings, topics, discovery, self.get_logger(), self._set_stage,
+            settings.trust_code or settings.scene == self._declared.trusted_scene)
         return self._prepared
 
     def _close_prepared(self) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
-from hnn_vi_ros.files import is_path, no_file, shipped_file, shipped_names
+from hnn_vi_ros.files import CODE_REFUSED, is_path, no_file, shipped_file, shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
 
 _PACKAGE, _FOLDER, _SUFFIXES = 'hnn_vi_ros', '/config/scenes/', ('.yaml', '.yml')
@@ -98,13 +98,10 @@ def open_world(uri: str) -> tuple[Scene, str]:
         raise WorldError('RESULT_NOT_FOUND',
                          f'{_shown(uri)}: no such scene; ~/get_available_worlds lists them')
     try:
-        scene = load_scene(name)
+        scene = load_scene(name, trust_code=False)
     except SceneError as problem:
-        raise WorldError('RESOURCE_PARSE_ERROR', str(problem)) from problem
-    if scene.hamiltonian.kind == 'python':
-        raise WorldError('UNSUPPORTED_ELEMENTS', (
-            f'{scene.place("hamiltonian", "factory")}: runs code, which services may not request; '
-            'set the parameter scene instead'))
+        raise WorldError('UNSUPPORTED_ELEMENTS' if CODE_REFUSED in str(problem)
+                         else 'RESOURCE_PARSE_ERROR', str(problem)) from problem
     try:
         scene.model_files()
     except ModelError as problem:

@@ -430,7 +430,7 @@ def _validated(data: dict[str, Any], where: str) -> Scene:
                     trust_code=True)
 
 
-def load_scene(scene: str | Path) -> Scene:
+def load_scene(scene: str | Path, trust_code: bool = True) -> Scene:
     """
     Read and validate a scene.
 
@@ -438,6 +438,8 @@ def load_scene(scene: str | Path) -> Scene:
     ----------
     scene : str or Path
         Name of a shipped scene, or path of a YAML file.
+    trust_code : bool, optional
+        False to reject a scene that names Python code, for example if others name the file.
 
     Returns
     -------
@@ -456,7 +458,7 @@ def load_scene(scene: str | Path) -> Scene:
 
     """
     path = find_yaml('scene', str(scene), SceneError)
-    loaded, places = read_yaml(path, Scene, SceneError)
+    loaded, places = read_yaml(path, Scene, SceneError, trust_code)
     # A module next to the scene is found like an installed one.
     loaded._origin = Origin(path, places, code_folder=str(path.resolve().parent))
     return loaded

@@ -47,17 +47,21 @@ _NUMBERS = (0.0, 1.0, -1.0, 0.5, math.nan, math.inf, -math.inf, 1e308, -1e308, 5
 _LENGTHS, _LENGTH_WEIGHTS = (0, 1, 2, 3, 7, 1000, 150_000), (8, 8, 8, 4, 4, 1, 0.1)
 # These write files.
 _FEW = ('start_recording', 'stop_recording')
-_MOST_FILES = 30
+_MOST_FILES = 24
+# Requests that are sent together: fewer than a service holds.
+_BURST = 8
 
 
-def random_value(chance: random.Random, kind: str) -> Any:
-    """Return a value of a field's type; text is of few letters or long, numbers are extreme."""
+def random_value(chance: random.Random, kind: str, length: int | None = None) -> Any:
+    """Return a value of a field's type; numbers and lengths of lists are extreme."""
     if found := re.fullmatch(r'sequence<(.*?)(?:, (\d+))?>', kind):
-        length, = chance.choices(_LENGTHS, _LENGTH_WEIGHTS)
+        if length is None:
+            length, = chance.choices(_LENGTHS, _LENGTH_WEIGHTS)
         length = min(length, int(found[2] or length))
         if length > 100:
-            # One value, repeated: drawing each would take long.
-            return [random_value(chance, found[1])] * (length if '/' not in found[1] else 100)
+            # One value, repeated: drawing each would take long. Of messages and texts a few.
+            numbers = '/' not in found[1] and 'string' not in found[1]
+            return [random_value(chance, found[1])] * (length if numbers else 20)
         return [random_value(chance, found[1]) for _ in range(length)]
     if found := re.fullmatch(r'(.*)\[(\d+)\]', kind):
         return [random_value(chance, found[1]) for _ in range(int(found[2]))]
@@ -79,8 +83,9 @@ def random_value(chance: random.Random, kind: str) -> Any:
 
 
 def random_message(chance: random.Random, kind: type) -> Any:
-    """Return a message or request of a type."""
-    return kind(**{name: random_value(chance, one)
+    """Return a message or request of a type; half of them have lists of one length."""
+    length = chance.choice((1, 2, None, None))
+    return kind(**{name: random_value(chance, one, length)
                    for name, one in kind.get_fields_and_field_types().items()})
 
 
@@ -109,7 +114,7 @@ class Storm:
         """Spin both until the condition holds, or for so long [s]."""
         deadline = time.monotonic() + most
         while not condition() and time.monotonic() < deadline:
-            self.executor.spin_once(timeout_sec=0.002)
+            self.executor.spin_once(timeout_sec=0.0005)
             self._others.spin_once(timeout_sec=0.0)
         return bool(condition())
 
@@ -142,11 +147,13 @@ class Storm:
                 continue
             client = self._peer.create_client(kind, name)
             assert self.spin_until(client.service_is_ready)
-            for _ in range(min(count, _MOST_FILES) if name.endswith(_FEW) else count):
-                future = client.call_async(harmless(random_message(self._chance, kind.Request)))
-                self.sent[name] += 1
+            for begin in range(0, min(count, _MOST_FILES) if name.endswith(_FEW) else count, _BURST):
+                futures = [client.call_async(harmless(random_message(
+                    self._chance, kind.Request))) for _ in range(min(_BURST, count - begin))]
+                self.sent[name] += len(futures)
                 # Some answers come later: those of steps, while the node waits or is paused.
-                self.handled[name] += self.spin_until(future.done, 0.5)
+                self.spin_until(lambda: all(one.done() for one in futures), 0.5)  # noqa: B023
+                self.handled[name] += sum(one.done() for one in futures)
             self._peer.destroy_client(client)
 
     def ask(self, kind: type, name: str, **fields: Any) -> Any:

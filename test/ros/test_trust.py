@@ -4,6 +4,7 @@
 
 import ast
 from collections.abc import Callable, Iterator
+import json
 from pathlib import Path
 import shutil
 import sys
@@ -11,19 +12,20 @@ from types import SimpleNamespace
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ModelError, RecordingError, SceneError
-from hnn_vi_ros.files import dump_yaml, shipped_file, yaml_text
+from hnn_vi_ros.files import dump_yaml, share_folder, shipped_file, yaml_text
 from hnn_vi_ros.files.named_code import trusting
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import find_type, main as replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.worlds import open_world, WorldError
 from hnn_vi_ros.run import scene_report
 from hnn_vi_ros.scene import described_scene, Scene
 from hnn_vi_ros.simulation import build
 from messages import refused
-from peer import ros
+from peer import CLEANUP, CONFIGURE, DEACTIVATE, peer, ros
 from processes import (
-    finish, simulator_words, start_executable, to_file)
+    finish, simulator_words, standard_error, start, start_executable, to_file)
 from pydantic import ValidationError
 import pytest
 from recorded import record_run
@@ -34,6 +36,13 @@ PYTHON = {'hamiltonian': {'kind': 'python', 'factory': 'marker:make'}}
 LAGRANGIAN = {'integrator': {'kind': 'discrete_euler_lagrange',
                              'discrete_lagrangian': 'marker:make'}}
 NAMED = [PYTHON, LAGRANGIAN]
+# The definition in the schema of each key that names code, and a part of a scene that has it.
+CODE_KEYS = {
+    ('PythonChoice', 'factory'): PYTHON,
+    ('DiscreteEulerLagrange', 'discrete_lagrangian'): LAGRANGIAN,
+    ('InvariantChoice', 'function'): {'invariants': [{'name': 'i', 'function': 'marker:make'}]},
+    ('HolonomicConstraint', 'factory'): {'effects': [
+        {'kind': 'holonomic_constraint', 'form': 'python', 'factory': 'marker:make'}]}}
 MARKER = """\
 from pathlib import Path
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
@@ -93,18 +102,65 @@ def test_code_that_a_bag_names_is_refused_and_not_run(tmp_path, marker, on_path,
 
 
 @pytest.mark.parametrize('named', NAMED, ids=['factory', 'discrete_lagrangian'])
-def test_code_that_a_topic_names_is_refused_and_not_run(node, capfd, marker, on_path, named):
-    node._on_scene(String(data=described(**named)))
-    log = capfd.readouterr().err
-    assert "'marker:make' is code" in log and '--trust-code' in log
-    assert log.count('\n') == 1 and not marker.exists()
+def test_code_that_a_topic_names_is_refused_and_not_run(node, marker, on_path, named):
+    with refused(RecordingError):
+        node._on_scene(String(data=described(**named)))
+    assert not marker.exists() and 'marker' not in sys.modules
     assert node.problem is None and node._picture is None
 
 
 def test_picture_goes_on_when_a_message_is_refused(node):
     node._picture = picture = SimpleNamespace(close=lambda: None)
-    node._on_scene(String(data=described(**PYTHON)))
+    with refused(RecordingError):
+        node._on_scene(String(data=described(**PYTHON)))
     assert node._picture is picture
+
+
+def test_keys_that_name_code_are_those_of_the_schema():
+    schema = json.loads((share_folder() / 'config/scene.schema.json').read_text())
+    assert {(name, key) for name, one in schema['$defs'].items()
+            for key, value in one.get('properties', {}).items()
+            if 'module:function' in value.get('description', '')} == CODE_KEYS.keys()
+
+
+@pytest.mark.parametrize('named', CODE_KEYS.values(), ids=map('.'.join, CODE_KEYS))
+def test_code_in_a_scene_of_others_is_refused_by_files_topics_and_services(
+        tmp_path, marker, on_path, named):
+    path = tmp_path / 'scene.yaml'
+    path.write_text(dump_yaml(load_scene('exact_pendulum').model_dump() | named))
+    with refused(SceneError):
+        load_scene(path, trust_code=False)
+    with refused(RecordingError):
+        described_scene(described(**named), '~/scene')
+    with refused(WorldError) as problem:
+        open_world(str(path))
+    assert problem.value.code == 'UNSUPPORTED_ELEMENTS'
+    assert not marker.exists() and 'marker' not in sys.modules
+    assert load_scene(path) and not marker.exists()
+
+
+def test_scene_set_while_the_node_runs_names_no_code_and_that_of_the_start_may(tmp_path, marker):
+    (tmp_path / 'code' / 'mine.py').write_text(MARKER.format(path=str(tmp_path / 'ran')))
+    for name in ('mine', 'marker'):
+        (tmp_path / 'code' / f'{name}.yaml').write_text(dump_yaml(
+            load_scene('exact_pendulum').model_dump()
+            | {'hamiltonian': {'kind': 'python', 'factory': f'{name}:make'}}))
+    given, other = (str(tmp_path / 'code' / f'{name}.yaml') for name in ('mine', 'marker'))
+    process = start(tmp_path, scene=given)
+    with peer() as peers:
+        peers.wait_for_state('active')
+        assert (tmp_path / 'ran').exists()
+        (tmp_path / 'ran').unlink()
+        assert peers.change_state(DEACTIVATE) and peers.change_state(CLEANUP)
+        assert not peers.set_parameters(trust_code=True).successful
+        assert peers.set_parameters(scene=other).successful
+        assert not peers.change_state(CONFIGURE)
+        assert peers.state == 'unconfigured' and not marker.exists()
+        assert peers.set_parameters(scene=given).successful
+        assert peers.change_state(CONFIGURE)
+    process.kill()
+    process.wait()
+    assert "'marker:make' is code" in standard_error(process)
 
 
 @pytest.mark.parametrize('named', NAMED, ids=['factory', 'discrete_lagrangian'])

@@ -136,7 +136,7 @@ class Prepared(NamedTuple):
 
 
 def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger: Logger,
-            begin: Callable[[str], None]) -> Prepared:
+            begin: Callable[[str], None], trust_code: bool = False) -> Prepared:
     """
     Load the scene, compile it, look ahead at its motion, and open the files.
 
@@ -155,6 +155,8 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
         Logger of the progress.
     begin : callable
         Called with a short name at the start of each stage.
+    trust_code : bool, optional
+        True if the parameter `scene` may name Python code: the user has set it.
 
     Raises
     ------
@@ -171,7 +173,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
                              'lockstep:=true, or remove lockstep_period')
     begin('loading the scene')
     factor = settings.real_time_factor
-    scene, step, origin, damage = _load(settings)
+    scene, step, origin, damage = _load(settings, trust_code)
     begin('selecting the integrator')
     scene, chosen, log_lines = select(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
@@ -215,11 +217,12 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
                     twin, sensor, lockstep)
 
 
-def _load(settings: Settings) -> tuple[Scene, int, int, str]:
+def _load(settings: Settings, trust_code: bool) -> tuple[Scene, int, int, str]:
     """Return the scene, the first step, the stamp of step 0 [ns], and damage of a resumed log."""
     step_size, integrator = settings.step_size or None, settings.integrator or None
     if not settings.resume:
-        return load_scene(settings.scene).with_overrides(step_size, integrator), 0, 0, ''
+        return load_scene(settings.scene, trust_code).with_overrides(
+            step_size, integrator), 0, 0, ''
     if step_size or integrator:
         name = 'step_size' if step_size else 'integrator'
         raise ParameterError(f'parameter {name}: cannot be changed in a resumed run; remove it, '
