@@ -141,9 +141,15 @@ def _next_steps(name: str, trajectory: Trajectory) -> str:
             f'       hnn scene --explain {name}')
 
 
+def _write_rerun(run: Trajectory, path: Path) -> None:
+    # The sink creates its file itself.
+    path.unlink()
+    run.to_rerun(path)
+
+
 _WRITERS: dict[str, Callable[[Trajectory, Path], object]] = {
     '--csv': Trajectory.to_csv,
     '--plot': lambda run, path: run.plot().savefig(path, dpi=150),
     '--portrait': lambda run, path: run.phase_portrait().savefig(path, dpi=150),
-    '--rerun': lambda run, path: run.to_rerun(path),
+    '--rerun': _write_rerun,
 }

@@ -5,10 +5,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 import errno
-from io import BufferedReader
+from io import BufferedReader, BufferedWriter
 from itertools import count
 import os
 from pathlib import Path
+from secrets import token_hex
 import stat
 
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, SceneError
@@ -56,7 +57,7 @@ def check_new(option: str, path: Path) -> None:
         raise ParameterError(f'{option} {path}: exists already; name another file')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
+        path.open('xb').close()
         path.unlink()
     except OSError as problem:
         raise ParameterError(f'{option} {path}: cannot be written ({problem.strerror}); name '
@@ -70,41 +71,59 @@ def replacing(path: Path) -> Iterator[Path]:
 
     The replacement is atomic: a full disk or a power failure leaves the old file intact.
     """
-    with _beside(path) as temporary:
+    with temporary_beside(path) as (temporary, _):
         yield temporary
-        _put_on_disk(temporary)
+        # Opened again, since the writer may have created it anew.
+        with open(os.open(temporary, os.O_RDONLY | os.O_NOFOLLOW), 'rb') as written:
+            os.fsync(written.fileno())
         temporary.replace(path)
 
 
 @contextmanager
-def _beside(path: Path) -> Iterator[Path]:
-    """Yield the name of a temporary file next to another file."""
-    temporary = path.with_name(f'.{path.stem}.{os.getpid()}{path.suffix}')
+def temporary_beside(path: Path, mode: int = 0o666) -> Iterator[tuple[Path, BufferedWriter]]:
+    """
+    Create a temporary file next to another file; yield its path and a stream that writes to it.
+
+    Nobody can foresee its name, and it is created exclusively (O_EXCL): in a folder that others
+    can write to as well, it is neither their file nor a link of theirs. It is removed at the end
+    unless it was renamed.
+
+    Parameters
+    ----------
+    path : Path
+        The other file.
+    mode : int, optional
+        Permissions, which the umask restricts further; ``tempfile`` would give 0600 to files for
+        others to read.
+
+    """
+    temporary = path.with_name(f'.{path.stem}.{token_hex(8)}{path.suffix}')
+    handle = os.open(
+        temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
     try:
-        yield temporary
+        with open(handle, 'wb') as stream:
+            yield temporary, stream
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def _put_on_disk(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+def _put_on_disk(stream: BufferedWriter, content: bytes) -> None:
+    stream.write(content)
+    stream.flush()
+    os.fsync(stream.fileno())
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text in UTF-8 to a file atomically, replacing it."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(text.encode())
+    with temporary_beside(path) as (temporary, stream):
+        _put_on_disk(stream, text.encode())
+        temporary.replace(path)
 
 
 def write_new(path: Path, content: bytes) -> None:
     """Write a new file atomically; raise FileExistsError if it exists."""
-    with _beside(path) as temporary:
-        temporary.write_bytes(content)
-        _put_on_disk(temporary)
+    with temporary_beside(path) as (temporary, stream):
+        _put_on_disk(stream, content)
         try:
             os.link(temporary, path)
         except FileExistsError:

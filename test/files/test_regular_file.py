@@ -6,14 +6,17 @@ from collections.abc import Callable
 import errno
 import os
 from pathlib import Path
+import re
 
 from hnn_vi_ros.errors import DataError, HnnViRosError, SceneError
-from hnn_vi_ros.files import read_yaml, write_new, write_new_scene
+from hnn_vi_ros.files import (
+    read_yaml, regular_file, replacing, write_new, write_new_scene, write_text)
 from hnn_vi_ros.hamiltonians import read_urdf
 from hnn_vi_ros.identify.identify import _arrays
 from hnn_vi_ros.learning import ArraysData
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.text import LogMotions, read_log
+from hnn_vi_ros.recording.bags.bag_metadata import write_bag_metadata
 from hnn_vi_ros.ros.worlds import open_world, WorldError
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.sweeps.axes import file_axis, read_posterior
@@ -57,12 +60,11 @@ def test_scene_on_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch, befor
     if before:
         path.write_text(before)
 
-    def fill(self: Path, content: bytes) -> None:
-        with self.open('wb') as stream:
-            stream.write(content[:3])
+    def fill(handle: int) -> None:
+        os.ftruncate(handle, 3)
         raise OSError(errno.ENOSPC, 'No space left on device')
 
-    monkeypatch.setattr(Path, 'write_bytes', fill)
+    monkeypatch.setattr(os, 'fsync', fill)
     with refused(SceneError):
         write_new_scene(path, 'description: new', force=bool(before))
     assert [one.name for one in tmp_path.iterdir()] == (['scene.yaml'] if before else [])
@@ -85,3 +87,42 @@ def test_new_file_is_whole_when_it_appears_and_replaces_none(tmp_path, monkeypat
         write_new(path, b'other')
     assert seen == [(False, b'whole'), (True, b'other')]
     assert path.read_bytes() == b'whole' and [*tmp_path.iterdir()] == [path]
+
+
+@pytest.mark.parametrize('write', [
+    lambda path: write_text(path, 'new'), lambda path: write_new(path, b'new'),
+    lambda path: _replace(path), lambda path: write_bag_metadata(path.parent, {'new': 1})],
+    ids=['write_text', 'write_new', 'replacing', 'write_bag_metadata'])
+def test_temporary_file_is_none_that_was_planted(tmp_path, monkeypatch, write):
+    victim, path = tmp_path / 'victim', tmp_path / 'new' / 'metadata.yaml'
+    victim.write_text('precious')
+    path.parent.mkdir()
+    # Names of before, which could be foreseen; and each name that is drawn now, once.
+    for name in (f'.metadata.{os.getpid()}.yaml', 'metadata.yaml.tmp', '.metadata.planted.yaml'):
+        (path.parent / name).symlink_to(victim)
+    monkeypatch.setattr(regular_file, 'token_hex', lambda count: 'planted')
+    with pytest.raises(FileExistsError):
+        write(path)
+    monkeypatch.undo()
+    write(path)
+    assert 'new' in path.read_text() and not path.is_symlink()
+    assert victim.read_text() == 'precious'
+    assert path.stat().st_mode & 0o777 == 0o666 & ~_umask()
+    # Nothing is left but the links.
+    assert len([*path.parent.iterdir()]) == 4
+
+
+def _replace(path: Path) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text('new')
+
+
+def _umask() -> int:
+    before = os.umask(0)
+    os.umask(before)
+    return before
+
+
+def test_temporary_files_are_made_in_one_place():
+    for path in Path(regular_file.__file__).parents[1].rglob('*.py'):
+        assert not re.search('getpid|mkstemp|mktemp', path.read_text(encoding='utf-8')), path

@@ -4,12 +4,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import dump_yaml, parse_mapping, parse_yaml, regular
+from hnn_vi_ros.files import dump_yaml, parse_mapping, parse_yaml, regular, write_text
 
 METADATA_VERSION = 9
 # Start time that rosbag2 gives to a bag without messages: the latest possible time.
@@ -136,10 +135,8 @@ def bag_metadata(files: Sequence[Extent], topics: Sequence[Topic], counts: Seque
 
 def write_bag_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
     """Write ``metadata.yaml`` to the folder of a bag atomically."""
-    temporary = folder / 'metadata.yaml.tmp'
-    text = dump_yaml({'rosbag2_bagfile_information': dict(metadata)})
-    temporary.write_text(text, encoding='utf-8')
-    os.replace(temporary, folder / 'metadata.yaml')
+    write_text(folder / 'metadata.yaml', dump_yaml({
+        'rosbag2_bagfile_information': dict(metadata)}))
 
 
 def qos_profiles(text: str) -> list[Any]:

@@ -10,11 +10,10 @@ import fcntl
 import os
 from pathlib import Path
 import shutil
-import tempfile
 from typing import BinaryIO
 
 from hnn_vi_ros.errors import listed, RecordingError
-from hnn_vi_ros.files import dump_yaml, numbered, regular
+from hnn_vi_ros.files import dump_yaml, numbered, regular, temporary_beside
 from hnn_vi_ros.recording.bags.bag_files import bag_files
 from hnn_vi_ros.recording.bags.bag_metadata import (
     bag_metadata, counted_messages, Extent, NEVER, read_description, Topic, write_bag_metadata)
@@ -189,20 +188,16 @@ def _compared(file: McapFile, content: _Content, stream: BinaryIO) -> Recovery:
 def _write_anew(file: McapFile, content: _Content, recovery: Recovery, replace: bool) -> None:
     """Write the readable content of a file to a new one, which then replaces it."""
     path = file.path.resolve()
-    handle, name = tempfile.mkstemp(prefix=f'.{path.name}.', suffix='.tmp', dir=path.parent)
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, 'wb') as target:
-            copy_messages(file, content, target)
-            target.flush()
-            os.fsync(target.fileno())
+    # No bag: a file with the suffix of one would count as a part of this one.
+    with temporary_beside(path.with_suffix('.tmp')) as (temporary, target):
+        copy_messages(file, content, target)
+        target.flush()
+        os.fsync(target.fileno())
         _read_back(temporary, recovery.messages)
         shutil.copymode(path, temporary)
         if not replace:
             recovery.original = _keep(path)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        temporary.replace(path)
 
 
 def copy_messages(file: McapFile, content: _Content, target: BinaryIO) -> None:

@@ -15,7 +15,7 @@ import platform
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import CalibrationError
-from hnn_vi_ros.files import cache_folder
+from hnn_vi_ros.files import cache_folder, write_text
 from hnn_vi_ros.scene import AutoChoice, Scene
 from hnn_vi_ros.simulation.accuracy.cost import (
     CostStudy, fastest, ladder, measure, MethodCost, refusal, TOO_EXPENSIVE, try_between)
@@ -249,9 +249,7 @@ def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step:
         choice = calibrate(problem, tolerance, largest_step)
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(f'.{os.getpid()}')
-        part.write_text(json.dumps(asdict(choice)))
-        part.replace(file)
+        write_text(file, json.dumps(asdict(choice)))
     return choice
 
 
