@@ -173,9 +173,9 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
             # Before any ROS library is loaded, because some terminate the process.
             settle_ros_environment()
         _end_at_interrupt()
+        _warn_in_lines(shown)
         loaded = import_module(module)
         _merge_interrupts()
-        _warn_in_lines(shown)
         return loaded.main(argv)
     except HnnViRosError as problem:
         return _lines(shown, problem)

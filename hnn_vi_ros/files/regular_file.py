@@ -74,7 +74,7 @@ def replacing(path: Path) -> Iterator[Path]:
     with temporary_beside(path) as (temporary, _):
         yield temporary
         # Opened again, since the writer may have created it anew.
-        with open(os.open(temporary, os.O_RDONLY | os.O_NOFOLLOW), 'rb') as written:
+        with open(temporary, 'rb', opener=open_no_link) as written:
             os.fsync(written.fileno())
         temporary.replace(path)
 
@@ -98,13 +98,17 @@ def temporary_beside(path: Path, mode: int = 0o666) -> Iterator[tuple[Path, Buff
 
     """
     temporary = path.with_name(f'.{path.stem}.{token_hex(8)}{path.suffix}')
-    handle = os.open(
-        temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
-    try:
-        with open(handle, 'wb') as stream:
+    with open(temporary, 'xb', opener=lambda name, flags: open_no_link(name, flags, mode)
+              ) as stream:
+        try:
             yield temporary, stream
-    finally:
-        temporary.unlink(missing_ok=True)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def open_no_link(path: str, flags: int, mode: int = 0o666) -> int:
+    """Open a file unless it is a symbolic link; for the argument `opener` of ``open``."""
+    return os.open(path, flags | os.O_NOFOLLOW, mode)
 
 
 def _put_on_disk(stream: BufferedWriter, content: bytes) -> None:
@@ -120,9 +124,9 @@ def write_text(path: Path, text: str) -> None:
         temporary.replace(path)
 
 
-def write_new(path: Path, content: bytes) -> None:
+def write_new(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Write a new file atomically; raise FileExistsError if it exists."""
-    with temporary_beside(path) as (temporary, stream):
+    with temporary_beside(path, mode) as (temporary, stream):
         _put_on_disk(stream, content)
         try:
             os.link(temporary, path)

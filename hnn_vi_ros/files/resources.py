@@ -2,16 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find shipped files, files of ROS packages, and folders of the user."""
 
+from contextlib import suppress
+from functools import cache
 import os
 from pathlib import Path
+from secrets import token_bytes
 import stat
 import sys
 import tempfile
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, listed, offered
-from hnn_vi_ros.files.regular_file import no_file
+from hnn_vi_ros.files.regular_file import no_file, open_no_link, write_new
 
 SCHEME = 'package://'
+# Size of a key for SHA-256 [bytes].
+_KEY_SIZE = 32
 
 
 def package_file(uri: str) -> Path:
@@ -62,19 +67,74 @@ def cache_folder() -> Path:
     return usual_folder() or private_folder()
 
 
-def private_folder() -> Path:
+def private_folder(folder: Path | None = None) -> Path:
     """
-    Return a folder in the temporary directory that is private to this user and persistent.
+    Return a folder that only this user can write to; create it if it does not exist.
 
-    Cached code is executed: a folder that others can write to is replaced by a new one.
+    Cached code is executed: a folder that others can write to, or a link, is replaced by a new
+    folder, which is the same during the whole process.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        The folder; by default a persistent one in the temporary directory.
+
     """
-    folder = Path(tempfile.gettempdir(), f'hnn_vi_ros-cache-{os.getuid()}')
-    folder.mkdir(mode=0o700, exist_ok=True)
-    there = folder.lstat()
-    if (stat.S_ISDIR(there.st_mode) and there.st_uid == os.getuid()
-            and not there.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
-        return folder
+    if folder is None:
+        folder = Path(tempfile.gettempdir(), f'hnn_vi_ros-cache-{os.getuid()}')
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if is_own(folder.lstat(), stat.S_IFDIR):
+            return folder
+    except OSError:  # for example a file, or a link to nothing
+        pass
+    return _instead(folder)
+
+
+@cache
+def _instead(folder: Path) -> Path:
     return Path(tempfile.mkdtemp(prefix='hnn_vi_ros-cache-'))
+
+
+def is_own(there: os.stat_result, kind: int, *others: int) -> bool:
+    """
+    Return whether a file or folder belongs to this user and nobody else can write to it.
+
+    Parameters
+    ----------
+    there : os.stat_result
+        Result of ``os.fstat`` or ``os.lstat``.
+    kind : int
+        ``stat.S_IFREG`` or ``stat.S_IFDIR``.
+    *others : int
+        Other accepted owners.
+
+    """
+    return (stat.S_IFMT(there.st_mode) == kind and there.st_uid in (os.getuid(), *others)
+            and not there.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
+
+
+@cache
+def private_key() -> bytes:
+    """
+    Return a random key that only this user can read, created at its first use.
+
+    Without a writable cache folder it is new in each process.
+    """
+    with suppress(OSError):
+        path = private_folder(cache_folder() / 'hnn_vi_ros') / 'key'
+        for _ in range(2):
+            with suppress(FileNotFoundError):
+                with open(path, 'rb', opener=open_no_link) as stream:
+                    there, key = os.fstat(stream.fileno()), stream.read(_KEY_SIZE)
+                if is_own(there, stat.S_IFREG) and not there.st_mode & 0o077 \
+                        and len(key) == _KEY_SIZE:
+                    return key
+                # Others could have read or written it.
+                path.unlink()
+            with suppress(FileExistsError):
+                write_new(path, token_bytes(_KEY_SIZE), 0o600)
+    return token_bytes(_KEY_SIZE)
 
 
 def can_be_written(folder: Path) -> bool:

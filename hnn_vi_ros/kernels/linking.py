@@ -10,29 +10,35 @@ callers, whose own compilation optimises them once. If they create no array they
 references, which for workspaces of a hundred arrays is half of the code: their outermost caller
 owns all arrays.
 
-Only this file uses numba's compiler passes, code libraries and cache.
+Only this file uses numba's compiler passes, code libraries, cache and configuration.
 """
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager, ExitStack, nullcontext, suppress
 from fcntl import flock, LOCK_EX, LOCK_NB
+from functools import cache
 import gc
 from hashlib import sha256
+import hmac
+import os
 from pathlib import Path
 import pickle
+import stat
 from threading import current_thread, main_thread
 import time
-from typing import Any
+from typing import Any, BinaryIO
 import warnings
 
+from hnn_vi_ros.files import (
+    cache_folder, is_own, open_no_link, private_folder, private_key, temporary_beside)
 from hnn_vi_ros.kernels.marks import register_by
 from hnn_vi_ros.kernels.sources import digest_of
 from llvmlite import ir
 from llvmlite.binding import Linkage
 import numba
 from numba import _dynfunc
-from numba.core import cgutils, types
+from numba.core import cgutils, config, types
 from numba.core.base import BaseContext
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
@@ -45,6 +51,15 @@ from numba.core.registry import CPUDispatcher
 from numba.core.runtime.context import NRTContext
 from numba.core.typed_passes import NativeLowering
 from numba.extending import register_jitable
+
+
+# Numba takes settings from this file of the working folder, whose author may be another user: for
+# example where cached code is, and which Python modules find it.
+if os.path.isfile(config._config_fname):
+    warnings.warn(f'{config._config_fname} of the working folder is ignored; set environment '
+                  'variables of numba instead', stacklevel=2)
+config._config_fname = os.devnull
+config.reload_config()
 
 
 # Vectors of the full width. By LLVM's choice servers from Intel get half of it, because the first
@@ -295,10 +310,10 @@ register_by(_register)
 
 
 # A file begins with the version of numba that reads it, then the digest of the rest.
-_MARK = b'hnn_vi_ros, numba '
+_MARK = b'hnn_vi_ros code, numba '
 _HEAD = _MARK + numba.__version__.encode() + b'\n'
 # Prefixes of other versions' files; before files had a digest, they were pickles.
-_OTHERS = (_MARK, pickle.PROTO)
+_OTHERS = (b'hnn_vi_ros', pickle.PROTO)
 
 
 class _Files(IndexDataCacheFile):
@@ -307,10 +322,19 @@ class _Files(IndexDataCacheFile):
 
     Damaged files, and files of another function, count as absent: a changed bit in machine code
     ends a process, or changes a number. Files of other versions count as absent as well.
+
+    Files are unpickled, which may run code. Those beside the package are trusted like its sources,
+    if they belong to its owner, to root or to this user, and nobody else can write to them. Others
+    have a digest with a key that only this user can read.
     """
 
     # Files beside the source of the function, which another user may have compiled.
     beside: '_Files | None' = None
+    # Owner of the package, for files beside it.
+    owner: int | None = None
+
+    def _digest(self, data: bytes) -> bytes:
+        return hmac.digest(private_key() if self.owner is None else b'', data, 'sha256')
 
     def save(self, key: Any, data: Any) -> None:
         """Save the data of a key."""
@@ -342,12 +366,25 @@ class _Files(IndexDataCacheFile):
     def _write(self, path: str, content: Any) -> None:
         data = self._dump((self._index_name, content))
         with self._open_for_write(path) as file:
-            file.write(_HEAD + sha256(data).digest() + data)
+            file.write(_HEAD + self._digest(data) + data)
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[BinaryIO]:
+        # Also with an umask of 0, nobody else can write to it.
+        with temporary_beside(Path(filepath), 0o644) as (temporary, file):
+            yield file
+            file.flush()
+            temporary.replace(filepath)
 
     def _read(self, path: str) -> Any:
         """Return the content of a file of this function, None if it is unusable."""
         try:
-            whole = Path(path).read_bytes()
+            with open(path, 'rb', opener=open_no_link) as file:
+                if self.owner is not None and not is_own(
+                        os.fstat(file.fileno()), stat.S_IFREG, 0, self.owner):
+                    self._warn('others can write to the files, or own them')
+                    return None
+                whole = file.read()
         except FileNotFoundError:
             return None
         except OSError as problem:
@@ -356,8 +393,8 @@ class _Files(IndexDataCacheFile):
         head, digest, data = _parts(whole, len(_HEAD), sha256().digest_size)
         if head != _HEAD and head.startswith(_OTHERS):
             return None
-        if head != _HEAD or sha256(data).digest() != digest:
-            self._warn('files are damaged')
+        if head != _HEAD or not hmac.compare_digest(self._digest(data), digest):
+            self._warn('files are damaged, or were written by another user')
             return None
         try:
             name, content = pickle.loads(data)
@@ -403,14 +440,20 @@ class _Cache(FunctionCache):
 
     def __init__(self, py_func: Callable[..., Any]):
         super().__init__(py_func)
-        files = self._cache_file
+        files, source = self._cache_file, Path(py_func.__code__.co_filename)
         described = files._index_name.removesuffix('.nbi'), files._source_stamp
-        self._cache_file = _Files(self._cache_path, *described)
-        beside = Path(py_func.__code__.co_filename).parent / '__pycache__'
+        beside = source.parent / '__pycache__'
         # A package built and compiled by root is also read by users who cannot write there: its
         # cache is trusted like its sources. NUMBA_CACHE_DIR replaces both folders.
-        if not numba.config.CACHE_DIR and beside != Path(self._cache_path):
-            self._cache_file.beside = _Files(str(beside), *described)
+        kept = _Files(str(beside), *described)
+        kept.owner = None if numba.config.CACHE_DIR else _owner(source, beside)
+        if kept.owner is not None and beside == Path(self._cache_path):
+            self._cache_file = kept
+            return
+        self._cache_path = _safe_folder(self._cache_path)
+        self._cache_file = _Files(self._cache_path, *described)
+        if kept.owner is not None:
+            self._cache_file.beside = kept
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
         digest = digest_of(frozenset([self._py_func.__module__]))
@@ -422,6 +465,29 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)
         except OSError as problem:
             _warn_of_lost(self._cache_path, problem.strerror or str(problem))
+
+
+@cache
+def _safe_folder(folder: str) -> str:
+    """Return a folder of cached code, or another one if others can write to it."""
+    if is_own(os.lstat(folder), stat.S_IFDIR):
+        return folder
+    other = private_folder(
+        cache_folder() / 'hnn_vi_ros' / 'code' / sha256(folder.encode()).hexdigest()[:16])
+    if numba.config.CACHE_DIR:
+        _warn_once(f'compiled code cannot be cached in {numba.config.CACHE_DIR}',
+                   'others can write to it', f'it is cached in {other.parent}')
+    return str(other)
+
+
+@cache
+def _owner(source: Path, beside: Path) -> int | None:
+    """Return the owner of a source file; None if others can write to the folder beside it."""
+    owner = source.stat().st_uid
+    with suppress(FileNotFoundError):
+        if is_own(beside.lstat(), stat.S_IFDIR, 0, owner):
+            return owner
+    return None
 
 
 def _warn_of_lost(folder: str, reason: str) -> None:
@@ -452,7 +518,7 @@ def _locked(cache: Any) -> Iterator[None]:
     with ExitStack() as stack:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            file = stack.enter_context(path.open('w'))
+            file = stack.enter_context(open(path, 'w', opener=open_no_link))
         except OSError:
             yield
             return

@@ -6,7 +6,8 @@ from pathlib import Path
 from subprocess import CompletedProcess
 import tempfile
 
-from hnn_vi_ros.files import cache_folder, expand_user, resources, usual_folder
+from hnn_vi_ros.files import (
+    cache_folder, expand_user, private_folder, private_key, resources, usual_folder)
 import pytest
 from python_process import run_code
 
@@ -67,6 +68,46 @@ def test_cache_that_others_could_write_is_not_taken(planted, no_home, tmp_path, 
     second = cache_folder()
     assert second != first and not second.is_symlink()
     assert second.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize('planted', ['a link to nothing', 'a file'])
+def test_what_is_planted_in_place_of_the_private_folder_is_replaced_once(planted, temporary):
+    first = private_folder()
+    first.rmdir()
+    if planted == 'a file':
+        first.touch()
+    else:
+        first.symlink_to('/proc/nothing')
+    second = private_folder()
+    assert second != first and second == private_folder()
+    assert second.stat().st_mode & 0o777 == 0o700 and len([*temporary.iterdir()]) == 2
+
+
+def test_key_is_private_and_kept_unless_others_could_know_it(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+
+    def key() -> bytes:
+        """Return the key that the next process has."""
+        private_key.cache_clear()
+        return private_key()
+
+    first, file = key(), tmp_path / 'hnn_vi_ros' / 'key'
+    assert len(first) == 32 and key() == first == file.read_bytes()
+    assert file.stat().st_mode & 0o777 == 0o600
+    assert file.parent.stat().st_mode & 0o777 == 0o700
+    for change in (lambda: file.chmod(0o644), lambda: file.write_bytes(first[:5])):
+        change()
+        second = key()
+        assert second != first and key() == second and file.stat().st_mode & 0o777 == 0o600
+        first = second
+    # A link is not followed, and a folder that others can write is replaced.
+    (tmp_path / 'theirs').write_bytes(bytes(32))
+    file.unlink()
+    file.symlink_to(tmp_path / 'theirs')
+    assert key() != bytes(32)
+    file.parent.chmod(0o777)
+    assert key() != bytes(32) and file.is_symlink()
+    private_key.cache_clear()
 
 
 def run_without_a_home(*words: str) -> CompletedProcess:

@@ -5,6 +5,7 @@
 from concurrent.futures import ThreadPoolExecutor
 import errno
 from fcntl import flock, LOCK_EX, LOCK_UN
+import hmac
 import os
 from pathlib import Path
 import pickle
@@ -15,6 +16,7 @@ from hnn_vi_ros.kernels import linking
 from hnn_vi_ros.kernels.linking import keep
 import numba
 import pytest
+from python_process import run_code
 
 
 def double(x):
@@ -34,6 +36,8 @@ def folder(tmp_path, monkeypatch):
     """Keep compiled code in a folder of the test's, and forget what was warned of."""
     monkeypatch.setattr(numba.config, 'CACHE_DIR', str(tmp_path))
     linking._warned.clear()
+    linking._safe_folder.cache_clear()
+    linking._owner.cache_clear()
     return tmp_path
 
 
@@ -172,3 +176,108 @@ def test_code_that_is_kept_beside_the_source_is_used_by_who_cannot_write_there(
     other = code(double)
     assert Path(other._cache._cache_path) != beside
     assert other(3) == 6 and other.stats.cache_hits and not other.stats.cache_misses
+
+
+class Planted:
+    """An object whose pickle runs code: it makes a file."""
+
+    def __init__(self, path: Path):
+        self.path = str(path)
+
+    def __reduce__(self):
+        return open, (self.path, 'w')
+
+
+def plant(file: Path, ran: Path) -> None:
+    """Replace a file of compiled code by one that whoever knows the format can write."""
+    data = pickle.dumps(Planted(ran))
+    file.write_bytes(linking._HEAD + hmac.digest(b'', data, 'sha256') + data)
+
+
+@pytest.mark.parametrize('which', range(3))
+def test_code_in_the_users_cache_that_was_not_written_with_his_key_is_not_unpickled(
+        which, kept, folder, tmp_path):
+    plant(kept[which], tmp_path / 'ran')
+    assert_made_anew(folder, 'written by another user')
+    assert not (tmp_path / 'ran').exists()
+
+
+@pytest.fixture
+def beside(monkeypatch, tmp_path):
+    """Return the folder beside this file, in which a function is kept, as of an installation."""
+    monkeypatch.setattr(numba.config, 'CACHE_DIR', '')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    assert code(triple)(3) == 9
+    found = Path(__file__).parent / '__pycache__'
+    mode = found.stat().st_mode
+    linking._owner.cache_clear()
+    yield found
+    found.chmod(mode)
+    for file in found.glob('*triple*'):
+        file.unlink()
+
+
+@pytest.mark.parametrize('whose', ['writable by others', "another's"])
+def test_code_beside_the_package_that_others_could_write_is_not_unpickled(
+        whose, beside, tmp_path, monkeypatch):
+    file, = beside.glob('*triple*.nbi')
+    plant(file, tmp_path / 'ran')
+    if whose == 'writable by others':
+        file.chmod(0o666)
+    else:
+        monkeypatch.setattr(linking, 'is_own', lambda there, kind, *owners: kind == 0o040000)
+    with pytest.warns(UserWarning, match='others can write'):
+        assert code(triple)(3) == 9
+    assert not (tmp_path / 'ran').exists()
+
+
+def test_folder_beside_the_package_that_others_can_write_is_not_used(beside, tmp_path):
+    file, = beside.glob('*triple*.nbi')
+    plant(file, tmp_path / 'ran')
+    beside.chmod(0o777)
+    function = code(triple)
+    assert function(3) == 9 and not (tmp_path / 'ran').exists()
+    folder = Path(function._cache._cache_path)
+    assert tmp_path / 'cache' in folder.parents and folder.stat().st_mode & 0o777 == 0o700
+    assert code(triple)(3) == 9 and code(triple)._cache._cache_path == str(folder)
+
+
+def test_folder_of_the_environment_that_others_can_write_is_told_of_and_not_used(
+        folder, monkeypatch, tmp_path_factory):
+    home = tmp_path_factory.mktemp('home')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(home))
+    shared = Path(code(double)._cache._cache_path)
+    shared.chmod(0o777)
+    linking._safe_folder.cache_clear()
+    with pytest.warns(UserWarning, match='others can write to it'):
+        function = code(double)
+    assert function(3) == 6 and home in Path(function._cache._cache_path).parents
+    assert not [*shared.iterdir()]
+
+
+@pytest.mark.filterwarnings('ignore:compiled code cannot be cached')
+def test_files_are_not_for_others_to_write_whatever_the_umask(monkeypatch, tmp_path):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    before = os.umask(0)
+    try:
+        function = code(double)
+        assert function(3) == 6
+    finally:
+        os.umask(before)
+    folder = Path(function._cache._cache_path)
+    assert folder.stat().st_mode & 0o777 == 0o700
+    files = [*folder.glob('*.nb?')]
+    assert len(files) == 2 and all(not file.stat().st_mode & 0o022 for file in files)
+
+
+def test_configuration_of_numba_in_the_working_folder_is_ignored_and_told_of(tmp_path):
+    (tmp_path / '.numba_config.yaml').write_text('cache_dir: cache\ncache_locator_classes: a.B\n')
+    found = run_code("""
+import os, sys
+os.chdir(sys.argv[1])
+from hnn_vi_ros.kernels import linking
+import numba
+print(repr(numba.config.CACHE_DIR), repr(numba.config.CACHE_LOCATOR_CLASSES))
+""", str(tmp_path))
+    assert found.returncode == 0 and found.stdout == "'' ''\n", found.stderr
+    assert '.numba_config.yaml of the working folder is ignored' in found.stderr

@@ -199,7 +199,7 @@ NODES: dict[str, Callable[[Path], tuple[type[Node], list[str]]]] = {
     'listener': lambda folder: (Listener, words(use_sim_time='true')),
     'replay': lambda folder: (ReplayNode, words(start_paused='true', discovery_time='0.0')),
 }
-HEARD = {'twin': {'observations', 'initial_state'}, 'body': {'commands', 'wrench'},
+HEARD = {'twin': {'observations', 'initial_state'}, 'body': {'commands', 'joint_commands', 'wrench', 'initial_state'},
          'cart_pole': {'commands', 'joint_commands', 'initial_state'},
          'servo': {'joint_commands', 'joint_trajectory', 'initial_state'},
          'controller': {'joint_states', 'scene'}, 'listener': {'energy', 'clock'}, 'replay': set(),

@@ -15,7 +15,7 @@ import platform
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import CalibrationError
-from hnn_vi_ros.files import cache_folder, write_text
+from hnn_vi_ros.files import cache_folder, private_folder, write_text
 from hnn_vi_ros.scene import AutoChoice, Scene
 from hnn_vi_ros.simulation.accuracy.cost import (
     CostStudy, fastest, ladder, measure, MethodCost, refusal, TOO_EXPENSIVE, try_between)
@@ -254,7 +254,7 @@ def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step:
 
 
 def _cache_folder() -> Path:
-    return cache_folder() / 'hnn_vi_ros' / 'calibration'
+    return private_folder(cache_folder() / 'hnn_vi_ros' / 'calibration')
 
 
 class Chosen(NamedTuple):
