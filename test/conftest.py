@@ -37,7 +37,8 @@ LONGEST = (
     'models/test_mechanical_mean.py', 'models/test_confined.py', 'learning/test_train.py',
     'learning/test_identify.py', 'project/test_benchmarks.py', 'ros/test_simulator.py',
     'ros/test_health.py', 'ros/test_services.py', 'ros/test_memory.py', 'ros/test_soak.py',
-    'ros/test_lifecycle.py', 'ros/test_hostile_messages.py', 'ros/test_time_control.py', 'ros/test_topics.py',
+    'ros/test_lifecycle.py', 'ros/test_hostile_messages.py',
+    'ros/test_time_control.py', 'ros/test_topics.py',
     'ros/test_given_parameters.py', 'ros/test_recording.py', 'ros/test_rerun_bridge.py',
     'ros/test_replay_check.py', 'ros/test_launch.py', 'ros/test_security.py',
     'ros/test_web_viewer.py')

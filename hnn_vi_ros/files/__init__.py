@@ -20,11 +20,12 @@ if TYPE_CHECKING:
     from hnn_vi_ros.files.named_code import CODE_REFUSED, find_beside, import_named, NAMES_CODE
     from hnn_vi_ros.files.regular_file import (
         check_new, in_bytes, limited, no_file, numbered, open_no_link, read_limited,
-        refuse_pointer, regular, replacing, temporary_beside, write_new, write_new_scene, write_text)
+        refuse_pointer, regular, replacing, temporary_beside, write_new, write_new_scene,
+        write_text)
     from hnn_vi_ros.files.resources import (
-        cache_folder, can_be_written, expand_user, find_yaml, is_own, is_path, package_file,
-        prefixes, private_folder, private_key, SCHEME, share_folder, shipped_file, shipped_names,
-        usual_folder, YAML_KINDS)
+        cache_folder, can_be_written, expand_user, find_yaml, is_own, is_path, own_cache,
+        package_file, prefixes, private_folder, private_key, SCHEME, share_folder, shipped_file,
+        shipped_names, usual_folder, YAML_KINDS)
     from hnn_vi_ros.files.standard_streams import (
         elapsed, ENDING, guard_streams, lost_output, ProgressLine, rewrite_line, spare_output,
         write_problem)

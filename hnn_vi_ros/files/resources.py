@@ -91,6 +91,13 @@ def private_folder(folder: Path | None = None) -> Path:
     return _instead(folder)
 
 
+def own_cache(name: str) -> Path:
+    """Return a folder of this package's caches to which only this user can write."""
+    folder = private_folder(cache_folder() / 'hnn_vi_ros' / 'private') / name
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 @cache
 def _instead(folder: Path) -> Path:
     return Path(tempfile.mkdtemp(prefix='hnn_vi_ros-cache-'))
@@ -122,7 +129,7 @@ def private_key() -> bytes:
     Without a writable cache folder it is new in each process.
     """
     with suppress(OSError):
-        path = private_folder(cache_folder() / 'hnn_vi_ros') / 'key'
+        path = own_cache('') / 'key'
         for _ in range(2):
             with suppress(FileNotFoundError):
                 with open(path, 'rb', opener=open_no_link) as stream:

@@ -30,8 +30,7 @@ import time
 from typing import Any, BinaryIO
 import warnings
 
-from hnn_vi_ros.files import (
-    cache_folder, is_own, open_no_link, private_folder, private_key, temporary_beside)
+from hnn_vi_ros.files import is_own, open_no_link, own_cache, private_key, temporary_beside
 from hnn_vi_ros.kernels.marks import register_by
 from hnn_vi_ros.kernels.sources import digest_of
 from llvmlite import ir
@@ -437,6 +436,7 @@ class _Cache(FunctionCache):
     """
 
     _cache_file: Any
+    _cache_path: str
 
     def __init__(self, py_func: Callable[..., Any]):
         super().__init__(py_func)
@@ -472,8 +472,7 @@ def _safe_folder(folder: str) -> str:
     """Return a folder of cached code, or another one if others can write to it."""
     if is_own(os.lstat(folder), stat.S_IFDIR):
         return folder
-    other = private_folder(
-        cache_folder() / 'hnn_vi_ros' / 'code' / sha256(folder.encode()).hexdigest()[:16])
+    other = own_cache(f'code/{sha256(folder.encode()).hexdigest()[:16]}')
     if numba.config.CACHE_DIR:
         _warn_once(f'compiled code cannot be cached in {numba.config.CACHE_DIR}',
                    'others can write to it', f'it is cached in {other.parent}')
@@ -587,6 +586,6 @@ def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:
     """Cache a function of this package on disk as long as its sources are unchanged."""
     try:
         dispatcher._cache = _Cache(dispatcher.py_func)
-    except RuntimeError:
+    except (RuntimeError, OSError):
         _warn_of_lost('the package or a cache folder', 'neither is writable')
     return aside(dispatcher)

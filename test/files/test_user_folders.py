@@ -91,7 +91,7 @@ def test_key_is_private_and_kept_unless_others_could_know_it(tmp_path, monkeypat
         private_key.cache_clear()
         return private_key()
 
-    first, file = key(), tmp_path / 'hnn_vi_ros' / 'key'
+    first, file = key(), tmp_path / 'hnn_vi_ros' / 'private' / 'key'
     assert len(first) == 32 and key() == first == file.read_bytes()
     assert file.stat().st_mode & 0o777 == 0o600
     assert file.parent.stat().st_mode & 0o777 == 0o700

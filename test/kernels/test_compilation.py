@@ -164,7 +164,7 @@ def outer(x: float) -> float:
 def package(tmp_path):
     """Return a copy of the package, as a folder to import it from."""
     shutil.copytree(Path(__file__).parents[2] / 'hnn_vi_ros', tmp_path / 'hnn_vi_ros',
-                    ignore=shutil.ignore_patterns('__pycache__', 'resource*'))
+                    ignore=shutil.ignore_patterns('__pycache__'))
     return tmp_path
 
 

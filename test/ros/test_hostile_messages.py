@@ -137,7 +137,7 @@ class Storm:
                 publisher.publish(random_message(self._chance, subscription.msg_type))
                 self.sent[name] += 1
                 # A best-effort message can be lost.
-                self.spin_until(lambda: self.handled[name] > before, 0.5)  # noqa: B023
+                self.spin_until(lambda: self.handled[name] > before, 0.5)
             self._peer.destroy_publisher(publisher)
 
     def call(self, count: int) -> None:
@@ -147,12 +147,13 @@ class Storm:
                 continue
             client = self._peer.create_client(kind, name)
             assert self.spin_until(client.service_is_ready)
-            for begin in range(0, min(count, _MOST_FILES) if name.endswith(_FEW) else count, _BURST):
+            most = min(count, _MOST_FILES) if name.endswith(_FEW) else count
+            for begin in range(0, most, _BURST):
                 futures = [client.call_async(harmless(random_message(
-                    self._chance, kind.Request))) for _ in range(min(_BURST, count - begin))]
+                    self._chance, kind.Request))) for _ in range(min(_BURST, most - begin))]
                 self.sent[name] += len(futures)
                 # Some answers come later: those of steps, while the node waits or is paused.
-                self.spin_until(lambda: all(one.done() for one in futures), 0.5)  # noqa: B023
+                self.spin_until(lambda: all(one.done() for one in futures), 0.5)
                 self.handled[name] += sum(one.done() for one in futures)
             self._peer.destroy_client(client)
 
@@ -199,7 +200,8 @@ NODES: dict[str, Callable[[Path], tuple[type[Node], list[str]]]] = {
     'listener': lambda folder: (Listener, words(use_sim_time='true')),
     'replay': lambda folder: (ReplayNode, words(start_paused='true', discovery_time='0.0')),
 }
-HEARD = {'twin': {'observations', 'initial_state'}, 'body': {'commands', 'joint_commands', 'wrench', 'initial_state'},
+HEARD = {'twin': {'observations', 'initial_state'},
+         'body': {'commands', 'joint_commands', 'wrench', 'initial_state'},
          'cart_pole': {'commands', 'joint_commands', 'initial_state'},
          'servo': {'joint_commands', 'joint_trajectory', 'initial_state'},
          'controller': {'joint_states', 'scene'}, 'listener': {'energy', 'clock'}, 'replay': set(),

@@ -89,7 +89,8 @@ class NodeExecutor(SingleThreadedExecutor):
         super().__init__()
         self.errors = Ignored(node)
         for service in node.services:
-            service.callback = self._answering(service)
+            answering: Any = self._answering(service)
+            service.callback = answering
         self.add_node(node)
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
@@ -99,7 +100,8 @@ class NodeExecutor(SingleThreadedExecutor):
 
     def take(self, timeout_sec: float | None) -> None:
         """Wait for a callback and execute it; raise TimeoutException if there is none."""
-        handler, entity, _ = self.wait_for_ready_callbacks(timeout_sec=timeout_sec)
+        ready: Any = self.wait_for_ready_callbacks(timeout_sec=timeout_sec)
+        handler, entity, _ = ready
         handler()
         try:
             handler.result()

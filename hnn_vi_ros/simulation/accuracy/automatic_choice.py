@@ -10,12 +10,11 @@ from importlib.util import find_spec
 import json
 import math
 import os
-from pathlib import Path
 import platform
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import CalibrationError
-from hnn_vi_ros.files import cache_folder, private_folder, write_text
+from hnn_vi_ros.files import own_cache, write_text
 from hnn_vi_ros.scene import AutoChoice, Scene
 from hnn_vi_ros.simulation.accuracy.cost import (
     CostStudy, fastest, ladder, measure, MethodCost, refusal, TOO_EXPENSIVE, try_between)
@@ -241,20 +240,15 @@ def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step:
     key = json.dumps([_FORMAT, name, problem.hamiltonian.provenance, largest_step, __version__,
                       numba.__version__, platform.node(), os.cpu_count(),
                       find_spec('heyoka') is not None])
-    file = _cache_folder() / f'{sha256(key.encode()).hexdigest()[:32]}.json'
+    name = f'{sha256(key.encode()).hexdigest()[:32]}.json'
     try:
-        return Choice(**json.loads(file.read_text()))
+        return Choice(**json.loads((own_cache('calibration') / name).read_text()))
     except (OSError, ValueError, TypeError):
         # Missing or unreadable: calibrate again.
         choice = calibrate(problem, tolerance, largest_step)
     with suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_text(file, json.dumps(asdict(choice)))
+        write_text(own_cache('calibration') / name, json.dumps(asdict(choice)))
     return choice
-
-
-def _cache_folder() -> Path:
-    return private_folder(cache_folder() / 'hnn_vi_ros' / 'calibration')
 
 
 class Chosen(NamedTuple):
