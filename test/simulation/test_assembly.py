@@ -91,7 +91,7 @@ for kinds in sys.argv[1:]:
 @pytest.mark.long
 def test_part_is_compiled_once_whatever_is_combined_with_it_until_its_source_changes(tmp_path):
     shutil.copytree(Path(__file__).parents[2] / 'hnn_vi_ros', tmp_path / 'hnn_vi_ros',
-                    ignore=shutil.ignore_patterns('__pycache__', 'resource*'))
+                    ignore=shutil.ignore_patterns('__pycache__'))
     cache = tmp_path / 'cache'
 
     def run(*kinds: str) -> list[list[str]]:
