@@ -17,7 +17,6 @@ SHARE = Path('share') / NAME
 RERUN = ['rerun-sdk>=0.41,<0.42']
 SWEEP = ['pyarrow>=18']
 TAYLOR = ['heyoka>=7.13,<8']
-BAGS = ['rosbags>=0.10']
 TRAIN = ['plotly>=6,<7', *RERUN, 'torch>=2.3,<3']
 
 # What `ros2 run hnn_vi_ros NAME` finds in lib/hnn_vi_ros, where setup.cfg has it installed.
@@ -109,8 +108,6 @@ setup(
         # What recordings for the viewer, and the Parquet files of sweeps, take besides.
         'rerun': RERUN,
         'sweep': SWEEP,
-        # What bags in SQLite, and packed ones, take besides.
-        'bags': BAGS,
         # What training takes besides: its reports hold recordings.
         'train': TRAIN,
         # What tables take besides.
@@ -121,9 +118,9 @@ setup(
         'taylor': TAYLOR,
         # What `sweep --ray` takes besides.
         'ray': ['ray>=2.40,<3'],
-        'test': [*TRAIN, *SWEEP, *TAYLOR, *BAGS, 'gymnasium>=1.1,<2', 'hypothesis>=6.100',
+        'test': [*TRAIN, *SWEEP, *TAYLOR, 'gymnasium>=1.1,<2', 'hypothesis>=6.100',
                  'pandas>=2.2', 'pin>=3.0', 'pytest>=7.4', 'pytest-timeout>=2.1',
-                 'pytest-xdist>=3.5', 'xarray>=2024.1'],
+                 'pytest-xdist>=3.5', 'rosbags>=0.10', 'xarray>=2024.1'],
     },
     zip_safe=False,
     author='The hnn_vi_ros Authors',

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import errno
 from hashlib import file_digest
+from io import TextIOWrapper
 import json
 import math
 from pathlib import Path
@@ -46,7 +47,7 @@ def text_lines(path: Path, most: int, encoding: str = 'utf-8-sig') -> Iterator[t
 
     """
     number = 0
-    with limited(path, most), path.open(encoding=encoding) as stream:
+    with limited(path, most) as content, TextIOWrapper(content, encoding) as stream:
         while True:
             number += 1
             try:
@@ -147,9 +148,9 @@ def unpack_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
 
 @contextmanager
 def _archive(path: Path, most: int) -> Iterator[Any]:
-    with limited(path, most):
+    with limited(path, most) as stream:
         try:
-            with np.load(path, allow_pickle=False) as archive:
+            with np.load(stream, allow_pickle=False) as archive:
                 yield archive
         except OSError:
             raise

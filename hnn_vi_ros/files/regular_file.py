@@ -174,15 +174,18 @@ def no_file(path: Path, missing: str = 'no such file') -> str:
     return 'is not a regular file' if os.path.exists(path) else missing
 
 
-def regular(path: Path) -> Path:
-    """Return a path to read; raise OSError for a FIFO, which may block, or a device."""
+def regular(path: Path) -> BufferedReader:
+    """Open a file for reading; raise OSError for a FIFO, which may block, or a device."""
     try:
-        there = os.stat(path)
+        if stat.S_ISREG(os.stat(path).st_mode):
+            handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            # The path may have been replaced in between.
+            if stat.S_ISREG(os.fstat(handle).st_mode):
+                return os.fdopen(handle, 'rb')
+            os.close(handle)
     except ValueError as problem:  # the name is not valid for a file
         raise OSError(errno.EINVAL, str(problem)) from problem
-    if not stat.S_ISREG(there.st_mode):
-        raise OSError(errno.EINVAL, no_file(path))
-    return path
+    raise OSError(errno.EINVAL, no_file(path))
 
 
 @contextmanager
@@ -196,7 +199,7 @@ def limited(path: Path, most: int) -> Iterator[BufferedReader]:
         It is not a regular file, cannot be read, or is larger than `most` bytes.
 
     """
-    with regular(path).open('rb') as stream:
+    with regular(path) as stream:
         if os.fstat(stream.fileno()).st_size > most:
             raise OSError(errno.EFBIG, f'larger than {in_bytes(most)}')
         yield stream

@@ -37,7 +37,7 @@ IMPORTING = {
     'docs': (['conf.py', 'tools/*.py', 'tutorials/*.ipynb'], True),
 }
 # Files of requirements of a group of make_venv that has others than one of its name.
-FILES = {'run': ['build', 'runtime', 'bags', 'rerun', 'sweep', 'jazzy']}
+FILES = {'run': ['build', 'runtime', 'rerun', 'sweep', 'jazzy']}
 # Distributions of other names than that of the package, with or without ros-.
 DISTRIBUTIONS = {'PIL': 'pillow', 'pinocchio': 'pin', 'rerun': 'rerun-sdk', 'yaml': 'pyyaml'}
 # Peers of scripts that name them as their own needs.

@@ -46,7 +46,6 @@ HOMES = {
     'heyoka': r'integrators/taylor\.py',
     'gymnasium': r'envs\.py',
     'pyarrow': r'sweeps/parquet\.py',
-    'rosbags': r'recording/bags/bag_files\.py',
     'ray': r'sweeps/ray_cluster\.py',
     'argcomplete': r'commands/completion\.py',
     'rerun': r'recording/viewer/rerun_\w+\.py',

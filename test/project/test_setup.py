@@ -93,7 +93,6 @@ def test_setup_names_the_packages_of_the_requirements(run_setup):
     for named, name, besides, of_studies in (
             (captured['install_requires'], 'runtime', {'setuptools'}, set()),
             (extras['rerun'], 'rerun', set(), set()), (extras['sweep'], 'sweep', set(), set()),
-            (extras['bags'], 'bags', set(), set()),
             (extras['train'], 'train', {'rerun-sdk'}, {'tqdm'}),
             (extras['ray'], 'ray', set(), None)):
         ranges = {canonicalize_name(item.name): item.specifier
@@ -114,7 +113,7 @@ def test_setup_names_the_packages_of_the_requirements(run_setup):
 def test_constraints_pin_every_package_that_an_install_brings(python):
     pins = {canonicalize_name(pin.name): str(pin.specifier) for pin in requirements_of(
         'constraints', 'bench', 'ray', 'jazzy', 'jazzy_test')}
-    names = brought(requirements_of('build', 'runtime', 'bags', 'rerun', 'sweep', 'jazzy', 'train',
+    names = brought(requirements_of('build', 'runtime', 'rerun', 'sweep', 'jazzy', 'train',
                                     'test', 'jazzy_test', 'ray'), python)
     assert not [name for name in names if not pins.get(name, '').startswith('==')]
 

@@ -1,115 +1,23 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a bag: MCAP files are read here, SQLite and compressed ones by rosbags."""
+"""Find and open the files of a bag: MCAP and SQLite, also compressed as a whole."""
 
-from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 import os
 from pathlib import Path
-from typing import Any, final
+from tempfile import TemporaryDirectory
+from typing import TypeAlias
 
-from hnn_vi_ros.errors import optional, RecordingError
-from hnn_vi_ros.files import dump_yaml, regular
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files import regular
 from hnn_vi_ros.recording.bags.bag_metadata import read_bag_metadata
-from hnn_vi_ros.recording.bags.mcap_file import McapFile, Piece
-from mcap.records import Channel, Message, Schema
+from hnn_vi_ros.recording.bags.mcap_file import Allowance, McapFile
+from hnn_vi_ros.recording.bags.sqlite_bag import SqliteBag
+import zstandard
 
+Source: TypeAlias = McapFile | SqliteBag
 _SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
-# Number of messages requested from rosbags at once.
-_REQUESTED_MESSAGES = 4096
-
-
-@final
-class ForeignBag:
-    """
-    A bag in another format than MCAP, or with compressed files, read by rosbags.
-
-    It has the attributes of McapFile, but neither attachments nor metadata.
-
-    Parameters
-    ----------
-    bag : Path
-        Folder with metadata.yaml, or a file.
-    files : list of Path
-        Files of the bag.
-
-    Raises
-    ------
-    RecordingError
-        The bag cannot be read.
-    MissingPackage
-        The package rosbags is not installed.
-
-    """
-
-    def __init__(self, bag: Path, files: list[Path]):
-        with optional('rosbags', f'{bag}: a bag in SQLite or with compressed files'):
-            from rosbags.rosbag2 import Reader
-        self.path = files[0] if len(files) == 1 else bag
-        self.unread: dict[int, int] = {}
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        for path in files:
-            regular(path)
-        try:
-            # Closed at exit: until then, compressed files lie decompressed in a temporary folder.
-            described = (bag / 'metadata.yaml').exists()
-            self._reader = Reader(bag if described else files[0])
-            self._reader.open()
-            self._connections = list(self._reader.connections)
-            for number, one in enumerate(self._connections, 1):
-                about: Any = one.ext
-                if not (one.topic and one.msgtype):
-                    raise ValueError('a topic has no name or no type')
-                self.schemas[number] = Schema(
-                    id=number, data=one.msgdef.data.encode(), encoding='ros2msg', name=one.msgtype)
-                self.channels[number] = Channel(
-                    id=number, topic=one.topic, message_encoding=about.serialization_format,
-                    schema_id=number, metadata={
-                        'offered_qos_profiles': _profiles(about.offered_qos_profiles),
-                        'topic_type_hash': one.digest or ''})
-            first, last = self._reader.start_time, self._reader.end_time - 1
-            self.message_count = sum(one.msgcount for one in self._connections)
-            self.counted = self._reader.message_count
-        except Exception as problem:
-            # The parsers of rosbags may raise any exception.
-            raise _unreadable(self.path, problem) from problem
-        parts = -(-self.message_count // _REQUESTED_MESSAGES)
-        length = -(-(last + 1 - first) // parts) if parts else 0
-        self.pieces = [Piece(begin, min(begin + length - 1, last), begin, length)
-                       for begin in range(first, last + 1, length)] if parts else []
-
-    def read(self, piece: Piece) -> Iterator[Message]:
-        """Yield the messages of a piece."""
-        numbers = {(one.topic, one.msgtype): number
-                   for number, one in enumerate(self._connections, 1)}
-        try:
-            for one, time, data in self._reader.messages(
-                    self._connections, piece.first, piece.last + 1):
-                yield Message(channel_id=numbers[one.topic, one.msgtype], log_time=time,
-                              data=bytes(data or b''), publish_time=time, sequence=0)
-        except Exception as problem:
-            raise _unreadable(self.path, problem) from problem
-
-    def attachment(self, name: str) -> bytes | None:
-        """Return None: there are no attachments."""
-        return None
-
-    def metadata(self, name: str) -> dict[str, str]:
-        """Return an empty dict: there is no metadata."""
-        return {}
-
-
-def _unreadable(bag: Path, problem: Exception) -> RecordingError:
-    reason = ' '.join(str(problem).split()) or type(problem).__name__
-    return RecordingError(f'{bag}: cannot be read ({reason}); convert it to MCAP with '
-                          '`ros2 bag convert`, or give another bag')
-
-
-def _profiles(profiles: Iterable[Any]) -> str:
-    """Return QoS profiles in the form of the metadata, with the parts that replay uses."""
-    return dump_yaml([{'history': one.history.name.lower(), 'depth': one.depth,
-                       'reliability': one.reliability.name.lower(),
-                       'durability': one.durability.name.lower()} for one in profiles])
+_BLOCK_SIZE = 2**20
 
 
 def bag_files(bag: Path) -> list[Path]:
@@ -154,9 +62,9 @@ def _nearest(folder: Path) -> str:
     return f'; did you mean {bags[0]}?' if bags else ''
 
 
-def open_sources(bag: Path, files: list[Path]) -> list[McapFile | ForeignBag]:
+def open_sources(files: list[Path]) -> tuple[list[Source], ExitStack]:
     """
-    Return readers of the files of a bag.
+    Return readers of the files of a bag, and the owner of their decompressed copies.
 
     Raises
     ------
@@ -166,7 +74,26 @@ def open_sources(bag: Path, files: list[Path]) -> list[McapFile | ForeignBag]:
         A file cannot be read.
 
     """
-    if all(path.suffix == '.mcap' for path in files) or not any(
-            path.name.endswith(_SUFFIXES) for path in files):
-        return [McapFile(path) for path in files]
-    return [ForeignBag(bag, files)]
+    with ExitStack() as copies:
+        if any(path.suffix == '.zstd' for path in files):
+            folder = Path(copies.enter_context(TemporaryDirectory(prefix='hnn_vi_ros_bag_')))
+            files = [_decompressed(path, folder) if path.suffix == '.zstd' else path
+                     for path in files]
+        return [SqliteBag(path) if path.suffix == '.db3' else McapFile(path)
+                for path in files], copies.pop_all()
+
+
+def _decompressed(path: Path, folder: Path) -> Path:
+    """Decompress a file of a bag to a folder; return the new file."""
+    target = folder / path.stem
+    with regular(path) as stream, target.open('xb') as copy:
+        allowance = Allowance(path, os.fstat(stream.fileno()).st_size)
+        try:
+            unpacker = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
+            while block := unpacker.read(_BLOCK_SIZE):
+                allowance.spend(0, copy.tell() + len(block))
+                copy.write(block)
+        except zstandard.ZstdError as problem:
+            raise RecordingError(f'{path}: cannot be decompressed ({problem}); give another '
+                                 'bag') from problem
+    return target

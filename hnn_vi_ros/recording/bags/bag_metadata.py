@@ -152,7 +152,7 @@ def read_bag_metadata(folder: Path) -> dict[str, Any]:
     """Return the content of ``metadata.yaml`` in a bag's folder; empty if the file is missing."""
     path = folder / 'metadata.yaml'
     try:
-        with regular(path).open('rb') as stream:
+        with regular(path) as stream:
             content = read_description(stream.read(_MAX_METADATA_SIZE))
     except OSError:
         return {}

@@ -8,7 +8,8 @@ length, reading continues at the next chunk.
 """
 
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from io import BytesIO
 import os
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, BinaryIO, final, NamedTuple
 import zlib
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import refuse_pointer, regular
+from hnn_vi_ros.files import in_bytes, refuse_pointer, regular
 import lz4.frame
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -44,10 +45,52 @@ _READERS: dict[int, type[Any]] = {
     if opcode not in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX)}
 # Maximum size of a record and of its unpacked content [bytes].
 MAX_RECORD_SIZE = 2**28
+# Unpacked size of any file [bytes], and in units of its size: recordings shrink to a tenth.
+_UNPACKED_SIZE, _UNPACKED_RATIO = 2**26, 128
+# Maximum number of metadata records and attachments; recorders write a few.
+_MAX_EXTRAS = 2**14
 # Maximum size of a group of messages outside of chunks that is read together [bytes].
 _MAX_GROUP_SIZE = 2**18
 _READ_SIZE = 2**20
 _COMPRESSIONS = ('', 'zstd', 'lz4')
+
+
+class Allowance:
+    """
+    Limit of the unpacked content of a file: 64 MiB and 128 times its size.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    size : int
+        Its size [bytes].
+
+    """
+
+    def __init__(self, path: Path, size: int):
+        self._path, self._most = path, _UNPACKED_SIZE + _UNPACKED_RATIO * size
+        self._parts, self._total = dict[int, int](), 0
+
+    def spend(self, part: int, size: int) -> None:
+        """
+        Count the unpacked size of a part [bytes], which may be read several times.
+
+        Raises
+        ------
+        RecordingError
+            All parts together are too large.
+
+        """
+        more = size - self._parts.get(part, 0)
+        if more > 0:
+            self._parts[part] = size
+            self._total += more
+        if self._total > self._most:
+            raise RecordingError(
+                f'{self._path}: unpacks to more than {in_bytes(self._most)} '
+                f'({in_bytes(_UNPACKED_SIZE)} and {_UNPACKED_RATIO} times its size); if you trust '
+                'it, unpack it with `mcap decompress` or `zstd -d`')
 
 
 class Piece(NamedTuple):
@@ -139,7 +182,7 @@ def unpack_zstd(data: bytes, most: int) -> bytes:
         return stream.read(most)
 
 
-def _unpack(content: bytes) -> bytes | None:
+def _unpack(content: bytes, spend: Callable[[int], None]) -> bytes | None:
     """Return the records of a chunk, at most the declared size; None if it is damaged."""
     head = _chunk_head(content)
     if head is None or head.unpacked > MAX_RECORD_SIZE:
@@ -152,6 +195,7 @@ def _unpack(content: bytes) -> bytes | None:
             data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
     except (zstandard.ZstdError, RuntimeError):
         return None
+    spend(len(data))
     return data if len(data) == head.unpacked and head.crc in (0, zlib.crc32(data)) else None
 
 
@@ -232,8 +276,9 @@ class McapFile:
         self._chunks: set[tuple[_ChunkHead, int]] = set()
         # After the data: definitions, counts and the footer, confirmed only by its CRC.
         self._summary: list[McapRecord] = []
-        with regular(path).open('rb') as stream:
+        with regular(path) as stream:
             size = os.fstat(stream.fileno()).st_size
+            self._allowance = Allowance(path, size)
             if (begin := _read_at(stream, 0, len(MAGIC))) != MAGIC:
                 refuse_pointer(_read_at(stream, 0, 32), path, RecordingError)
                 reason = 'its first bytes are wrong' if begin else 'it is empty'
@@ -281,12 +326,18 @@ class McapFile:
         if opcode == Opcode.MESSAGE:
             return length >= _MESSAGE.size and self._add_message(stream, start, length)
         if opcode == Opcode.MESSAGE_INDEX:
+            if length < _INDEX.size:
+                return False
             _, entries = _INDEX.unpack(_read_at(stream, start, _INDEX.size))
             self._listed += entries // _ENTRY
             return entries == length - _INDEX.size and entries % _ENTRY == 0
         record = _decode(opcode, _read_at(stream, start, length))
         if record is None or (isinstance(record, Header) and self.header is not None):
             return False
+        if isinstance(record, Attachment | Metadata) and \
+                len(self._attachments) + len(self._metadata) == _MAX_EXTRAS:
+            raise RecordingError(f'{self.path}: more than {_MAX_EXTRAS} metadata records and '
+                                 'attachments; give a bag with fewer')
         if isinstance(record, Attachment):
             self._attachments.append((start, length))
         elif isinstance(record, Metadata):
@@ -381,7 +432,8 @@ class McapFile:
 
     def _records(self, stream: BinaryIO, piece: Piece) -> Iterable[McapRecord | None]:
         content = _read_at(stream, piece.start, piece.length)
-        data = _unpack(content) if piece.packed else content
+        data = _unpack(content, partial(self._allowance.spend, piece.start)) \
+            if piece.packed else content
         return [None] if data is None else _records_in(data)
 
     def _define(self, record: McapRecord) -> bool:
@@ -392,7 +444,7 @@ class McapFile:
 
     def read(self, piece: Piece) -> Iterator[Message]:
         """Yield the readable messages of a piece that belong to known channels."""
-        with regular(self.path).open('rb') as stream:
+        with regular(self.path) as stream:
             found = self._records(stream, piece)
         for record in found:
             if isinstance(record, Message) and record.channel_id in self.channels:
@@ -407,7 +459,7 @@ class McapFile:
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the attachments."""
-        with regular(self.path).open('rb') as stream:
+        with regular(self.path) as stream:
             for start, length in self._attachments:
                 record = _decode(Opcode.ATTACHMENT, _read_at(stream, start, length))
                 if isinstance(record, Attachment):

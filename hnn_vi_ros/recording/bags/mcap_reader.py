@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import final, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import in_bytes
-from hnn_vi_ros.recording.bags.bag_files import bag_files, ForeignBag, open_sources
+from hnn_vi_ros.files import in_bytes, regular
+from hnn_vi_ros.recording.bags.bag_files import bag_files, open_sources, Source
 from hnn_vi_ros.recording.bags.bag_metadata import counted_messages
-from hnn_vi_ros.recording.bags.mcap_file import MAX_RECORD_SIZE, McapFile, Piece
+from hnn_vi_ros.recording.bags.mcap_file import Allowance, MAX_RECORD_SIZE, Piece
 from mcap.records import Channel, Schema
 import zstandard
 
@@ -45,7 +45,7 @@ class _Part(NamedTuple):
     """A piece of a file, with the map of its channel numbers to those of the reader."""
 
     piece: Piece
-    source: McapFile | ForeignBag
+    source: Source
     numbers: dict[int, int]
 
 
@@ -54,8 +54,8 @@ class BagReader:
     """
     A bag: finished, truncated or damaged; only its outline is held in memory.
 
-    It is one MCAP file, several split by rosbag2, possibly with messages compressed one by one, or
-    another format supported by rosbags. Channels of one topic in several files are merged.
+    It is one file in MCAP or SQLite, or several split by rosbag2, possibly compressed as files or
+    message by message. Channels of one topic in several files are merged.
 
     Parameters
     ----------
@@ -87,7 +87,8 @@ class BagReader:
         self.schemas: dict[int, Schema] = {}
         self._files, self._parts = files, list[_Part]()
         try:
-            self._sources = open_sources(bag, files)
+            self._sources, self._copies = open_sources(files)
+            self._allowance = Allowance(self.path, sum(path.stat().st_size for path in files))
         except OSError as problem:
             raise RecordingError(f'{self.path}: cannot be read ({problem.strerror or problem}); '
                                  'give the folder of a bag, or its file') from problem
@@ -123,7 +124,7 @@ class BagReader:
         """Return the SHA-256 of the files."""
         found = sha256()
         for path in self._files:
-            with path.open('rb') as stream:
+            with regular(path) as stream:
                 file_digest(stream, lambda: found)
         return found.hexdigest()
 
@@ -177,6 +178,7 @@ class BagReader:
 
     def _read(self, part: _Part, wanted: Collection[int]) -> Iterator[Recorded]:
         """Yield the decompressed messages of a piece."""
+        unpacked = 0
         for message in part.source.read(part.piece):
             number = part.numbers[message.channel_id]
             if number not in wanted:
@@ -184,13 +186,15 @@ class BagReader:
             data: bytes | None = message.data
             # An uncompressed message starts with its encoding, 00 .. in CDR.
             if message.data.startswith(_ZSTD) and self.channels[number].message_encoding == 'cdr':
-                data = _unpacked(message.data)
+                data, size = _unpacked(message.data)
+                unpacked += size
+                self._allowance.spend(id(part), unpacked)
             if data is None:
                 part.source.unread[part.piece.start] = len(message.data)
             else:
                 yield Recorded(message.log_time, number, data)
 
-    def _join(self, source: McapFile | ForeignBag) -> dict[int, int]:
+    def _join(self, source: Source) -> dict[int, int]:
         """Add the channels of a file; return their numbers in this reader."""
         known = {self._key(channel, self.schemas): number
                  for number, channel in self.channels.items()}
@@ -214,12 +218,14 @@ class BagReader:
         return channel.topic, channel.message_encoding, schema.name if schema else ''
 
 
-def _unpacked(data: bytes) -> bytes | None:
-    """Decompress a single message; None if it is damaged or too large."""
+def _unpacked(data: bytes) -> tuple[bytes | None, int]:
+    """Decompress a message, None if it is damaged or too large; return it and the bytes made."""
+    size = 0
     try:
         size = zstandard.get_frame_parameters(data).content_size
         if size > MAX_RECORD_SIZE and size != zstandard.CONTENTSIZE_UNKNOWN:
-            return None
-        return zstandard.ZstdDecompressor().decompress(data, max_output_size=MAX_RECORD_SIZE)
+            return None, 0
+        found = zstandard.ZstdDecompressor().decompress(data, max_output_size=MAX_RECORD_SIZE)
+        return found, len(found)
     except zstandard.ZstdError:
-        return None
+        return None, min(size, MAX_RECORD_SIZE)

@@ -106,7 +106,7 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
         raise RecordingError(f'{bag}: expected one .mcap file, found '
                              f'{listed(file.name for file in files)}; give one, unpacked')
     try:
-        with regular(path).open('rb') as stream, _not_being_recorded(stream, path):
+        with regular(path) as stream, _not_being_recorded(stream, path):
             file = McapFile(path, thorough=True)
             content = _Content(file)
             recovery = _compared(file, content, stream)
@@ -229,7 +229,7 @@ def copy_messages(file: McapFile, content: _Content, target: BinaryIO) -> None:
 def _read_back(path: Path, messages: int) -> None:
     """Read a written file back; raise RecordingError unless all messages are in it."""
     copy = McapFile(path, thorough=True)
-    with regular(path).open('rb') as stream:
+    with regular(path) as stream:
         found = _compared(copy, _Content(copy), stream)
     if found.messages != messages or found.changed:
         raise RecordingError(f'{path}: the repaired file reads back with {found.messages} of '

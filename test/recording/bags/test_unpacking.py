@@ -8,11 +8,12 @@ import struct
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags import mcap_reader
-from hnn_vi_ros.recording.bags.mcap_file import _unpack, MAX_RECORD_SIZE
+from hnn_vi_ros.recording.bags.mcap_file import _unpack, Allowance, MAX_RECORD_SIZE
 from hnn_vi_ros.recording.bags.mcap_recovery import recover
 import lz4.frame
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, Chunk, Header, Message, Schema
+from mcap.records import (
+    Attachment, Channel, Chunk, Header, Message, Metadata, Schema)
 from mcap.writer import MCAP0_MAGIC
 from messages import refused
 import pytest
@@ -83,7 +84,7 @@ def test_no_more_is_unpacked_than_a_chunk_declares_or_256_mebibytes(monkeypatch,
     for size in (10, MAX_RECORD_SIZE, MAX_RECORD_SIZE + 1, 2**60):
         content = struct.pack('<QQQII', 0, 9, size, 0, len(compression)) + compression.encode() \
             + struct.pack('<Q', len(data)) + PACKERS[compression](data)
-        assert _unpack(content) is None
+        assert _unpack(content, lambda size: None) is None
     assert unpacked == ([11, MAX_RECORD_SIZE + 1] if compression == 'zstd' else [])
 
 
@@ -113,6 +114,82 @@ def test_chunk_of_two_gibibytes_of_zeros_costs_no_memory(tmp_path, declared):
     path = write_chunk(tmp_path / 'a.mcap', 'zstd', zeros(2**31), declared)
     assert path.stat().st_size < 2**20
     assert memory_of(path) < 50
+
+
+def write_bomb(path: Path, of_messages: bool) -> Path:
+    """Write an intact file of some kilobytes, of which each record unpacks to 50 MiB."""
+    builder = begun()
+    builder.write(records(0))
+    for i in range(2):
+        if of_messages:
+            Message(channel_id=1, log_time=i, publish_time=i, sequence=i,
+                    data=zeros(50 * 2**20)).write(builder)
+        else:
+            one = struct.pack('<BQHIQQ', 0x05, 22, 1, 0, i, i)
+            data = one * (50 * 2**20 // len(one))
+            Chunk(compression='zstd', data=zstandard.compress(data), message_start_time=i,
+                  message_end_time=i, uncompressed_crc=0, uncompressed_size=len(data)
+                  ).write(builder)
+    path.write_bytes(builder.end())
+    return path
+
+
+@pytest.mark.parametrize('of_messages', [False, True])
+def test_file_that_unpacks_to_more_than_its_allowance_is_refused(tmp_path, of_messages):
+    path = write_bomb(tmp_path / 'a.mcap', of_messages)
+    # The allowance is 64 MiB and 128 times the size, of which two records of 50 MiB have more.
+    assert 128 * path.stat().st_size < 36 * 2**20
+    with refused(RecordingError):
+        list(BagReader(path).messages())
+
+
+def test_parts_that_are_read_again_are_not_counted_again(tmp_path):
+    allowance = Allowance(tmp_path / 'a.mcap', 0)
+    for _ in range(9):
+        allowance.spend(0, 2**25)
+        allowance.spend(1, 2**25)
+    with refused(RecordingError):
+        allowance.spend(2, 1)
+
+
+@pytest.mark.parametrize('name', ['a.db3.zstd', 'a.mcap.zstd'])
+def test_packed_bag_is_decompressed_only_up_to_its_allowance(tmp_path, monkeypatch, name):
+    folder = tmp_path / 'unpacked'
+    folder.mkdir()
+    monkeypatch.setattr('tempfile.tempdir', str(folder))
+    most, spend = [], Allowance.spend
+    monkeypatch.setattr(Allowance, 'spend',
+                        lambda *words: most.append(words[-1]) or spend(*words))
+    (tmp_path / name).write_bytes(zeros(2**27))
+    with refused(RecordingError):
+        BagReader(tmp_path / name)
+    # It is read in blocks of 1 MiB; its own size is some kilobytes.
+    assert 2**26 < max(most) <= 2**26 + 128 * (tmp_path / name).stat().st_size + 2**20
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize('kind', ['metadata', 'attachments'])
+def test_file_of_very_many_metadata_records_or_attachments_is_refused(tmp_path, kind):
+    builder = begun()
+    one = Metadata('', {}) if kind == 'metadata' else Attachment(
+        create_time=0, log_time=0, name='', media_type='', data=b'')
+    for _ in range(2**14 + 1):
+        one.write(builder)
+    path = tmp_path / 'a.mcap'
+    path.write_bytes(builder.end())
+    with refused(RecordingError):
+        BagReader(path)
+
+
+@pytest.mark.parametrize('length', range(6))
+def test_message_index_that_is_too_short_is_damage(tmp_path, length):
+    builder = begun()
+    builder.write(records(3) + struct.pack('<BQ', 0x07, length) + bytes(length))
+    path = tmp_path / 'a.mcap'
+    path.write_bytes(builder.end())
+    reader = BagReader(path)
+    assert len(list(reader.messages())) == 3
+    assert '1 damaged parts' in reader.damage
 
 
 def test_packed_messages_are_unpacked_only_until_they_are_too_large_together(
