@@ -10,12 +10,12 @@ graph; see learning.export_module. Only tensors are unpickled from files.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-import zipfile
 
 from hnn_vi_ros.errors import listed, ModelError, ParameterError
-from hnn_vi_ros.files import in_plain_words, no_file, one_line, refuse_pointer
+from hnn_vi_ros.files import in_plain_words, no_file, one_line
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.export_module import export
+from hnn_vi_ros.learning.torch_file import load_tensors
 from hnn_vi_ros.models import Box, Layers, Network
 from hnn_vi_ros.scene import load_code
 import numpy as np
@@ -53,15 +53,12 @@ def read_state(path: Path) -> tuple[dict[str, torch.Tensor], str]:
 
     """
     try:
-        if not path.is_file():
-            raise ModelError(f'{path}: {no_file(path)}; give a file written by torch.save')
-        with path.open('rb') as stream:
-            refuse_pointer(stream.read(32), path, ModelError)
-        if max(path.stat().st_size, _unpacked_size(path)) > MAX_BYTES:
-            raise ModelError(f'{path}: larger than {MAX_BYTES >> 20} MiB, the limit for networks')
-        state = torch.load(path, map_location='cpu', weights_only=True)
+        state = load_tensors(path, MAX_BYTES)
     except ModelError:
         raise
+    except OSError as problem:
+        raise ModelError(f'{path}: {problem.strerror or problem}; give a file written by '
+                         'torch.save') from problem
     except Exception as problem:  # damaged pickles raise exceptions without a common base class
         # Not torch's message, which recommends unpickling untrusted files.
         raise ModelError(f'{path}: not a file of torch.save that contains only tensors; nothing '
@@ -124,13 +121,6 @@ def perceptron_of(path: Path, state: Mapping[str, torch.Tensor], activation: str
         raise ModelError(f'{path}: its last layer has {len(weights[-1])} outputs, and H is one '
                          f'number; {_BY_CODE}')
     return Network(Layers(tuple(weights), tuple(biases)), activation)
-
-
-def _unpacked_size(path: Path) -> int:
-    if not zipfile.is_zipfile(path):
-        return 0
-    with zipfile.ZipFile(path) as archive:
-        return sum(member.file_size for member in archive.infolist())
 
 
 def _check_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:

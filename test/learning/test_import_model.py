@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Modules of others: the same energy as their source, and nothing of a file is run."""
 
+import codecs
+from collections import Counter
 from itertools import pairwise
 from pathlib import Path
 import pickle
@@ -10,6 +12,7 @@ import zipfile
 from helpers import Malicious
 from hnn_vi_ros.errors import HnnViRosError, ModelError
 from hnn_vi_ros.learning.import_model import main, MAX_BYTES, perceptron_of, read_state
+from hnn_vi_ros.learning.torch_file import load_tensors
 from hnn_vi_ros.models import load_learned
 from hypothesis import given, settings, strategies as st
 from messages import refused
@@ -200,6 +203,56 @@ def test_file_that_is_not_one_of_torch_is_refused(tmp_path):
     for raw in (b'', b'PK\x03\x04' + bytes(100), pickle.dumps({'a': 1})[:5], b'\x80\x02' * 50):
         path.write_bytes(raw)
         assert_refused(path)
+
+
+class Called:
+    """An object whose pickle calls a type with arguments."""
+
+    def __init__(self, *called: object):
+        self.called = called
+
+    def __reduce__(self):
+        return self.called
+
+
+def nested(depth: int) -> tuple:
+    """Return a tuple of 2^depth items; hashing it takes as many steps."""
+    return () if depth == 0 else (nested(depth - 1),) * 2
+
+
+@pytest.mark.filterwarnings('ignore')  # types of tensors are deprecated
+@pytest.mark.parametrize('legacy', [False, True])
+@pytest.mark.parametrize('called', [
+    (bytearray, (10**13,)), (codecs.encode, ('a' * 9, 'utf-32')), (torch.Tensor, (10**13,)),
+    (torch.FloatTensor, (10**13,)), (Counter, (['a'],))], ids=lambda called: called[0].__name__)
+def test_type_that_makes_much_of_little_is_not_called(tmp_path, monkeypatch, legacy, called):
+    path = tmp_path / 'source.tar'
+    torch.save({**LINEAR, 'extra': Called(*called)}, path,
+               _use_new_zipfile_serialization=not legacy)
+    monkeypatch.setattr(torch, 'load', None)
+    with refused(ModelError):
+        read_state(path)
+    with pytest.raises(ValueError, match='contains'):
+        load_tensors(path, MAX_BYTES)
+
+
+@pytest.mark.parametrize('legacy', [False, True])
+def test_tuple_that_takes_long_to_hash_is_refused(tmp_path, legacy):
+    path = tmp_path / 'source.tar'
+    torch.save({**LINEAR, 'extra': [nested(40)]}, path, _use_new_zipfile_serialization=not legacy)
+    assert_refused(path)
+
+
+def test_state_of_an_optimiser_is_loaded(tmp_path):
+    module = sequential('tanh', 2, 9, 1)
+    optimiser = torch.optim.AdamW([{'params': [one]} for one in module.parameters()])
+    module(torch.ones(1, 2)).sum().backward()
+    optimiser.step()
+    state = {'optimiser': optimiser.state_dict(), 'drawn': torch.get_rng_state()}
+    torch.save(state, tmp_path / 'source.pt')
+    found = load_tensors(tmp_path / 'source.pt', MAX_BYTES)
+    assert found['optimiser']['param_groups'] == state['optimiser']['param_groups']
+    assert torch.equal(found['drawn'], state['drawn'])
 
 
 def test_file_that_unpacks_to_more_than_the_limit_is_refused(tmp_path):

@@ -151,6 +151,11 @@ def shapes_of(robot: Robot) -> tuple[str, str]:
         f'{robot.where}: {problem}; a skeleton is shown instead' if problem else '')
 
 
+def _packages(folder: Path) -> list[Path]:
+    """Return the packages that contain a folder, the innermost first."""
+    return [one for one in (folder, *folder.parents) if (one / 'package.xml').is_file()]
+
+
 def _shape_file(name: str, urdf: Path) -> tuple[Path, str]:
     """Return the file of a shape, and the reason it cannot be used, '' if it can."""
     folder = Path(os.path.abspath(urdf)).parent
@@ -159,13 +164,14 @@ def _shape_file(name: str, urdf: Path) -> tuple[Path, str]:
             folder / name.removeprefix('file://')
     except ValueError as problem:
         return Path(), str(problem)
-    packages = [one for one in (path.parent, *path.parents) if (one / 'package.xml').is_file()]
-    own = next((one for one in (folder, *folder.parents) if (one / 'package.xml').is_file()), None)
-    inside = [folder.resolve() in path.resolve().parents]
-    # In a workspace built with links, files of a package are links to their sources.
-    inside += [one in Path(os.path.normpath(path)).parents
-               for one in [own, *(packages if name.startswith(SCHEME) else [])] if one]
-    if not any(inside):
+    source = urdf.resolve().parent
+    roots = [folder, *_packages(folder)[:1], *_packages(source)[:1]]
+    if name.startswith(SCHEME):
+        # In a workspace built with links, files of a package are links to its sources.
+        package = package_file('/'.join([*name.split('/')[:3], 'package.xml']))
+        roots += [package.parent, package.resolve().parent]
+    path = path.resolve()
+    if not any(root.resolve() in path.parents for root in roots):
         return path, 'not in the folder of the URDF, nor in its package'
     if not path.is_file():
         return path, no_file(path)

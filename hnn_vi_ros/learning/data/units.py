@@ -36,7 +36,9 @@ _CLEAR = frozenset((
     'nanoseconds', 'rpm', 'dps'))
 _BRACKETED = re.compile(r'[\[(]([^\[\]()]*)[\])]')
 _WORD = re.compile(r'[^\W\d_]+|[°º%]')
-_FACTOR = re.compile(r'([^\W\d_]+|[°º%1])\^?([-+]?\d+)?')
+_FACTOR = re.compile(r'([^\W\d_]+|[°º%1])\^?([-+]?\d{1,2})?')
+# Number of words at the end of a name that may form a unit.
+_MOST_WORDS = 8
 _POWERS = str.maketrans('⁰¹²³⁴⁵⁶⁷⁸⁹⁻', '0123456789-')
 
 
@@ -58,7 +60,7 @@ def parsed(unit: str) -> tuple[float, Dimensions] | None:
             size *= found[0]**power
             for name, exponent in found[1].items():
                 dimensions[name] += exponent * power
-        if not factors:
+        if not (factors and 0.0 < size < math.inf):
             return None
     return size, {name: power for name, power in dimensions.items() if power}
 
@@ -84,10 +86,12 @@ def split_unit(name: str) -> tuple[str, str]:
             return (name[:match.start()] + name[match.end():]).strip(), match[1].strip()
     words = [*_WORD.finditer(name)]
     for first, word in enumerate(words):
-        rest = [other[0] for other in words[first:] if other[0] not in ('per', 'in')]
-        ending = first > 0 and rest and all(map(_known, rest)) \
+        # A limit, because the words of a long name would be compared in pairs.
+        rest = [other[0] for other in words[first:first + _MOST_WORDS]
+                if other[0] not in ('per', 'in')]
+        ending = 0 < first >= len(words) - _MOST_WORDS and rest and all(map(_known, rest)) \
             and words[-1].end() >= len(name) - 1
-        if ending or word[0].lower() in _CLEAR:
+        if ending or (word[0].lower() in _CLEAR and name[word.end():word.end() + 1] != '^'):
             # A second unit divides: deg_s, m_per_s2; N_m is a product.
             taken = rest if ending else rest[:1]
             over = [other for other in taken[1:] if _known(other) == _TABLE['s']]

@@ -9,18 +9,17 @@ from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 import math
 from pathlib import Path
-import pickle
 import signal
 import sys
 from tempfile import mkdtemp
 import time
 from typing import Any
-import zipfile
 
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, Interrupted, ModelError, ParameterError, RecordingError)
 from hnn_vi_ros.files import in_plain_words, one_line, ProgressLine, replacing
 from hnn_vi_ros.learning.fit.config import TrainingConfig
+from hnn_vi_ros.learning.torch_file import load_tensors
 from hnn_vi_ros.models import Checkpoint, save_checkpoint
 import numpy as np
 from pydantic import ValidationError
@@ -35,6 +34,8 @@ INTERVAL, LEAST_GAIN = 20, 1e-6
 # Loss passed to L-BFGS instead of a non-finite one, so that its line search shortens the
 # step.
 _TOO_FAR = 1e30
+# Maximum size of a saved run [bytes]: two hundred copies of the weights, of L-BFGS.
+_MAX_STATE_SIZE = 2**30
 # Attributes of a saved run that describe its progress.
 _KEPT = (
     'stage', 'taken', 'before', 'least', 'waited', 'best', 'loss_at_best', 'retried', 'gained')
@@ -407,13 +408,12 @@ class Keeper:
 
         """
         try:
-            saved = torch.load(self.path, weights_only=True)
+            saved = load_tensors(self.path, _MAX_STATE_SIZE)
             of_this = saved['digest'] == self._digest
         except FileNotFoundError as problem:
             raise ParameterError(f'--resume: no interrupted run at {self.path}; start one without '
                                  '--resume') from problem
-        except (OSError, RuntimeError, EOFError, KeyError, TypeError, ValueError,
-                pickle.UnpicklingError, zipfile.BadZipFile) as problem:
+        except Exception as problem:  # damaged pickles raise exceptions without a common class
             raise ParameterError(f'--resume: {self.path} cannot be read; remove it and start '
                                  'again without --resume') from problem
         if not of_this:

@@ -182,6 +182,9 @@ def test_meshes_in_the_folder_of_the_urdf_are_recorded(name, tmp_path: Path):
 @pytest.mark.parametrize('kind, said', [
     ('other', 'not in the folder of the URDF, nor in its package'),
     ('link', 'not in the folder of the URDF, nor in its package'),
+    ('link in a package', 'not in the folder of the URDF, nor in its package'),
+    ('link to a folder', 'not in the folder of the URDF, nor in its package'),
+    ('link to a description', 'not in the folder of the URDF, nor in its package'),
     ('fifo', 'is not a regular file'), ('device', 'not in the folder'),
     ('large', '300 MB, limit 256 MB')])
 def test_files_that_are_no_meshes_of_the_robot_are_not_opened(kind, said, tmp_path: Path):
@@ -192,8 +195,16 @@ def test_files_that_are_no_meshes_of_the_robot_are_not_opened(kind, said, tmp_pa
     name = {'other': '../secret.stl', 'device': 'file:///dev/zero'}.get(kind, 'arm.stl')
     if kind == 'fifo':
         os.mkfifo(folder / 'arm.stl')
-    elif kind == 'link':
+    elif kind == 'link to a folder':
+        (folder / 'package.xml').write_text('<package/>')
+        (folder / 'meshes').symlink_to(tmp_path)
+        name = 'meshes/secret.stl'
+    elif kind.startswith('link'):
         (folder / 'arm.stl').symlink_to(tmp_path / 'secret.stl')
+        if kind == 'link in a package':
+            (folder / 'package.xml').write_text('<package/>')
+        elif kind == 'link to a description':
+            (folder / 'package.xml').symlink_to(tmp_path / 'secret.stl')
     elif kind == 'large':
         with (folder / 'arm.stl').open('wb') as stream:
             stream.truncate(300_000_000)
@@ -207,6 +218,21 @@ def test_meshes_of_the_package_that_holds_the_urdf_are_recorded(tmp_path: Path):
         (tmp_path / folder).mkdir()
     (tmp_path / 'meshes' / 'arm.stl').write_text(TRIANGLE)
     assert recorded_meshes(tmp_path / 'urdf', '../meshes/arm.stl') == [TRIANGLE.encode()]
+
+
+def test_meshes_of_a_package_installed_by_links_are_recorded(tmp_path: Path, monkeypatch):
+    source, share = tmp_path / 'src' / 'arm_description', tmp_path / 'share' / 'arm_description'
+    index = tmp_path / 'share/ament_index/resource_index/packages'
+    for folder in (source / 'meshes', share / 'meshes', index):
+        folder.mkdir(parents=True)
+    (index / 'arm_description').write_text('')
+    for name, text in (('package.xml', '<package/>'), ('meshes/arm.stl', TRIANGLE)):
+        (source / name).write_text(text)
+        (share / name).symlink_to(source / name)
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    (tmp_path / 'elsewhere').mkdir()
+    assert recorded_meshes(tmp_path / 'elsewhere', 'package://arm_description/meshes/arm.stl') \
+        == [TRIANGLE.encode()]
 
 
 def recorded_meshes(folder: Path, name: str) -> list[bytes]:
