@@ -11,7 +11,7 @@ from typing import Any, final, NamedTuple
 from hnn_vi_ros.errors import optional, RecordingError
 from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.hamiltonians import MECHANISMS
-from hnn_vi_ros.recording import BagTopics, McapSink, Sample, serialize, Topic
+from hnn_vi_ros.recording import BagTopics, FLUSH_INTERVAL, McapSink, Sample, serialize, Topic
 from hnn_vi_ros.ros.plumbing.environment import distribution
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.settings import Settings
@@ -172,6 +172,11 @@ class BagOutput(Sink):
 
     def close(self) -> None:
         self._sink.close()
+
+    @property
+    def delay(self) -> float:
+        """Return the duration of the last write to the disk [s]."""
+        return self._sink.delay
 
     def files(self) -> list[str]:
         return [line for bag in self._bags for line in bag_lines(bag)]
@@ -368,6 +373,12 @@ class RunRecording:
     def timing(self, figures: Figures) -> None:
         """Display the recent cost of steps, and the pace, at the newest sample."""
         self._each(lambda sink: sink.timing(figures))
+
+    def slow_disk(self) -> str:
+        """Describe a disk that takes longer to write than the bag waits between; '' if none."""
+        delay = self._bag.delay if self._bag in self._open else 0.0
+        return f'the disk of {self._bag.target} takes {delay:.2g} s for a write' \
+            if delay > FLUSH_INTERVAL else ''
 
     @property
     def targets(self) -> dict[str, str]:

@@ -136,6 +136,8 @@ class OverrunGuard(StateGuard):
     ----------
     pacer : Pacer
         Counter of the overruns.
+    slow_disk : callable, optional
+        Function that describes a slow disk of the recording, '' if it is not slow.
 
     """
 
@@ -144,8 +146,8 @@ class OverrunGuard(StateGuard):
               'integrator; a /clock that is used needs one publisher and no jumps; results are '
               'not affected')
 
-    def __init__(self, pacer: Pacer):
-        self._pacer, self._seen = pacer, pacer.overruns
+    def __init__(self, pacer: Pacer, slow_disk: Callable[[], str] = str):
+        self._pacer, self._seen, self._slow_disk = pacer, pacer.overruns, slow_disk
 
     def update(self, sample: Observed) -> Alarm | None:
         overruns = self._pacer.overruns
@@ -156,6 +158,8 @@ class OverrunGuard(StateGuard):
                  'machine'
                  if self._pacer.led else 'use a lower real_time_factor or publish_rate, a larger '
                  'step_size or a cheaper integrator')
+        if slow := self._slow_disk():
+            cause = f'{slow}: record to another one'
         return Alarm(self.kind, sample.step, float(overruns), 0.0,
                      f'{overruns} overruns: fell more than {self._pacer.largest_debt:g} s behind '
                      f'the clock; the lost time is skipped; {cause}', '1')

@@ -373,11 +373,13 @@ def test_overrun_guard_speaks_once_for_each_overrun():
     assert said == [None, 1.0, None, None, 2.0, None]
 
 
-@pytest.mark.parametrize(('led', 'cause'), [
-    (True, '/clock jumped, for example because of two'), (False, 'use a lower real_time_factor')])
-def test_overrun_names_its_cause(led: bool, cause: str):
+@pytest.mark.parametrize(('led', 'disk', 'cause'), [
+    (True, '', '/clock jumped, for example because of two'),
+    (False, '', 'use a lower real_time_factor'),
+    (False, 'the disk of /bag takes 2 s for a write', 'the disk of /bag takes 2 s')])
+def test_overrun_names_its_cause(led: bool, disk: str, cause: str):
     now = 0.0
     pacer = Pacer(0.01, 1.0, lambda: now, lambda: led)
-    guard, now = OverrunGuard(pacer), 20.0
+    guard, now = OverrunGuard(pacer, lambda: disk), 20.0
     pacer.due()
     assert cause in guard.update(Sampler(simulation_of(), 100.0).sample()).message

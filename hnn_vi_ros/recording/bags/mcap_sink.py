@@ -6,12 +6,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 import fcntl
+import math
 import os
 from pathlib import Path
 import shlex
 from threading import Event, RLock, Thread
 import time
-from typing import Any, BinaryIO, final
+from typing import Any, BinaryIO, cast, final
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import dump_yaml
@@ -57,8 +58,35 @@ def compact_index(writer: Writer) -> None:
 CHUNK_SIZE = 256 * 1024
 # Interval of flushes [s]: a quarter of the second that an interruption may cost.
 FLUSH_INTERVAL = 0.25
-# Size of the buffer, which must hold everything before the first message [bytes].
-_BUFFER_SIZE = 2**20
+# Maximum size of the data that wait for a slow disk; beyond it a run waits as well [bytes].
+_MAX_PENDING = 2**26
+
+
+class _Pending:
+    """Stream of a writer, whose data wait in memory until a thread writes them to the disk."""
+
+    def __init__(self) -> None:
+        self._parts, self._place, self.size = list[bytes](), 0, 0
+
+    def write(self, data: bytes) -> None:
+        """Append data."""
+        self._parts.append(data)
+        self._place += len(data)
+        self.size += len(data)
+
+    def tell(self) -> int:
+        """Return the position in the file."""
+        return self._place
+
+    def flush(self) -> None:
+        """Do nothing; ``take`` returns the data."""
+
+    def take(self) -> bytes:
+        """Remove and return the data."""
+        data = b''.join(self._parts)
+        self._parts.clear()
+        self.size = 0
+        return data
 
 
 @final
@@ -68,7 +96,9 @@ class McapSink:
 
     Once open, the attachments and all messages older than a second are with the operating system
     and survive a killed process: a thread flushes every FLUSH_INTERVAL, even if no other messages
-    follow. Nothing here calls ROS, so a recording can be closed after the shutdown of ROS.
+    follow. A slow disk delays only that thread: ``write`` does not wait for it, except for the
+    first tick and if 64 MiB wait already. Nothing here calls ROS, so a recording can be closed
+    after the shutdown of ROS.
 
     Parameters
     ----------
@@ -96,7 +126,11 @@ class McapSink:
         self._others: dict[Topic, list[int]] = {}
         self._schemas: dict[str, int] = {}
         self._first, self._last = NEVER, 0
-        self._lock, self._closed, self._unflushed = RLock(), Event(), False
+        # To write to the disk takes `_disk`, and then `_lock` to take the data, never inversely.
+        self._lock, self._disk, self._pending = RLock(), RLock(), _Pending()
+        self._closed, self._unflushed = Event(), False
+        # Start of the write in progress, and duration of the one before [s].
+        self._begun, self._took = math.inf, 0.0
         self._problem: RecordingError | None = None
         self._path = Path(folder) / f'{Path(folder).name}_0.mcap'
         origin = identity()
@@ -104,8 +138,8 @@ class McapSink:
         self._stream: BinaryIO | None = _create(hidden)
         with self._abandoning():
             self._writer = Writer(
-                self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD,
-                enable_data_crcs=True)
+                cast(BinaryIO, self._pending), chunk_size=CHUNK_SIZE,
+                compression=CompressionType.ZSTD, enable_data_crcs=True)
             compact_index(self._writer)
             self._writer.start('ros2', f'hnn_vi_ros {LIBRARY_IDENTIFIER}')
             self._add_metadata()
@@ -114,9 +148,15 @@ class McapSink:
             self._writer.add_metadata('hnn_vi_ros', origin)
             self._channels = [self._register(topic) for topic in self._topics]
             self._writer.flush()
+            _write_all(self._stream, self._pending.take())
             # A file with the final name is readable at any time, even if the process is killed.
             os.rename(hidden, self._path)
         Thread(target=self._flush_by_the_clock, daemon=True).start()
+
+    @property
+    def delay(self) -> float:
+        """Return how long the disk took for the last write, or takes for the present one [s]."""
+        return max(self._took, time.monotonic() - self._begun)
 
     def write(self, stamp_ns: int, payloads: Sequence[bytes | None]) -> None:
         """
@@ -145,9 +185,10 @@ class McapSink:
                     self._counts[topic] += 1
             self._ticks += 1
             self._extend_to(stamp_ns)
-            if self._ticks == 1:
-                # Flush immediately, so that a started run has a sample.
-                self._flush()
+            # The first is flushed immediately, so that a started run has a sample.
+            waits = self._ticks == 1 or self._pending.size > _MAX_PENDING
+        if waits:
+            self._flush()
 
     def write_other(self, topic: Topic, stamp_ns: int, payload: bytes) -> None:
         """
@@ -186,9 +227,7 @@ class McapSink:
             The file cannot be written any more; the recording is closed.
 
         """
-        if self._is_closed():
-            return
-        with self._abandoning():
+        if not self._is_closed():
             self._flush()
 
     def close(self) -> None:
@@ -201,12 +240,16 @@ class McapSink:
             The end of the recording cannot be written.
 
         """
-        if self._is_closed():
-            return
+        with self._disk:
+            if not self._is_closed():
+                self._flush()
+                self._finish()
+
+    def _finish(self) -> None:
         with self._abandoning():
-            self._flush()
             self._add_metadata()
             self._writer.finish()
+            _write_all(self._stream, self._pending.take())
             self._end()
             write_bag_metadata(self._path.parent, self._metadata())
 
@@ -240,25 +283,35 @@ class McapSink:
         # As in rosbag2: once at the start for a truncated file, once at the end.
         self._writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(self._metadata())})
 
-    def _flush(self) -> None:
-        self._writer.flush()
-        # Detect a removed file: data written to it would be lost.
-        self._path.stat()
-        self._unflushed = False
+    def _flush(self, by_the_clock: bool = False) -> None:
+        with self._disk:
+            if by_the_clock and self._stream is None:
+                return
+            with self._abandoning():
+                self._writer.flush()
+                self._unflushed = False
+                data, stream = self._pending.take(), self._stream
+            self._begun = time.monotonic()
+            try:
+                _write_all(stream, data)
+                # Detect a removed file: data written to it would be lost.
+                self._path.stat()
+            except OSError as problem:
+                with self._lock:
+                    error = self._abandoned(problem)
+                    if not by_the_clock:
+                        raise error from problem
+                    # The next call raises the error.
+                    self._problem = error
+            self._took, self._begun = time.monotonic() - self._begun, math.inf
 
     def _flush_by_the_clock(self) -> None:
         while not self._closed.wait(FLUSH_INTERVAL):
-            with self._lock:
-                if self._unflushed and self._stream is not None:
-                    try:
-                        self.flush()
-                    except RecordingError as problem:
-                        # The next call raises the error.
-                        self._problem = problem
+            if self._unflushed:
+                self._flush(by_the_clock=True)
 
     def _is_closed(self) -> bool:
         """Return True if the file is closed; raise the error of a flush by the clock."""
-        # The lock is held until the error of a flush that closed the file is known.
         with self._lock:
             if self._stream is None:
                 self._raise_problem()
@@ -299,6 +352,14 @@ class McapSink:
             f'{self._path}: the recording stopped ({_reason(problem)}); {kept}')
 
 
+def _write_all(stream: BinaryIO | None, data: bytes) -> None:
+    """Write data to an open file without a buffer, which may write less at once."""
+    assert stream is not None
+    left = memoryview(data)
+    while left:
+        left = left[stream.write(left):]
+
+
 def _create(path: Path) -> BinaryIO:
     """Create the file in a new folder; leave nothing behind on failure."""
     folder = path.parent
@@ -312,7 +373,7 @@ def _create(path: Path) -> BinaryIO:
         raise RecordingError(f'{folder}: cannot be created ({_reason(problem)}); record to a '
                              'writable folder') from problem
     try:
-        stream = path.open('xb', buffering=_BUFFER_SIZE)
+        stream = path.open('xb', buffering=0)
         # Lock the file until it is closed or the process ends: it must not be recovered meanwhile.
         with suppress(OSError):
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)

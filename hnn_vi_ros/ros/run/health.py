@@ -240,6 +240,8 @@ class RunStatus:
             'recording' if recording.targets else 'nothing is recorded, as requested')
         if recording.problem:
             level, message = ERROR, recording.problem
+        elif slow := recording.slow_disk():
+            level, message = WARN, f'{slow}; a killed process loses as much'
         return Status('recorder', level, message, {
             **recording.targets, 'samples [1]': recording.samples})
 

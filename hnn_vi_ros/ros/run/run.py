@@ -117,7 +117,7 @@ class Run:
         guards = [*make_guards(self.simulation, scale, settings.energy_band_limit,
                                settings.energy_change_limit, hamiltonian.barrier)]
         if settings.real_time_factor:
-            guards.append(OverrunGuard(self.pacer))
+            guards.append(OverrunGuard(self.pacer, self.recording.slow_disk))
         if self._spread is not None:
             guards.append(self._spread.make_guard())
         return Monitor(
@@ -381,7 +381,7 @@ class Run:
             self.start_clocks()
             guards = self._monitor.guards
             if self.pacer.asked and not any(isinstance(guard, OverrunGuard) for guard in guards):
-                guards.append(OverrunGuard(self.pacer))
+                guards.append(OverrunGuard(self.pacer, self.recording.slow_disk))
         for guard in self._monitor.guards:
             guard.allow(settings.energy_band_limit, settings.energy_change_limit)
         self._settings = settings

@@ -7,6 +7,7 @@ from io import BytesIO
 import os
 from pathlib import Path
 import shutil
+from threading import Event
 import time
 import tracemalloc
 
@@ -14,6 +15,7 @@ import hnn_vi_ros
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.recording import BagReader, McapSink
+from hnn_vi_ros.recording.bags import mcap_sink
 from hnn_vi_ros.recording.bags.mcap_recovery import recover
 from hnn_vi_ros.recording.bags.mcap_sink import CHUNK_SIZE, Topic
 from mcap.exceptions import EndOfFile
@@ -357,6 +359,47 @@ def test_failure_of_a_flush_by_the_clock_is_raised_by_the_next_call(tmp_path, ca
     sink.close()
 
 
+def test_slow_disk_stops_neither_the_ticks_nor_loses_them(tmp_path, monkeypatch):
+    sink, path = McapSink(tmp_path / 'bag', TOPICS, {}), tmp_path / 'bag' / 'bag_0.mcap'
+    sink.write(0, payloads(0))
+    begun, write_all = [Event(), Event()], mcap_sink._write_all
+
+    def write_slowly(*words: object) -> None:
+        begun[0].set()
+        assert begun[1].wait(60.0)
+        write_all(*words)
+
+    monkeypatch.setattr(mcap_sink, '_write_all', write_slowly)
+    other = Topic('/alarms', NUMBER, TOPICS[2].definition, TOPICS[2].type_hash,
+                  TOPICS[2].offered_qos_profiles)
+    sink.write(PERIOD, payloads(1))
+    assert begun[0].wait(60.0)
+    # The disk is busy from here on; more than one chunk comes.
+    for tick in range(2, 2000):
+        sink.write(tick * PERIOD, payloads(tick))
+        sink.write_other(other, tick * PERIOD, payloads(tick)[2])
+    assert messages(path) == payloads(0)
+    before = sink.delay
+    assert 0.0 < before < sink.delay  # the present write goes on
+    begun[1].set()
+    sink.close()
+    assert len(messages(path)) == 3 * 2000 + 1998
+
+
+def test_data_that_wait_for_a_disk_are_limited(tmp_path, monkeypatch):
+    monkeypatch.setattr(mcap_sink, 'FLUSH_INTERVAL', 1e6)
+    monkeypatch.setattr(mcap_sink, '_MAX_PENDING', 10 * CHUNK_SIZE)
+    sink, sizes = McapSink(tmp_path / 'bag', TOPICS, {}), []
+    noise = np.random.default_rng(7).bytes(2**16)
+    for tick in range(300):
+        sink.write(tick, [noise[tick:], noise[:-tick or None], noise])
+        sizes.append(sink._pending.size)
+    # Noise is not compressed: a tick of three messages may complete a chunk, of four of them.
+    assert 5 * CHUNK_SIZE < max(sizes) < 12 * CHUNK_SIZE
+    sink.close()
+    assert len(messages(tmp_path / 'bag' / 'bag_0.mcap')) == 900
+
+
 def test_folder_removed_during_recording_is_an_error_at_close(tmp_path):
     sink = McapSink(tmp_path / 'bag', TOPICS, {})
     sink.write(0, payloads(0))
@@ -368,6 +411,7 @@ def test_folder_removed_during_recording_is_an_error_at_close(tmp_path):
 
 FULL = """
 import os, resource, sys
+from itertools import count
 from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.kernels.sources import identity
@@ -376,7 +420,7 @@ from test_mcap_sink import TOPICS
 sink = McapSink(Path(sys.argv[1]), TOPICS, {})
 # The system refuses to let a file grow beyond this, with an OSError as for a full disk.
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
-for tick in range(1000):
+for tick in count():
     try:
         sink.write(tick, [os.urandom(2000)] * 3)
     except RecordingError as problem:
