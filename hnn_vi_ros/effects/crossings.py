@@ -144,7 +144,9 @@ def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, fl
             if not start < middle < end:
                 middle = 0.5 * (start + end)
             return (TRY, middle) if start < middle < end else (LAND, end)
-        if theta < 0.0 or end - start <= _MIN_CROSSING * h:
+        # A path that rises at both ends, known to rounding, has no crossing that can be resolved.
+        if theta < 0.0 or end - start <= _MIN_CROSSING * h or (
+                nodes[top, 4] <= 2.0 * rounding and nodes[0, 2] > 0.0 and nodes[top, 2] > 0.0):
             for k in range(5):
                 nodes[0, k] = nodes[top, k]
             counts[0] -= 1

@@ -467,7 +467,7 @@ def _meet(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: int
                 work.touch[k], driven = _ON, True
         if not driven:
             break
-    _fill_rates(kernel, z, work.rates, True)
+    _fill_pressed_rates(kernel, z, stops, work, resting, _MIN_DRIVEN_SHARE * speed)
     kept = False
     for k in range(n):
         i = stops.columns[k]
@@ -489,6 +489,37 @@ def _meet(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: int
         if not _match(kernel, z, stops, work):
             return np.nan, resting
     return done + energy_of(kernel, z) - before, resting
+
+
+@called
+def _fill_pressed_rates(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork,
+                        resting: float, least: float) -> None:
+    """
+    Touch resting stops that no coordinate leaves faster than ``least``; fill rates under forces.
+
+    The forces keep touched coordinates on their stops, and none of them pulls. Without them,
+    accelerations of coordinates that share a mass matrix are wrong, up to their signs.
+    """
+    n = work.touch.size
+    for k in range(n):
+        if _is_in(resting, k) and stops.signs[k] * z.dH_dp[stops.columns[k]] <= least:
+            work.touch[k] = _ON
+    while True:
+        _fill_masses(kernel, z, stops, work)
+        _fill_rates(kernel, z, work.rates, True)
+        for k in range(n):
+            work.right[0, k] = 0.0 if work.touch[k] != _ON else \
+                -stops.signs[k] * work.rates.product_p[stops.columns[k]]
+        if not _solve(work):
+            return
+        worst = int(np.argmin(work.right[0]))
+        if work.right[0, worst] >= 0.0:
+            break
+        work.touch[worst] = _OFF
+    dH_dq, dH_dp, product_q, product_p = work.rates
+    for k in range(n):
+        dH_dq[stops.columns[k]] += stops.signs[k] * work.right[0, k]
+    kernel.hessian_vector(kernel.parameters, z.q, z.p, dH_dp, dH_dq, product_q, product_p)
 
 
 @called
@@ -530,15 +561,18 @@ def _push(kernel: Kernel, h: float, z: PhasePoint, stops: Stops, resting: float,
     grown = False
     for k in range(touch.size):
         gap[0, k] = stops.signs[k] * (z.q[stops.columns[k]] - stops.positions[k])
-        if _is_in(resting, k) and touch[k] == _OFF and gap[0, k] < 0.0:
+        if _is_in(resting, k) and touch[k] == _OFF and gap[0, k] <= 0.0:
             touch[k], gap[2, k], grown = _ON, -gap[0, k], True
-    enough, any_on = True, False
+    enough, any_on, shift = True, False, 0.0
+    for i in range(kernel.dimension - kernel.channels):
+        shift = max(shift, h * abs(work.start.dH_dp[i]))
     for k in range(touch.size):
         if touch[k] == _ON:
             any_on = True
             size = abs(gap[0, k])
-            stalled = not grown and tries > 1 and size >= 0.5 * abs(gap[1, k]) \
-                and size <= _STALLED_SHARE * gap[2, k]
+            # Depths may begin at the rounding of what joints with the same mass matrix move.
+            stalled = not grown and tries > 1 and size >= 0.5 * abs(gap[1, k]) and size <= max(
+                _STALLED_SHARE * gap[2, k], _HELD_ROUNDINGS * _EPS * shift)
             enough = enough and (stalled or size <= _HELD_ROUNDINGS * _EPS * max(
                 abs(stops.positions[k]), gap[2, k]))
     if not any_on:
