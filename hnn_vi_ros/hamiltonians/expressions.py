@@ -8,31 +8,47 @@ graph: common parts of H, its gradient and its Hessian-vector product are comput
 """
 
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
 import math
 import re
 from types import MappingProxyType
 from typing import Any
+import warnings
 
 from hnn_vi_ros.errors import did_you_mean
+from hnn_vi_ros.hamiltonians.call_order import call_order
 import numpy as np
 
 # Maximum number of characters, of nested brackets, and of graph nodes with all derivatives.
 LONGEST, DEEPEST, MOST_NODES = 4000, 60, 10_000
 # Syntax of a formula, for error messages.
-GRAMMAR = ('numbers, names, + - * / ^ or **, brackets, pi, and the functions abs, acos, asin, '
-           'atan, cos, cosh, exp, log, sin, sinh, sqrt, tan and tanh')
+GRAMMAR = ('numbers, names, + - * / ^ or **, brackets, pi, and the functions abs, acos, acosh, '
+           'asin, asinh, atan, atan2(y, x), atanh, cbrt, cos, cosh, exp, expm1, log, log1p, '
+           'max, min, piecewise(x > 0, a, b), sign, sin, sinh, sqrt, tan and tanh')
+# Kinds of nodes whose values or slopes jump. Node ('where', c, a, b) is a if c > 0, else b.
+KINKS = frozenset({'abs', 'sign', 'where'})
 
 # Derivatives of functions by their argument x, at the value z.
 _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
     'abs': lambda g, x, z: g.apply('sign', x),
     'acos': lambda g, x, z: g.scaled(-1.0, _root_of_rest(g, x)),
+    'acosh': lambda g, x, z: g.over(g.number(1.0), g.apply('sqrt', g.plus(
+        g.power(x, 2), g.number(-1.0)))),
     'asin': lambda g, x, z: _root_of_rest(g, x),
+    'asinh': lambda g, x, z: g.over(g.number(1.0), g.apply('sqrt', g.plus(
+        g.number(1.0), g.power(x, 2)))),
     'atan': lambda g, x, z: g.over(g.number(1.0), g.plus(g.number(1.0), g.power(x, 2))),
+    'atanh': lambda g, x, z: g.over(g.number(1.0), g.plus(
+        g.number(1.0), g.scaled(-1.0, g.power(x, 2)))),
+    'cbrt': lambda g, x, z: g.over(g.number(1.0 / 3.0), g.power(z, 2)),
     'cos': lambda g, x, z: g.scaled(-1.0, g.apply('sin', x)),
     'cosh': lambda g, x, z: g.apply('sinh', x),
     'exp': lambda g, x, z: z,
+    'expm1': lambda g, x, z: g.apply('exp', x),
     'log': lambda g, x, z: g.over(g.number(1.0), x),
+    'log1p': lambda g, x, z: g.over(g.number(1.0), g.plus(g.number(1.0), x)),
     'sign': lambda g, x, z: g.number(0.0),
     'sin': lambda g, x, z: g.apply('cos', x),
     'sinh': lambda g, x, z: g.apply('cosh', x),
@@ -41,10 +57,11 @@ _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
     'tanh': lambda g, x, z: g.plus(g.number(1.0), g.scaled(-1.0, g.power(z, 2))),
     'versine': lambda g, x, z: g.apply('sin', x),
 }
-FUNCTIONS = tuple(name for name in _SLOPES if name not in ('sign', 'versine'))
+FUNCTIONS = (*(name for name in _SLOPES if name != 'versine'), 'atan2', 'max', 'min', 'piecewise')
 # 1 - cos x as 2 sin(x / 2)^2 is accurate for small x, as for the heights of pendulums.
 _NUMPY: dict[str, Callable[..., Any]] = {
-    'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan,
+    'acos': np.arccos, 'acosh': np.arccosh, 'asin': np.arcsin, 'asinh': np.arcsinh,
+    'atan': np.arctan, 'atanh': np.arctanh,
     'versine': lambda x: 2.0 * np.sin(0.5 * x) ** 2}
 # 1 - sin(x)^2 is cos(x)^2: its root, as of acos(cos x), keeps its kink.
 _COMPLEMENTS = {'sin': 'cos', 'cos': 'sin'}
@@ -60,7 +77,8 @@ class Graph:
     nodes : list of tuple
         ``('number', x)``, ``('name', name)``, ``('scaled', c, a)`` for c a, ``('sum', a, b)``,
         ``('product', a, b)``, ``('over', a, b)`` for a / b, ``('power', a, n)`` with an integer n
-        > 1, ``('raised', a, b)`` for any power, and ``(function, a)``.
+        > 1, ``('raised', a, b)`` for any power, ``('atan2', a, b)``, ``('where', c, a, b)`` for a
+        where c > 0 and b elsewhere, and ``(function, a)``.
 
     """
 
@@ -139,6 +157,10 @@ class Graph:
         (c, a), (d, b) = self._factor(a), self._factor(b)
         for whole, other in ((a, b), (b, a)):
             kind, *rest = self.nodes[whole]
+            if kind == 'where' and 0.0 in map(self.value, rest[1:]):
+                # The slope of a branch may be infinite where the other one is valid.
+                return self.scaled(c * d, self.where(rest[0], *(
+                    self.product(part, other) for part in rest[1:])))
             if kind == 'over' and self.value(rest[0]) == 1.0:
                 return self.scaled(c * d, self.over(other, rest[1]))
         return self.scaled(c * d, self.power(a, 2) if a == b else self._node(
@@ -192,6 +214,27 @@ class Graph:
                 return self.number(float(_CALLS[function](value)))
         return self._node(function, a)
 
+    def where(self, c: int, a: int, b: int) -> int:
+        """Return a where c > 0, and b elsewhere."""
+        kind, *rest = self.nodes[c]
+        if kind == 'where' and {*map(self.value, rest[1:])} == {0.0, 1.0}:
+            # The condition is a comparison, as 0 or 1.
+            return self.where(rest[0], *((a, b) if self.value(rest[1]) else (b, a)))
+        value = self.value(c)
+        if value is not None or a == b:
+            return b if a == b or not value > 0.0 else a  # type: ignore[operator]
+        return self._node('where', c, a, b)
+
+    def largest(self, a: int, b: int, sign: float = 1.0) -> int:
+        """Return the larger of a and b, or the smaller for sign = -1."""
+        return self.where(self.plus(self.scaled(sign, a), self.scaled(-sign, b)), a, b)
+
+    def atan2(self, y: int, x: int) -> int:
+        """Return the angle of the point (x, y)."""
+        values = self.value(y), self.value(x)
+        return self._node('atan2', y, x) if None in values else self.number(
+            math.atan2(*values))  # type: ignore[arg-type]
+
     def arguments(self, a: int) -> Sequence[int]:
         """Return the arguments of a node."""
         kind, *rest = self.nodes[a]
@@ -220,6 +263,14 @@ class Graph:
             less = self.plus(exponent, self.number(-1.0))
             return [(base, self.product(exponent, self.raised(base, less))),
                     (exponent, self.product(a, self.apply('log', base)))]
+        if kind == 'where':
+            zero = self.number(0.0)
+            return [(rest[1], self.where(rest[0], one, zero)),
+                    (rest[2], self.where(rest[0], zero, one))]
+        if kind == 'atan2':
+            y, x = rest
+            squares = self.plus(self.power(x, 2), self.power(y, 2))
+            return [(y, self.over(x, squares)), (x, self.scaled(-1.0, self.over(y, squares)))]
         return [(rest[0], _SLOPES[kind](self, rest[0], a))]
 
     def needed(self, roots: Iterable[int], known: Container[int] = ()) -> list[int]:
@@ -348,7 +399,9 @@ class Graph:
             elif kind == 'versine':
                 texts[a] = f'1 - cos({put(rest[0], 0)})', 0
             else:
-                texts[a] = f'{kind}({put(rest[0], 0)})', 3
+                first, *others = (put(part, 0) for part in rest)
+                name, sign = ('piecewise', ' > 0') if kind == 'where' else (kind, '')
+                texts[a] = f'{name}({", ".join([first + sign, *others])})', 3
             if len(texts[a][0]) > LONGEST:
                 raise ValueError(f'the formula of H has more than {LONGEST} characters; give H '
                                  'as code (kind: python)')
@@ -365,7 +418,9 @@ class Graph:
             return f' {_SIGNS[kind]} '.join(own)
         if kind == 'versine':
             return f'2.0 * np.sin(0.5 * {own[0]}) ** 2'
-        return f'np.{_CALLS[kind].__name__}({own[0]})'
+        if kind == 'where':
+            return f'({own[1]} if {own[0]} > 0.0 else {own[2]})'
+        return f'np.{(_CALLS.get(kind) or _OPERATIONS[kind]).__name__}({", ".join(own)})'
 
 
 def _shortest(value: float) -> str:
@@ -381,9 +436,25 @@ def _root_of_rest(graph: Graph, x: int) -> int:
 
 _SIGNS = {'sum': '+', 'product': '*', 'over': '/'}
 _OPERATIONS: dict[str, Callable[..., Any]] = {
-    'sum': np.add, 'product': np.multiply, 'over': np.divide, 'raised': np.float_power}
+    'sum': np.add, 'product': np.multiply, 'over': np.divide, 'raised': np.float_power,
+    'atan2': np.arctan2, 'where': lambda c, a, b: np.where(c > 0.0, a, b)[()]}
+# Nodes of functions of several arguments, and their number; None for two or more.
+_OF_SEVERAL: dict[str, tuple[Callable[..., int], int | None]] = {
+    'atan2': (Graph.atan2, 2), 'max': (Graph.largest, None),
+    'min': (lambda g, a, b: g.largest(a, b, -1.0), None)}
+_COMPARISONS: dict[str, Callable[[Graph, int, int], int]] = {
+    '>': lambda g, a, b: g.where(_minus(g, a, b), g.number(1.0), g.number(0.0)),
+    '<': lambda g, a, b: _COMPARISONS['>'](g, b, a),
+    '>=': lambda g, a, b: g.where(_minus(g, b, a), g.number(0.0), g.number(1.0)),
+    '<=': lambda g, a, b: _COMPARISONS['>='](g, b, a)}
+
+
+def _minus(graph: Graph, a: int, b: int) -> int:
+    return graph.plus(a, graph.scaled(-1.0, b))
+
+
 _TOKEN = re.compile(r'\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)'
-                    r'|(?P<name>[^\W\d]\w*)|(?P<sign>\*\*|[-+*/^()]))')
+                    r'|(?P<name>[^\W\d]\w*)|(?P<sign>\*\*|[<>]=?|[-+*/^(),]))')
 
 
 class Reader:
@@ -529,19 +600,55 @@ class Reader:
                 raise ValueError(f'column {self.column(begin)}: unknown function {token!r}'
                                  f'{did_you_mean(token, FUNCTIONS)}; write a product as '
                                  f'{token}*(...); valid: {GRAMMAR}')
-            return self._made(begin, self._graph.apply, token, self._closed(begin))
+            return self._called_with(begin, token, self._arguments(begin))
         if token == 'pi':
             return self._graph.number(math.pi)
         self.names.setdefault(token, self.column(begin))
         return self._graph.name(self._called.get(token, token))
 
+    def _arguments(self, begin: int) -> list[int]:
+        """Return the nodes up to the closing bracket; those of comparisons are 0 or 1."""
+        found = list[int]()
+        while not found or self._takes(','):
+            node = self._deeper(self._sum)
+            if sign := self._takes(*_COMPARISONS):
+                node = self._made(begin, _COMPARISONS[sign], self._graph, node,
+                                  self._deeper(self._sum))
+            found.append(node)
+        self._close(begin)
+        return found
+
+    def _called_with(self, begin: int, name: str, parts: list[int]) -> int:
+        """Return the node of a function of several arguments."""
+        make, count = _OF_SEVERAL.get(name, (None, 1))
+        if name == 'piecewise':
+            if len(parts) % 2 == 0 or len(parts) < 3:
+                raise ValueError(f'column {self.column(begin)}: piecewise expects condition, '
+                                 'value, ..., and the value elsewhere')
+            *rest, node = parts
+            for value, condition in zip(rest[::-2], rest[-2::-2], strict=True):
+                node = self._made(begin, self._graph.where, condition, value, node)
+            return node
+        if len(parts) != (count or max(2, len(parts))):
+            raise ValueError(f'column {self.column(begin)}: {name} of {len(parts)} arguments, '
+                             f'expected {count or "two or more"}')
+        node = parts[0]
+        if make is None:
+            return self._made(begin, self._graph.apply, name, node)
+        for part in parts[1:]:
+            node = self._made(begin, make, self._graph, node, part)
+        return node
+
     def _closed(self, begin: int) -> int:
         """Return the node up to the closing bracket."""
         node = self._deeper(self._sum)
+        self._close(begin)
+        return node
+
+    def _close(self, begin: int) -> None:
         if not self._takes(')'):
             raise self._wrong(f'an operator, or the bracket that closes the one in column '
                               f'{self.column(begin)}')
-        return node
 
 
 class Untraceable(TypeError, AttributeError):
@@ -605,21 +712,54 @@ class Symbol:
         """Return the absolute value."""
         return Symbol(self.graph, self.graph.apply('abs', self.node))
 
-    def hypot(self, other: Any) -> Any:
-        """Return the root of the sum of squares, as numpy does."""
-        return (self * self + other * other).sqrt()
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        """Call a function of numpy on symbols, element by element."""
+        name, plain = ufunc.__name__, [_plain(one) for one in inputs]
+        if name in _SMOOTH or name in _OF_SYMBOLS:
+            ufunc = np.frompyfunc(_lifted(name), ufunc.nin, 1)
+        if 'out' in options:
+            options['out'] = tuple(map(_plain, options['out']))
+        found = getattr(ufunc, method)(*plain, **options)
+        return _array(found)
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, None  # type: ignore[assignment]
 
-    def __getattr__(self, name: str) -> Callable[[], 'Symbol']:
+    def __getattr__(self, name: str) -> Callable[..., Any]:
         """Return the method that numpy calls for its function of this name."""
-        if name not in _SMOOTH:
+        if name not in _SMOOTH and name not in _OF_SYMBOLS:
             raise Untraceable(f'no formula contains {name}')
-        return lambda: Symbol(self.graph, self.graph.apply(_SMOOTH[name], self.node))
+        return partial(_lifted(name), self)
 
 
-# Names that numpy expects.
-_SMOOTH = {_CALLS[name].__name__: name for name in FUNCTIONS if name != 'abs'}
+# By their names in numpy: functions of one number, and of others, as nodes.
+_SMOOTH = {_CALLS[name].__name__: name for name in _CALLS if name != 'versine'}
+_OF_SYMBOLS: dict[str, Callable[..., int]] = {
+    'arctan2': Graph.atan2, 'maximum': Graph.largest, 'fmax': Graph.largest,
+    'minimum': _OF_SEVERAL['min'][0], 'fmin': _OF_SEVERAL['min'][0],
+    'clip': lambda g, x, low, high: g.largest(g.largest(x, low), high, -1.0),
+    'hypot': lambda g, x, y: g.apply('sqrt', g.plus(g.power(x, 2), g.power(y, 2))),
+    'greater': _COMPARISONS['>'], 'greater_equal': _COMPARISONS['>='],
+    'less': _COMPARISONS['<'], 'less_equal': _COMPARISONS['<='],
+    'logical_and': Graph.product, 'bitwise_and': Graph.product, 'where': Graph.where,
+    'logical_or': Graph.largest, 'bitwise_or': Graph.largest}
+
+
+def _plain(value: Any) -> Any:
+    """Return an array without the class of symbols; a symbol as an array of it."""
+    return np.asarray(value, dtype=object).view(np.ndarray) if isinstance(
+        value, Symbol | _Symbols) else value
+
+
+def _lifted(name: str) -> Callable[..., Any]:
+    """Return a function of numpy as one of symbols and numbers."""
+    def call(*parts: Any) -> Any:
+        graph = next((one.graph for one in parts if isinstance(one, Symbol)), None)
+        if graph is None:
+            return getattr(np, name)(*(float(one) for one in parts))
+        nodes = [one.node if isinstance(one, Symbol) else graph.number(one) for one in parts]
+        return Symbol(graph, _OF_SYMBOLS[name](graph, *nodes) if name in _OF_SYMBOLS else
+                      graph.apply(_SMOOTH[name], *nodes))
+    return call
 
 
 def _refusing(what: str) -> Callable[..., Any]:
@@ -630,34 +770,101 @@ def _refusing(what: str) -> Callable[..., Any]:
 
 # A branch would be taken for all values.
 for _name, _what in {
-        'lt': '<', 'le': '<=', 'eq': '==', 'ne': '!=', 'gt': '>', 'ge': '>=', 'mod': '%',
+        'eq': '==', 'ne': '!=', 'mod': '%',
         'rmod': '%', 'floordiv': '//', 'rfloordiv': '//', 'bool': 'a branch (if, and, or)',
         'float': 'a conversion (float, or a function of math)', 'int': 'a conversion (int)',
         'complex': 'a conversion (complex)', 'index': 'an index'}.items():
     setattr(Symbol, f'__{_name}__', _refusing(_what))
 
 
+for _name, _sign in {'lt': '<', 'le': '<=', 'gt': '>', 'ge': '>='}.items():
+    setattr(Symbol, f'__{_name}__', lambda one, other, sign=_sign: one._made(
+        lambda a, b: _COMPARISONS[sign](one.graph, a, b), other))
+for _name, _sign in {'and': 'logical_and', 'or': 'logical_or'}.items():
+    setattr(Symbol, f'__{_name}__', lambda one, other, sign=_sign: _lifted(sign)(one, other))
+
+
 class _Symbols(np.ndarray):
-    """An array of symbols, for which numpy's norm is a formula."""
+    """An array of symbols, for which functions of numpy are formulas."""
 
-    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
-        """Call a function of numpy."""
-        if function is np.linalg.norm:
-            return np.sqrt(np.sum(np.square(arguments[0]), *arguments[2:], **options))
-        return super().__array_function__(function, types, arguments, options)
+    __array_ufunc__ = Symbol.__array_ufunc__  # type: ignore[assignment]
 
 
-def traced(function: Callable[[Any, Any], Any], count: int | None) -> tuple[list[str], str]:
+def _array(found: Any) -> Any:
+    return found.view(_Symbols) if isinstance(found, np.ndarray) else found
+
+
+def _elementwise(name: str) -> Callable[..., Any]:
+    return lambda *parts: _array(np.frompyfunc(_lifted(name), len(parts), 1)(*map(_plain, parts)))
+
+
+def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:  # noqa: A002
+    if ord is not None and np.ndim(x) > 1 and not isinstance(axis, int):
+        raise Untraceable('no formula contains this norm of a matrix')
+    size, over = _array(np.asarray(abs(x))), {'axis': axis, 'keepdims': keepdims}
+    if ord in (None, 2):
+        return np.sqrt(np.sum(np.square(_array(x)), **over))
+    if abs(ord) == np.inf:
+        return (np.maximum if ord > 0 else np.minimum).reduce(size, **over)
+    return np.sum(size ** ord, **over) ** (1.0 / ord)
+
+
+def _determinant(a: Any) -> Any:
+    # By cofactors: without values no row is known to be the pivot.
+    if len(a) > _MAX_ROWS:
+        raise Untraceable(f'no formula contains a matrix with more than {_MAX_ROWS} rows')
+    return sum(((-1.0) ** k * a[0, k] * _determinant(np.delete(a[1:], k, axis=1))
+                for k in range(len(a))), 0.0) if len(a) else 1.0
+
+
+def _inverse(a: Any) -> Any:
+    whole, rows = _determinant(a), range(len(a))
+    return _array(np.array([[(-1.0) ** (i + k) * _determinant(
+        np.delete(np.delete(a, k, axis=0), i, axis=1)) / whole for k in rows] for i in rows]))
+
+
+_MAX_ROWS = 4
+# Functions of numpy that do not ask the symbols in an array, with those for symbols.
+_WITHOUT_DISPATCH: dict[tuple[Any, str], Callable[..., Any]] = {
+    (np, 'where'): _elementwise('where'), (np, 'clip'): _elementwise('clip'),
+    (np.linalg, 'norm'): _norm, (np.linalg, 'det'): lambda a: _determinant(_plain(a)),
+    (np.linalg, 'inv'): lambda a: _inverse(_plain(a)),
+    (np.linalg, 'solve'): lambda a, b: np.linalg.inv(a) @ _array(np.asarray(b))}
+
+
+def _either(usual: Callable[..., Any], own: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of numpy that takes symbols as well."""
+    return lambda *parts, **options: (own if any(
+        np.asarray(part).dtype == object for part in parts) else usual)(*parts, **options)
+
+
+@contextmanager
+def _symbolic_numpy() -> Iterator[None]:
+    """Let functions of numpy take arrays of symbols that np.array made."""
+    usual = {(module, name): getattr(module, name) for module, name in _WITHOUT_DISPATCH}
+    try:
+        for (module, name), function in usual.items():
+            setattr(module, name, _either(function, _WITHOUT_DISPATCH[module, name]))
+        yield
+    finally:
+        for (module, name), function in usual.items():
+            setattr(module, name, function)
+
+
+def traced(function: Callable[[Any, Any], Any], q: Any) -> tuple[list[str], str]:
     """
     Return the names of the coordinates and the formula of a function of q and p.
+
+    The formula must have the values of the function at 100 states, half of them near this one.
 
     Parameters
     ----------
     function : callable
-        Function with operators and functions of numpy; it is called once, with symbols.
-    count : int or None
-        Number of coordinates, q1, q2 and so on, with momenta p1, p2 and so on; None to call it
-        with a single q and p instead of arrays.
+        Function with operators and functions of numpy; it is called with symbols, then with
+        numbers. One whose arguments are named (p, q) is called with p first.
+    q : float or sequence of float, shape (d,)
+        Coordinates of a state: for a number they are q, with the momentum p; for a sequence q1,
+        q2 and so on, with momenta p1, p2 and so on.
 
     Raises
     ------
@@ -669,12 +876,14 @@ def traced(function: Callable[[Any, Any], Any], count: int | None) -> tuple[list
         raise ValueError(f'H is the torch module {type(function).__name__}: write it to a file '
                          'with hnn_vi_ros.export, and name that in hamiltonian: {kind: hnn, model:'
                          ' FILE} of a scene')
-    graph, ends = Graph(), [''] if count is None else range(1, count + 1)
+    single, (order, remark) = np.ndim(q) == 0, call_order(function)
+    graph, ends = Graph(), [''] if single else range(1, len(q) + 1)
     halves = [[Symbol(graph, graph.name(f'{half}{end}')) for end in ends] for half in 'qp']
-    given = [own[0] if count is None else np.array(own, dtype=object).view(_Symbols)
+    given = [own[0] if single else np.array(own, dtype=object).view(_Symbols)
              for own in halves]
     try:
-        made = np.asarray(function(*given), dtype=object)
+        with _symbolic_numpy():
+            made = np.asarray(function(*given[::order or 1]), dtype=object)
     except Exception as problem:  # noqa: B902  the user's code may raise any
         told: BaseException | None = problem
         while told is not None and not isinstance(told, Untraceable):
@@ -682,11 +891,47 @@ def traced(function: Callable[[Any, Any], Any], count: int | None) -> tuple[list
             told = told.__cause__ or told.__context__
         raise ValueError(
             f'H cannot be traced: {" ".join(str(told or problem).split())}; valid: + - * / **, '
-            f"sums, products and norms of arrays, and numpy's abs, {', '.join(_SMOOTH)}; or give "
-            'H as code (kind: python)') from problem
+            f"sums, products and norms of arrays, linalg.solve, inv and det, and numpy's "
+            f'{", ".join([*_SMOOTH, *_OF_SYMBOLS])}; or give H as code (kind: python)'
+            ) from problem
     if made.shape:
         raise ValueError(f'H returns an array of shape {made.shape}, expected a number; sum over '
                          'the coordinates')
     if not isinstance(root := made.item(), Symbol):
         raise ValueError(f'H returns {root!r:.60}, which depends on neither q nor p')
+    _compare(function, order or 1, graph, root.node, np.array(q, dtype=np.float64))
+    if remark:
+        warnings.warn(remark, stacklevel=2)
     return [f'q{end}' for end in ends], graph.formula(root.node)
+
+
+# Number of states at which a formula must have the values of its function, and the largest
+# difference relative to the largest part of the formula: cancellation in the function, as in
+# 1 - cos(q), which the formula has not.
+_STATES, _TOLERANCE = 100, 1e-6
+
+
+def _compare(function: Callable[[Any, Any], Any], order: int, graph: Graph, root: int,
+             start: np.ndarray) -> None:
+    """Raise ValueError unless a formula has the values of its function, with numbers."""
+    chance, names = np.random.default_rng(0), [node[1] for node in graph.nodes[:2 * start.size]]
+    for k in range(_STATES):
+        state = chance.normal(size=(2, *start.shape)) * (0.3, 2.0)[k % 4 // 2]
+        state[0] += start * (k % 2)
+        known = dict(zip(names, state.ravel(), strict=True))
+        values = graph.values([root], known)
+        with np.errstate(all='ignore'):
+            try:
+                own = complex(np.asarray(function(*(half.copy()[()] for half in state[::order]))
+                                         ).item())
+            except Exception as problem:  # noqa: B902  the user's code may raise any
+                raise ValueError(f'H raises {type(problem).__name__} with numbers: '
+                                 f'{" ".join(str(problem).split())}') from problem
+            size = max(abs(value) for value in values.values() if np.isfinite(value))
+            if np.isfinite(own) and not own.imag and not (
+                    abs(values[root] - own.real) <= _TOLERANCE * size):
+                raise ValueError(
+                    f'H with numbers differs from its formula: at q = {state[0].tolist()}, p = '
+                    f'{state[1].tolist()} it is {own.real:.9g}, and {values[root]:.9g} by '
+                    f'{graph.formula(root):.200}; make it a function of q and p alone, without '
+                    'random numbers, counters, and code that depends on the type of q and p')

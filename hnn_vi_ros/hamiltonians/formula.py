@@ -37,10 +37,12 @@ class Formula(Hamiltonian):
     H as a formula of coordinates c and momenta p_c, such as ``p_x^2 / (2*m) + k*x^2 / 2``.
 
     It may contain numbers, names, ``+ - * / ^`` (or ``**``), brackets, ``pi``, and the functions
-    abs, acos, asin, atan, cos, cosh, exp, log, sin, sinh, sqrt, tan and tanh. The momentum of q1
-    may be called p1. The text is never executed: it is parsed, differentiated, and compiled like
-    the other systems. The gradient is computed by reverse accumulation, products with H'' by
-    forward accumulation through it; both are exact up to round-off.
+    abs, acos, acosh, asin, asinh, atan, atan2, atanh, cbrt, cos, cosh, exp, expm1, log, log1p,
+    max, min, piecewise, sign, sin, sinh, sqrt, tan and tanh; ``piecewise(x > 0, a, b)`` is a where
+    x > 0, and b elsewhere. The momentum of q1 may be called p1. The text is never executed: it is
+    parsed, differentiated, and compiled like the other systems. The gradient is computed by
+    reverse accumulation, products with H'' by forward accumulation through it; both are exact up
+    to round-off.
 
     Parameters
     ----------

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 from hnn_vi_ros.errors import did_you_mean, listed
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+from hnn_vi_ros.hamiltonians.call_order import TIME_DEPENDENT, TIMES
 from hnn_vi_ros.hamiltonians.expressions import FUNCTIONS, Graph, Reader
 from hnn_vi_ros.hamiltonians.parameters import check_finite
 from hnn_vi_ros.kernels import Kernel
@@ -227,6 +228,8 @@ def read_formula(key: str, graph: Graph, text: str, names: Sequence[str],
     valid = [*names, *parameters]
     for name, column in read.names.items():
         if name not in valid:
+            if name in TIMES:
+                raise ValueError(f'{key} column {column}: {TIME_DEPENDENT.format(name)}')
             hint = did_you_mean(name, valid)
             raise ValueError(f'{key} column {column}: unknown name {name!r}{hint}; valid: '
                              f'{listed(valid)}; give others a value in parameters')

@@ -11,7 +11,8 @@ import threading
 from typing import Any
 
 from hnn_vi_ros.errors import pip_command
-from hnn_vi_ros.hamiltonians import check_between, Graph, Hamiltonian, straight_code, Symbol
+from hnn_vi_ros.hamiltonians import (
+    check_between, Graph, Hamiltonian, KINKS, straight_code, Symbol)
 from hnn_vi_ros.integrators.base import (
     ENDLESS, Integrator, NOT_FINITE, OK, PhasePoint, Requirements)
 from hnn_vi_ros.integrators.dense_output import DenseOutput
@@ -311,6 +312,8 @@ def _terms(kernel: Kernel, state: np.ndarray, scales: np.ndarray) -> float:
 def _is_kink(graph: Graph, a: int) -> bool:
     """Return True if a node is abs(x) to a power, such as the root of a square."""
     kind, *rest = graph.nodes[a]
+    if kind in KINKS:
+        return True
     exponent = 0.5 if kind == 'sqrt' else graph.value(rest[1]) if kind == 'raised' else None
     if exponent is None:
         return False

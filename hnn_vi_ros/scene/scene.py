@@ -417,7 +417,7 @@ def _traced(function: Callable[[Any, Any], Any], state: Any, name: str) -> tuple
         raise SceneError(f'Scene.build {name}: initial_state: a function H needs q and p')
     q = np.asarray(state['q'])
     try:
-        names, text = traced(function, len(q) if q.ndim else None)
+        names, text = traced(function, q)
     except ValueError as problem:
         raise SceneError(f'Scene.build {name}: {problem}') from problem
     return ({'kind': 'formula', 'coordinates': names, 'H': text},

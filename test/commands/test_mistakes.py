@@ -86,6 +86,7 @@ run mine.yaml --integrator gauss5
 run mine.yaml --step-size -1
 scene --explain nothing
 scene --new well --formula x^2
+scene --new well --formula p^2+q*cos(2*t)
 train --config nothing
 train --config train.yaml --data folder --out x.safetensors
 train --config train.yaml --data nothing.csv --out x.safetensors

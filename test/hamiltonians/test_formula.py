@@ -44,11 +44,23 @@ def random_formula(chance: random.Random, depth: int) -> str:
         f'exp(sin({u}))', f'log(2 + ({u})^2)', f'sqrt(1 + ({u})^2)', f'sinh(tanh({u}))',
         f'cosh(atan({u}))', f'asin(tanh({u})/2)', f'acos(sin({u})/2)', f'(1 + ({u})^2)^-1.5',
         f'(2 + sin({u}))^cos({w})', f'(3 + cos({u}))^0.3', f'({u})*(1 - cos({w}))',
-        f'abs(2 + sin({u}))'])
+        f'abs(2 + sin({u}))', f'log1p(({u})^2)', f'expm1(sin({u}))', f'asinh({u})',
+        f'cbrt(2 + sin({u}))', f'atanh(tanh({u})/2)', f'acosh(2 + ({u})^2)', f'max({u}, {w}, 0.4)',
+        f'min({u}, {w})', f'atan2(2 + sin({u}), {w})', f'sign({u})*({w})',
+        f'piecewise({u} < 0.2, {w}, {w} >= {u}, {u}, sin({w}))'])
 
 
 MP = {name: getattr(mp, name) for name in (
-    'sin', 'cos', 'tan', 'tanh', 'exp', 'log', 'sqrt', 'sinh', 'cosh', 'atan', 'asin', 'acos')}
+    'sin', 'cos', 'tan', 'tanh', 'exp', 'log', 'sqrt', 'sinh', 'cosh', 'atan', 'asin', 'acos',
+    'log1p', 'expm1', 'asinh', 'cbrt', 'atanh', 'acosh', 'atan2', 'sign')}
+
+
+def piecewise(condition, value, *others):
+    """Return the first value whose condition holds."""
+    return value if condition else piecewise(*others) if others[1:] else others[0]
+
+
+MP |= {'max': max, 'min': min, 'piecewise': piecewise}
 
 
 @pytest.mark.parametrize('number', [100, pytest.param(1000, marks=pytest.mark.long)])
@@ -121,11 +133,21 @@ def test_500_hostile_texts_are_one_line_each_within_a_second_and_nothing_is_exec
 @pytest.mark.parametrize('text', [
     KINETIC + ' + k*x*y', KINETIC + ' + p_xx*y', 'p_x^2 + p_x*m', KINETIC + ' + 2x',
     KINETIC + ' + sen(x)', KINETIC + ' + x(1 + x)', KINETIC + ' + (x', KINETIC + ' + log(1 - 2)',
-    KINETIC + ' + x/(m - m)', KINETIC.replace('m', '1'), '(' * (DEEPEST + 1) + 'x',
+    KINETIC + ' + x/(m - m)', KINETIC.replace('m', '1'), KINETIC + ' + x*cos(2*t)',
+    KINETIC + ' + max(x)*m', KINETIC + ' + piecewise(x > 0, y)*m', KINETIC + ' + atan2(x)*m',
+    '(' * (DEEPEST + 1) + 'x',
     'x +' * LONGEST])
 def test_error_names_the_column_and_what_is_expected(text):
     with refused(ValueError):
         Formula(['x', 'y'], text, {'m': 2.0})
+
+
+def test_branch_without_a_value_spoils_no_slope_of_the_other():
+    kernel = Formula(['x'], 'p_x^2/2 + piecewise(x > 0, x*sqrt(x), 0)').kernel
+    out = np.empty((2, 1))
+    with np.errstate(all='ignore'):
+        kernel.gradient.py_func((), np.array([-1.0]), np.ones(1), *out)
+    assert out.tolist() == [[0.0], [1.0]]
 
 
 @pytest.mark.parametrize('names, parameters', [

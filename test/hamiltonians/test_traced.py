@@ -13,6 +13,12 @@ import numpy as np
 import pytest
 
 MASS = np.array([[2.0, 0.3], [0.3, 1.0]])
+
+
+def matrix(x):
+    return np.array([[x[0], 1.0 + x[1]], [2.0, x[0]]])
+
+
 # Functions of numbers, and of arrays of the length behind them.
 FUNCTIONS = [
     (lambda q, p: p**2 / 2 - np.cos(q), None),
@@ -23,13 +29,41 @@ FUNCTIONS = [
     (lambda q, p: (p**2).sum() / 2 + np.hypot(q[0], q[1])**3 + np.linalg.norm(q[1:] - q[0])**4, 3),
     (lambda q, p: np.sum(p[0] * p + 2.0 / (3.0 + q[0] * q)) - np.sum(q[1] ** 2 - q**2 / 4), 3),
     (lambda q, p: np.dot(p, p) / 2 + np.sum(np.diff(q)**4) / 4 + np.square(q).mean(), 40),
+    (lambda q, p: p**2 / 2 + np.where(q > 0.5, q**2, -q) + np.sign(q) * q**3
+     + (q >= 1) * (q - 1)**2 + np.clip(q, -1, p), None),
+    (lambda q, p: p**2 / 2 + np.log1p(q**2) + np.expm1(q) + np.cbrt(2 + np.sin(q))
+     + np.arcsinh(q) + np.arccosh(2 + q**2) + np.arctanh(np.sin(q) / 2), None),
+    (lambda q, p: p @ p / 2 + np.arctan2(q[1], q[0])**2 + np.arctan2(1.0, q).sum()
+     + np.maximum(q, 0.0) @ p + np.minimum(q, p).sum() + q.max() + np.hypot(3.0, q[0]), 2),
+    *((lambda q, p, order=order: p @ p / 2 + np.linalg.norm(q, order), 3)
+      for order in (1, 2, 3, np.inf, -np.inf)),
+    (lambda q, p: p @ np.linalg.solve(matrix(q), p) + np.linalg.det(matrix(p))
+     + np.linalg.inv(matrix(p))[0, 1] + p @ np.linalg.solve(MASS, q), 2),
     (lambda q, p: sum(np.tanh(p)**2) + np.einsum('i,ij,j', q, MASS, q) - 1e-7 * q[0], 2)]
+
+
+CHANCE = np.random.default_rng(0)
+
+
+def attempt(q):
+    try:
+        return math.isfinite(q)
+    except TypeError:
+        return False
+
+
 REFUSED = {
-    'branch': lambda q, p: p**2 if q > 0 else p, 'maximum': lambda q, p: np.maximum(q, 0.0) + p,
+    'branch': lambda q, p: p**2 if q > 0 else p, 'maximum': lambda q, p: max(q, 0.0) + p,
     'math': lambda q, p: p**2 - math.cos(q), 'and': lambda q, p: q and p,
     'int': lambda q, p: int(q), 'modulo': lambda q, p: q % 1.0,
-    'log1p': lambda q, p: np.log1p(q) + p,
-    'arctan2': lambda q, p: np.arctan2(q, p), 'sign': lambda q, p: p * np.sign(q),
+    'rounded': lambda q, p: np.round(q) + p, 'interpolated': lambda q, p: np.interp(q, q, p),
+    'time': lambda q, p, t: p**2 + q * np.cos(t), 'default time': lambda q, p, t=0.0: p**2 + q * t,
+    'time first': lambda t, x: x**2, 'velocity': lambda q, v: v**2 / 2,
+    'type': lambda q, p: p**2 + (q**2 if isinstance(q, float) else q**4),
+    'random': lambda q, p: p**2 + q * CHANCE.normal(),
+    'counter': lambda q, p, calls=[0]: p**2 + q * (calls.append(0) or len(calls)),
+    'try': lambda q, p: p**2 + (q if hasattr(q, '__float__') and attempt(q) else 0.0),
+    'method of symbols': lambda q, p: p**2 + q.sin(),
     'index': lambda q, p: np.ones(3)[q], 'None': lambda q, p: None, 'number': lambda q, p: 1.0,
     'one argument': lambda q: q, 'its own error': lambda q, p: 1 / 0,
     'module': type('Net', (), {'state_dict': dict, '__call__': lambda self, z: z})(),
@@ -57,12 +91,37 @@ def test_traced_function_agrees_with_its_formula_at_32_states(function, d):
 @pytest.mark.parametrize('function', REFUSED.values(), ids=REFUSED)
 def test_function_that_is_no_formula_is_refused_by_name(function):
     with refused(ValueError):
-        traced(function, None)
+        traced(function, 1.0)
+
+
+@pytest.mark.parametrize('function', [
+    lambda q, p: p @ p + (q @ q if q.dtype == object else 0.0),
+    lambda q, p: p @ np.linalg.solve(np.diag(q) + 1.0, p),
+    lambda q, p: p @ p + np.linalg.norm(np.outer(q, q), 'fro')])
+def test_function_of_arrays_that_is_no_formula_is_refused_by_name(function):
+    with refused(ValueError):
+        traced(function, np.arange(1.0, 6.0))
+
+
+def test_numpy_is_as_before_after_a_function_was_traced():
+    before = np.where, np.clip, np.linalg.solve
+    with pytest.raises(ValueError, match='branch'):
+        traced(REFUSED['branch'], 1.0)
+    assert (np.where, np.clip, np.linalg.solve) == before
+
+
+def test_arguments_named_p_and_q_are_called_with_p_first():
+    assert traced(lambda p, q: p**2 / 2 - np.cos(q), 1.0)[1] == '0.5*p^2 - cos(q)'
+
+
+def test_arguments_with_other_names_are_taken_as_q_and_p_with_a_remark():
+    with pytest.warns(UserWarning, match='x, y of H are taken as q, p'):
+        assert traced(lambda x, y: y**2 / 2 + x**4, 1.0)[1] == '0.5*p^2 + q^4'
 
 
 def test_array_is_no_value_of_H():
     with refused(ValueError):
-        traced(lambda q, p: p**2, 2)
+        traced(lambda q, p: p**2, [1.0, 0.5])
 
 
 def test_simulate_takes_a_function_and_gives_its_scene_back_as_yaml(tmp_path):
