@@ -14,7 +14,7 @@ from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
-    from hnn_vi_ros.hamiltonians.call_order import call_order, TIME_DEPENDENT, TIMES
+    from hnn_vi_ros.hamiltonians.argument_order import call_order, TIME_DEPENDENT, TIMES
     from hnn_vi_ros.hamiltonians.expressions import (
         GRAMMAR, Graph, KINKS, Reader, Symbol, traced)
     from hnn_vi_ros.hamiltonians.formula import Formula

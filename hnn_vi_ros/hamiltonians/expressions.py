@@ -18,7 +18,7 @@ from typing import Any
 import warnings
 
 from hnn_vi_ros.errors import did_you_mean
-from hnn_vi_ros.hamiltonians.call_order import call_order
+from hnn_vi_ros.hamiltonians.argument_order import call_order
 import numpy as np
 
 # Maximum number of characters, of nested brackets, and of graph nodes with all derivatives.
@@ -437,7 +437,7 @@ def _root_of_rest(graph: Graph, x: int) -> int:
 _SIGNS = {'sum': '+', 'product': '*', 'over': '/'}
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     'sum': np.add, 'product': np.multiply, 'over': np.divide, 'raised': np.float_power,
-    'atan2': np.arctan2, 'where': lambda c, a, b: np.where(c > 0.0, a, b)[()]}
+    'atan2': np.arctan2, 'where': lambda c, a, b: np.asarray(np.where(c > 0.0, a, b))[()]}
 # Nodes of functions of several arguments, and their number; None for two or more.
 _OF_SEVERAL: dict[str, tuple[Callable[..., int], int | None]] = {
     'atan2': (Graph.atan2, 2), 'max': (Graph.largest, None),
@@ -787,7 +787,7 @@ for _name, _sign in {'and': 'logical_and', 'or': 'logical_or'}.items():
 class _Symbols(np.ndarray):
     """An array of symbols, for which functions of numpy are formulas."""
 
-    __array_ufunc__ = Symbol.__array_ufunc__  # type: ignore[assignment]
+    __array_ufunc__ = Symbol.__array_ufunc__
 
 
 def _array(found: Any) -> Any:

@@ -107,6 +107,8 @@ def import_model() -> Parser:
         'torch.save'))
     parser.add_argument('--weights', metavar='FILE', help=(
         'load this state_dict, written by torch.save, into the module'))
+    parser.add_argument('--entry', metavar='NAME', help=(
+        'take this state_dict of a checkpoint that holds several'))
     parser.add_argument('--activation', choices=ACTIVATIONS, help=(
         'set the activation between the layers of a file without code, which does not contain it'))
     parser.add_argument('--coordinates', required=True, metavar='NAME,...',

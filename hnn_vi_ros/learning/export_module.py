@@ -4,30 +4,33 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-import inspect
 from pathlib import Path
 from typing import NoReturn
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.files import in_plain_words, one_line
+from hnn_vi_ros.hamiltonians import call_order
 from hnn_vi_ros.learning.graph_of_module import graph_of, UntranslatedModule
+from hnn_vi_ros.learning.linear_systems import PivotWatch
 from hnn_vi_ros.models import (
-    Box, Checkpoint, CoordinateCard, graph_data, GraphHamiltonian, ModelCard, read_graph,
-    save_checkpoint)
+    Box, Builder, Checkpoint, complete_checkpoint, CoordinateCard, graph_data, GraphHamiltonian,
+    ModelCard, read_graph, save_checkpoint)
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.version import __version__
 import numpy as np
 from pydantic import ValidationError
 import torch
 
-# Number of states at which the graph must agree with the module, and the largest difference
-# relative to the largest value: rounding errors of sums in another order.
-_STATES, _TOLERANCE = 100, 1e-9
+# Number of states at which the graph must agree with the module, also in a batch of some of them,
+# and the largest difference relative to the largest value or slope: rounding errors of sums in
+# another order; torch's own slopes of CELU and Hardsigmoid have constants in float32.
+_STATES, _BATCH, _TOLERANCE, _SLOPE_TOLERANCE = 100, 7, 1e-9, 1e-7
 Intervals = Sequence[Sequence[float]]
 
 
 def export(module: torch.nn.Module, path: str | Path, coordinates: Sequence[str | Coordinate],
-           domain: Mapping[str, Intervals], name: str = '') -> list[str]:
+           domain: Mapping[str, Intervals], name: str = '', overwrite: bool = False
+           ) -> list[str]:
     """
     Write a torch module H(q, p) as a model file, which is simulated without torch.
 
@@ -38,7 +41,7 @@ def export(module: torch.nn.Module, path: str | Path, coordinates: Sequence[str 
     ----------
     module : torch.nn.Module
         A module that maps a tensor of shape (n, 2 d), with rows (q, p), to one number H [J] a row;
-        or q and p, of shape (n, d) each.
+        or q and p, of shape (n, d) each; if its arguments are named (p, q), it is called so.
         A copy of it in float64 and in evaluation mode is exported.
     path : str or Path
         The file to write, which ends in .safetensors.
@@ -49,6 +52,8 @@ def export(module: torch.nn.Module, path: str | Path, coordinates: Sequence[str 
         module was trained, with d intervals each.
     name : str, optional
         Name of the model; default: the name of the file.
+    overwrite : bool, optional
+        True to replace an existing file.
 
     Returns
     -------
@@ -80,18 +85,26 @@ def export(module: torch.nn.Module, path: str | Path, coordinates: Sequence[str 
     own = _copied(module, kind)
     low, high = np.array([*card.box.q, *card.box.p]).T
     z = torch.tensor(np.random.default_rng(0).uniform(low, high, (_STATES, low.size)))
-    function = _function(own)
     try:
+        order, remark = call_order(own.forward)
+    except ValueError as problem:
+        raise ModelError(f'{kind}: {problem}') from problem
+    remarks += [remark] if remark else []
+    rows = _rows(own, order)
+    function = _function(rows, own)
+    try:
+        builder, output = graph_of(function, z[:2])
+        _check_poses(builder, low.size)
         # Read as from a file, so that no model is written that cannot be read.
-        graph = read_graph(*graph_data(*graph_of(function, z[:2])), low.size)
+        graph = read_graph(*graph_data(builder, output), low.size)
     except UntranslatedModule as problem:
         raise UntranslatedModule(f'{kind}: {problem}; it runs as a hnn_vi_ros.models.'
                                  'TorchHamiltonian, some 100 times slower') from problem
     except ModelError as problem:
         raise ModelError(f'{kind}: {problem}') from problem
     checkpoint = Checkpoint(card, {}, graph=graph)
-    _check(GraphHamiltonian(checkpoint), function, z, kind)
-    save_checkpoint(path, checkpoint)
+    _check(GraphHamiltonian(checkpoint), function, rows, z, kind)
+    (complete_checkpoint if overwrite and path.is_file() else save_checkpoint)(path, checkpoint)
     return remarks
 
 
@@ -112,13 +125,18 @@ def _remarks(module: torch.nn.Module) -> list[str]:
     if module.training and any(
             type(part).__name__.startswith(_MODES) for part in module.modules()):
         found.append('the module was in training mode; its copy was exported after eval()')
-    single = [part.dtype for part in (*module.parameters(), *module.buffers())
+    return found + weights_remark([*module.parameters(), *module.buffers()])
+
+
+def weights_remark(tensors: Sequence[torch.Tensor]) -> list[str]:
+    """Return a remark on the precision of weights, none if they are in float64."""
+    single = [part.dtype for part in tensors
               if part.dtype.is_floating_point and part.dtype != torch.float64]
-    if single:
-        eps = max(torch.finfo(dtype).eps for dtype in single)
-        found.append(f'weights of {str(single[0]).removeprefix("torch.")} were converted to '
-                     f'float64; their relative rounding error, up to {0.5 * eps:.1g}, remains')
-    return found
+    if not single:
+        return []
+    worst = max(single, key=lambda dtype: torch.finfo(dtype).eps)
+    return [f'weights of {str(worst).removeprefix("torch.")} were converted to float64; their '
+            f'relative rounding error, up to {0.5 * torch.finfo(worst).eps:.1g}, remains']
 
 
 # Beginnings of the names of modules that do something else in training.
@@ -129,6 +147,10 @@ def _copied(module: torch.nn.Module, kind: str) -> torch.nn.Module:
     """Return a copy of a module in float64 and in evaluation mode, whose weights are fixed."""
     # What torch.compile returns cannot be traced; the module in it can.
     module = getattr(module, '_orig_mod', module)
+    if any(map(torch.nn.parameter.is_lazy, (*module.parameters(), *module.buffers()))):
+        _refuse(kind, 'has layers without weights yet (as LazyLinear): load its weights, or call '
+                'it once with a row')
+    _check_lists(module, kind)
     try:
         with torch.no_grad():
             own = deepcopy(module).cpu().double().eval()
@@ -141,32 +163,54 @@ def _copied(module: torch.nn.Module, kind: str) -> torch.nn.Module:
     return own
 
 
-def _function(module: torch.nn.Module) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Return H of one state, shape (2 d,)."""
-    halves = _takes_halves(module)
+def _check_lists(module: torch.nn.Module, kind: str) -> None:
+    """Raise ModelError if layers or weights are in a list or dict, where torch sees none."""
+    own = {id(part) for part in (*module.modules(), *module.parameters())}
+    for name, part in module.named_modules():
+        for key, value in vars(part).items():
+            inside = value.values() if isinstance(value, dict) else value
+            if isinstance(value, dict | list | tuple) and any(
+                    isinstance(one, torch.nn.Module | torch.nn.Parameter) and id(one) not in own
+                    for one in inside):
+                _refuse(kind, f'holds layers or weights in a plain list or dict, '
+                        f'{name}{"." * bool(name)}{key}, where torch does not see them: use '
+                        'torch.nn.ModuleList, ModuleDict or ParameterList')
 
+
+def _check_poses(builder: Builder, width: int) -> None:
+    """Raise ModelError if a module of 18 columns reads the 9 of a rotation as one block."""
+    blocks = [builder.tensors[node.tensor].ravel().tolist() for node in builder.nodes
+              if node.op == 'take' and builder.shape(node.inputs[0])[-1:] == (width,)]
+    if width == 18 and any(block in ([*range(12)], [*range(3, 12)]) for block in blocks):
+        raise ModelError('reads the columns of a pose (position and rotation matrix, 12) and 6 '
+                         'momenta, as models on SE(3) do; these are not canonical (q, p): train '
+                         'the family lie_group, or export H of canonical coordinates')
+
+
+def _rows(module: torch.nn.Module, order: int) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Return the module as a function of rows (q, p), shape (n, 2 d)."""
+    return lambda z: module(*z.chunk(2, -1)[::order]) if order else module(z)
+
+
+def _function(rows: Callable[[torch.Tensor], torch.Tensor], module: torch.nn.Module
+              ) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Return H of one state, shape (2 d,)."""
     def function(z: torch.Tensor) -> torch.Tensor:
-        value = module(*z[None].chunk(2, -1)) if halves else module(z[None])
-        if not isinstance(value, torch.Tensor):
-            raise ModelError(f'returns {type(value).__name__}, expected one tensor')
-        if value.numel() != 1:
-            raise ModelError(f'returns shape {(*value.shape,)} for an input of shape '
-                             f'{(1, len(z))}, expected one number a row: select the column of H')
+        value = rows(z[None])
+        if not isinstance(value, torch.Tensor) or value.numel() != 1:
+            shape = f'shape {(*value.shape,)}' if isinstance(value, torch.Tensor) else type(
+                value).__name__
+            inner = listed(
+                name for name, _ in module.named_children() if not name.isdecimal())
+            raise ModelError(
+                f'returns {shape} for an input of shape {(1, len(z))}, expected one number H a '
+                "row: of a module that returns the vector field (q', p') give the network inside "
+                f'whose output is H{f" (one of {inner})" * bool(inner)}; of several outputs '
+                'select that of H in forward')
         if value.dtype != torch.float64:
             raise ModelError(f'returns {value.dtype} for an input of float64: cast nothing in it')
         return value.reshape(())
     return function
-
-
-def _takes_halves(module: torch.nn.Module) -> bool:
-    """Return whether a module is called with q and p, not with both in a row."""
-    try:
-        given = inspect.signature(module.forward).parameters.values()
-    except (TypeError, ValueError):
-        # Scripted modules have no signature.
-        return False
-    return sum(one.default is one.empty and one.kind in (
-        one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD) for one in given) == 2
 
 
 def _refuse(kind: str, why: str) -> NoReturn:
@@ -174,15 +218,16 @@ def _refuse(kind: str, why: str) -> NoReturn:
 
 
 def _check(graph: GraphHamiltonian, function: Callable[[torch.Tensor], torch.Tensor],
-           z: torch.Tensor, kind: str) -> None:
+           rows: Callable[[torch.Tensor], torch.Tensor], z: torch.Tensor, kind: str) -> None:
     """Raise ModelError unless a graph has the values and slopes of a function at states."""
     q, p = np.split(z.numpy(), 2, axis=1)
     own = graph.energy(q, p), np.hstack(graph.gradient(q, p))
-    values, slopes = [], []
+    values, slopes, pivots = [], [], PivotWatch()
     for state in z:
         x = state.clone().requires_grad_(True)
         # A module may change its argument in place.
-        value = function(x.clone())
+        with pivots:
+            value = function(x.clone())
         try:
             (slope,) = torch.autograd.grad(value, x)
         except RuntimeError as problem:
@@ -192,11 +237,28 @@ def _check(graph: GraphHamiltonian, function: Callable[[torch.Tensor], torch.Ten
         if not np.isfinite([values[-1], *slopes[-1]]).all():
             _refuse(kind, f'returns H = {values[-1]:g} with slopes {slopes[-1]} at (q, p) = '
                     f'{state.numpy()}: reduce the domain to where both are finite')
-    for what, one, other in zip(
-            ('values', 'slopes'), own, (np.array(values), np.array(slopes)), strict=True):
+    if not pivots.safe:
+        _refuse(kind, 'solves linear systems whose pivots vanish or change sign in the domain, '
+                'and rows are not exchanged: use positive definite matrices, or write the '
+                'solution out')
+    for what, one, other, tolerance in zip(
+            ('values', 'slopes'), own, (np.array(values), np.array(slopes)),
+            (_TOLERANCE, _SLOPE_TOLERANCE), strict=True):
         apart = np.abs(one - other).max()
-        if not apart <= _TOLERANCE * max(np.abs(other).max(), 1e-300):
-            _refuse(kind, f'has other {what} than its graph, by {apart:.3g}: ' + (
-                'its operations change from state to state, or it detaches a part of its input'
-                if np.isfinite(one).all() else 'solve linear systems with positive definite '
-                'matrices, because rows are not exchanged'))
+        if not apart <= tolerance * max(np.abs(other).max(), 1e-300):
+            _refuse(kind, f'has other {what} than its graph, by {apart:.3g}: its operations '
+                    'change from state to state, or it detaches a part of its input')
+    x = z[:_BATCH].clone().requires_grad_(True)
+    try:
+        total = rows(x.clone()).sum()
+        (together,) = torch.autograd.grad(total, x)
+    except Exception:  # noqa: B902  a module may support single rows only
+        return
+    # Products of one row and of several have different rounding errors.
+    if not (np.abs(together.numpy() - slopes[:_BATCH]).max() <= _SLOPE_TOLERANCE * max(
+                np.abs(slopes).max(), 1e-300)
+            and abs(float(total.detach()) - sum(values[:_BATCH]))
+            <= _SLOPE_TOLERANCE * _BATCH * max(np.abs(values).max(), 1e-300)):
+        _refuse(kind, f'has other values in a batch of {_BATCH} rows: it mixes the rows of its '
+                'input, or uses only the first; index columns as in x[:, 0], and avoid layers '
+                'that depend on the batch')

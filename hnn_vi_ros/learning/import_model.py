@@ -8,13 +8,13 @@ from the file alone if it contains the layers of a multilayer perceptron. It is 
 graph; see learning.export_module. Only tensors are unpickled from files.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from hnn_vi_ros.errors import listed, ModelError, ParameterError
 from hnn_vi_ros.files import in_plain_words, no_file, one_line
 from hnn_vi_ros.learning import arguments as command_lines
-from hnn_vi_ros.learning.export_module import export
+from hnn_vi_ros.learning.export_module import export, weights_remark
 from hnn_vi_ros.learning.torch_file import load_tensors
 from hnn_vi_ros.models import Box, Layers, Network
 from hnn_vi_ros.scene import load_code
@@ -31,7 +31,7 @@ _SAVE = 'save the state_dict of the module'
 _BY_CODE = 'give the module itself, as module.py:make with --weights'
 
 
-def read_state(path: Path) -> tuple[dict[str, torch.Tensor], str]:
+def read_state(path: Path, entry: str | None = None) -> tuple[dict[str, torch.Tensor], str]:
     """
     Read the tensors of a state_dict saved by torch.save.
 
@@ -39,6 +39,8 @@ def read_state(path: Path) -> tuple[dict[str, torch.Tensor], str]:
     ----------
     path : Path
         File of at most 64 MiB, also unpacked, as are its tensors in double precision.
+    entry : str, optional
+        Key of the state_dict in a checkpoint that holds several.
 
     Returns
     -------
@@ -67,9 +69,14 @@ def read_state(path: Path) -> tuple[dict[str, torch.Tensor], str]:
     if isinstance(state, Mapping) and not _is_state(state):
         # A checkpoint: the one entry that is a state_dict, beside that of an optimizer.
         keys = [str(name) for name, part in state.items() if _is_state(part)]
+        if entry is not None or len(keys) > 1:
+            if entry not in keys:
+                raise ModelError(f'{path}: choose one of its state_dicts with --entry: '
+                                 f'{listed(keys) or "there are none"}')
+            keys = [entry]
         if len(keys) != 1:
             raise ModelError(f'{path}: holds {listed(sorted(map(str, state))) or "nothing"}, of '
-                             f'which {len(keys)} are tensors by name, expected one; {_SAVE}')
+                             f'which none are tensors by name, expected one; {_SAVE}')
         (key,) = keys
         state = state[key]
     if not _is_state(state):
@@ -185,7 +192,7 @@ def main(argv: Sequence[str]) -> None:
         raise ParameterError(f'--out {out}: a model file must end in .safetensors')
     box = parse_box(options.box, len(names))
     weights = Path(options.weights) if options.weights else None if function else source
-    state, key = ({}, '') if weights is None else read_state(weights)
+    state, key = ({}, '') if weights is None else read_state(weights, options.entry)
     if key:
         print(f'{weights}: took the entry {key!r}')
     if function:
@@ -196,7 +203,9 @@ def main(argv: Sequence[str]) -> None:
             '--activation, or the module as module.py:make with --weights FILE')
     else:
         module = perceptron_of(source, state, options.activation)
-    for remark in export(module, out, names, {'q': box.q, 'p': box.p}):
+    remarks = export(module, out, names, {'q': box.q, 'p': box.p})
+    # The type in the file: layers of another type have taken these weights.
+    for remark in dict.fromkeys([*weights_remark([*state.values()]), *remarks]):
         print(remark)
     print(f'model: {out}')
 
@@ -214,7 +223,19 @@ def _made(source: Path, function: str, weights: Path | None, state: Mapping[str,
                          'torch.nn.Module')
     if weights is not None:
         try:
-            module.load_state_dict(dict(state))
+            module.load_state_dict(next(_without_prefix(state, module), dict(state)))
         except RuntimeError as problem:
             raise ModelError(f'{weights}: {one_line(problem)[:500]}') from problem
     return module
+
+
+def _without_prefix(state: Mapping[str, torch.Tensor], module: torch.nn.Module
+                    ) -> Iterator[dict[str, torch.Tensor]]:
+    """Yield the weights of a module, whose names another one, such as Lightning's, prefixed."""
+    wanted = module.state_dict().keys()
+    for prefix in dict.fromkeys(name[:k + 1] for name in state for k, sign in enumerate(name)
+                                if sign == '.'):
+        own = {name.removeprefix(prefix): tensor for name, tensor in state.items()
+               if name.startswith(prefix)}
+        if own.keys() == wanted != state.keys():
+            yield own

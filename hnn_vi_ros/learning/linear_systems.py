@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 
 def _eliminated(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -100,6 +101,45 @@ def _unchecked(*arguments: Any, **keywords: Any) -> None:
     """Report no failure of a factorisation: H would not be finite."""
 
 
+# Smallest pivot relative to the largest entry of its matrix.
+_MIN_PIVOT = 1e-9
+
+
+class PivotWatch(TorchDispatchMode):
+    """
+    Watch of the pivots of a module's linear systems, without exchanges of rows, while it runs.
+
+    Attributes
+    ----------
+    safe : bool
+        False if the sign of a pivot depends on the state, or a pivot is almost zero.
+
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.safe, self._signs, self._at = True, list[torch.Tensor](), 0
+
+    def __torch_dispatch__(self, op: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        """Call an operation of torch."""
+        if op.name().removeprefix('aten::') in _PIVOTED:
+            pivots = _eliminated(args[0], args[0][..., :0])[1]
+            sizes = pivots.abs() / args[0].abs().amax((-1, -2))[..., None]
+            signs, first = pivots.sign(), self._signs[self._at:self._at + 1]
+            self.safe &= bool((sizes > _MIN_PIVOT).all()) and all(
+                torch.equal(signs, one) for one in first)
+            self._signs += [] if first else [signs]
+            self._at += 1
+        return op(*args, **(kwargs or {}))
+
+    def __enter__(self) -> 'PivotWatch':
+        """Begin with the first system of the module."""
+        self._at = 0
+        super().__enter__()
+        return self
+
+
+_PIVOTED = ('linalg_inv_ex', '_linalg_solve_ex', '_linalg_det', '_linalg_slogdet')
 # By the name of the operation of torch.
 LINEAR_SYSTEMS: dict[str, Callable[..., Any]] = {
     'linalg_inv_ex': _inverse, '_linalg_solve_ex': _solve, 'linalg_solve_triangular': _triangular,

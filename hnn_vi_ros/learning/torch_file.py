@@ -23,10 +23,30 @@ import torch
 _PLAIN = re.compile(
     r'collections OrderedDict|torch (?!\w*Tensor)\w+|torch\._utils _rebuild_\w+|torch\._tensor '
     r'_rebuild_from_type_v2|torch\.serialization _get_layout|torch\.nn\.parameter Parameter')
+# Programs of torch by a member of their archives, and the call that loads them.
+_PROGRAMS = {'constants.pkl': 'torch.jit.load(FILE)',
+             'archive_format': 'torch.export.load(FILE).module()'}
 # Number of uses of a tuple that was already used: hashing nested ones takes 2^n.
 _MOST_SHARED = 20
 # Pickles at the start of a file before torch 1.6: number, version, system, object, keys.
 _PICKLES = 5
+
+
+class _Number:
+    """Stands for a number of numpy beside the tensors, whose value is not read."""
+
+    def __init__(self, *parts: object):
+        pass
+
+    def __setstate__(self, state: object) -> None:
+        """Ignore the state."""
+
+
+# What pickles name for numbers of numpy; none of it is called.
+_NUMBERS = [(_Number, name) for name in (
+    'numpy._core.multiarray.scalar', 'numpy.core.multiarray.scalar', 'numpy.dtype',
+    '_codecs.encode', *(f'numpy.dtypes.{name}DType' for name in (
+        'Float64', 'Float32', 'Int64', 'Int32', 'Bool')))]
 
 
 def load_tensors(path: Path, most: int) -> Any:
@@ -45,7 +65,7 @@ def load_tensors(path: Path, most: int) -> Any:
     OSError
         See ``read_limited``; or the unpacked content is larger.
     ModelError
-        The file is a pointer of Git LFS.
+        The file is a pointer of Git LFS, or a program of torch.
     ValueError
         The file contains other types.
     Exception
@@ -56,24 +76,28 @@ def load_tensors(path: Path, most: int) -> Any:
     refuse_pointer(content, path, ModelError)
     stream = BytesIO(content)
     if zipfile.is_zipfile(stream):
-        stream = _checked_archive(stream, most)
+        stream = _checked_archive(stream, most, path)
     else:
         stream.seek(0)
         for _ in range(_PICKLES):
             _check_pickle(stream)
     stream.seek(0)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), torch.serialization.safe_globals(_NUMBERS):
         warnings.simplefilter('ignore')
         return torch.load(stream, map_location='cpu', weights_only=True)
 
 
-def _checked_archive(stream: BinaryIO, most: int) -> BytesIO:
+def _checked_archive(stream: BinaryIO, most: int, path: Path) -> BytesIO:
     """Return a copy of an archive, of what was checked: torch finds members in its own way."""
     copy = BytesIO()
     with zipfile.ZipFile(stream) as archive, zipfile.ZipFile(copy, 'w') as checked:
         members = archive.infolist()
         if sum(member.file_size for member in members) > most:
             raise OSError(errno.EFBIG, f'unpacks to more than {in_bytes(most)}')
+        for name, call in _PROGRAMS.items():
+            if any(member.filename.rpartition('/')[2] == name for member in members):
+                raise ModelError(f'{path}: a program of torch, not a state_dict: write a make.py '
+                                 f'with def make(): return {call}, and give make.py:make')
         for member in members:
             content = archive.read(member)
             if member.filename.lower().endswith('.pkl'):
@@ -84,12 +108,19 @@ def _checked_archive(stream: BinaryIO, most: int) -> BytesIO:
 
 def _check_pickle(stream: BinaryIO) -> None:
     """Read a pickle without running it; raise ValueError for other types than plain ones."""
-    tuples, shared, before = set[object](), 0, ''
+    tuples, encoders, shared, before, texts = set[object](), set[object](), 0, '', False
     for opcode, value, _ in pickletools.genops(stream):
-        if opcode.name == 'GLOBAL' and not _PLAIN.fullmatch(str(value)):
+        if opcode.name == 'GLOBAL' and not _PLAIN.fullmatch(str(value)) and not any(
+                str(value).replace(' ', '.') == name for _, name in _NUMBERS):
             raise ValueError(f'contains {str(value)[:80]!r}')
-        if 'PUT' in opcode.name and before.startswith('TUPLE'):
-            tuples.add(value)
+        # Bytes of numpy are encoded text; encoded anew and anew, such as in hex, they double.
+        if texts and not ('PUT' in opcode.name or 'UNICODE' in opcode.name):
+            raise ValueError('contains text that is encoded again')
+        if 'PUT' in opcode.name:
+            (tuples if before.startswith('TUPLE') else encoders if texts else set()).add(value)
+        else:
+            texts = value == '_codecs encode' if opcode.name == 'GLOBAL' else (
+                'GET' in opcode.name and value in encoders)
         shared += 'GET' in opcode.name and value in tuples
         if shared > _MOST_SHARED:
             raise ValueError('contains nested tuples')

@@ -8,13 +8,17 @@ from functools import cached_property
 from typing import NoReturn, TYPE_CHECKING
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.hamiltonians import call_order, Hamiltonian
 from hnn_vi_ros.kernels import Kernel, Parameters
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 if TYPE_CHECKING:
     import torch
+
+
+# Step of differences, in the units of the state.
+_DIFFERENCE = 1e-5
 
 
 class TorchHamiltonian(Hamiltonian):
@@ -40,6 +44,10 @@ class TorchHamiltonian(Hamiltonian):
     """
 
     def __init__(self, module: 'torch.nn.Module', coordinates: Sequence[Coordinate]):
+        try:
+            call_order(module.forward)
+        except ValueError as problem:
+            raise ModelError(f'{type(module).__name__}: {problem}') from problem
         # In float32 the equations of steps could not be solved to the precision of the state.
         self.module = deepcopy(module).double().eval()
         self.coordinates = tuple(coordinates)
@@ -59,7 +67,7 @@ class TorchHamiltonian(Hamiltonian):
         return torch.tensor(rows, dtype=dtype, device=device)
 
     def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
-        """Raise ModelError unless the module is a differentiable function of each row."""
+        """Raise ModelError unless the module is a function of each row with these slopes."""
         other = 1.25 * q + 0.125
         rows = np.array([[q, p], [other, p], [q, p]])
         one, same, another = (np.array(self._slopes(*row)) for row in rows[[0, 2, 1]])
@@ -71,6 +79,16 @@ class TorchHamiltonian(Hamiltonian):
         if not np.allclose(both, np.stack([one, another], axis=1), 1e-6, 1e-9, equal_nan=True):
             self._refuse('mixes the rows of its input, or uses only the first; index columns as '
                          'in x[:, 0], and avoid layers that depend on the batch')
+
+        # Central differences: their error is about 1e-10 of the third derivative, or the rounding
+        # of H over the step.
+        direction = np.random.default_rng(0).normal(size=(2, q.size)) * _DIFFERENCE
+        up, down = (self._energy((), *(np.array([other, p]) + sign * direction))
+                    for sign in (1.0, -1.0))
+        terms = another * direction
+        if not abs(up - down - 2.0 * terms.sum()) <= 1e-4 * np.abs(terms).sum() + 1e-12 * abs(up):
+            self._refuse(f'has slopes {another.tolist()} that are not those of its values: it '
+                         'detaches a part of its input, or rounds, compares or converts it')
 
     def _refuse(self, why: str) -> NoReturn:
         raise ModelError(f'{type(self.module).__name__} {why}')

@@ -323,6 +323,27 @@ def normalised():
     return layer
 
 
+class Signed(nn.Module):
+    """A module of two arguments with other names."""
+
+    def __init__(self, forward):
+        super().__init__()
+        self.forward = forward
+
+
+def listed_layers():
+    module = Written(lambda x: module.others[0](x)[:, 0])
+    module.others = [nn.Linear(2, 1)]
+    return module
+
+
+def field(x, inner):
+    with torch.enable_grad():
+        z = x.requires_grad_(True)
+        slopes, = torch.autograd.grad(inner(z).sum(), z, create_graph=True)
+    return torch.cat([slopes[:, 1:], -slopes[:, :1]], 1)
+
+
 REFUSED = {name: function if isinstance(function, nn.Module) else Written(function)
            for name, function in {
     'indices by values': without,
@@ -349,6 +370,21 @@ REFUSED = {name: function if isinstance(function, nn.Module) else Written(functi
     'eigenvalues': lambda x: torch.linalg.eigvalsh(torch.eye(2, dtype=x.dtype) + x.T @ x)[:1],
     'rows to exchange': lambda x: torch.linalg.solve(
         torch.eye(2, dtype=x.dtype).flip(0), x[0]).prod(),
+    'a pivot that changes its sign': lambda x: torch.linalg.solve(torch.stack([torch.stack(
+        [x[:, 0], 1 + 0 * x[:, 0]], -1), torch.stack([1 + 0 * x[:, 0], -x[:, 0]], -1)], -2),
+        x).prod(-1),
+    'a determinant without pivot': lambda x: torch.linalg.det(torch.stack([torch.stack(
+        [x[:, 0], x[:, 1]], -1), torch.stack([x[:, 1], 1 + x[:, 0]], -1)], -2)),
+    'a mean of the batch': lambda x: ((x - x.mean(0) + 1)**2).sum(-1),
+    'the first row': lambda x: x[0, 0]**2 + x[0, 1]**2,
+    'attention over the batch': nn.Sequential(
+        nn.Linear(2, 8), nn.TransformerEncoderLayer(8, 2, 16, activation='gelu'), nn.Linear(8, 1)),
+    'layers not made yet': nn.Sequential(nn.LazyLinear(8), nn.Tanh(), nn.LazyLinear(1)),
+    'layers in a list': listed_layers(),
+    'a vector field': Written(field, net(2, 8, 1)),
+    'time and state': Signed(lambda t, x: (x**2).sum(-1)),
+    'state and time': Signed(lambda x, t=0.0: (x**2).sum(-1) * t),
+    'velocities': Signed(lambda q, q_dot: (q**2 + q_dot**2).sum(-1)),
     'rounding to decimals': lambda x: (x.round(decimals=1) * x).sum(),
     'a transform': lambda x: torch.fft.rfft(x).abs().sum(),
     'a transposed convolution': lambda x: functional.conv_transpose1d(
@@ -371,6 +407,45 @@ def test_module_that_is_no_energy_is_refused_in_a_line(name, tmp_path):
     with refused(ModelError):
         export(module, path, ['x'], BOX[1])
     assert not path.exists()
+
+
+def test_columns_of_a_pose_are_refused_as_canonical_coordinates(tmp_path):
+    module, box = Written(lambda x: x[:, 3:12].prod(-1) + (x[:, 12:]**2).sum(-1)), 9 * [(-1, 1)]
+    with refused(ModelError):
+        export(module, tmp_path / 'model.safetensors', [f'q{k}' for k in range(9)],
+               {'q': box, 'p': box})
+
+
+@pytest.mark.parametrize('forward, remarks', [
+    (lambda p, q: p**2 / 2 + q**4, 0), (lambda q, p: p**2 / 2 + q**4, 0),
+    (lambda x, y: y**2 / 2 + x**4, 1)])
+def test_names_of_arguments_tell_coordinates_from_momenta(forward, remarks, tmp_path):
+    path = tmp_path / 'model.safetensors'
+    assert len(export(Signed(forward), path, ['x'], BOX[1])) == remarks
+    # Exact up to the rounding of two products.
+    assert abs(load_learned(path).energy([0.5], [2.0]) - (2.0 + 0.5**4)) < 1e-15
+
+
+@pytest.mark.parametrize('function, slopes', [
+    (lambda x: functional.hardsigmoid(3.0 * x), [0.5 * 0.7, 0.5 * 0.25]),
+    (lambda x: functional.celu(x, 0.7),
+     [math.exp(-0.5 / 0.7) * 0.4, 0.7 * math.expm1(-0.5 / 0.7)])])
+def test_units_whose_slopes_in_torch_have_constants_in_float32_are_exported(
+        function, slopes, tmp_path):
+    path = tmp_path / 'model.safetensors'
+    export(Written(lambda x: function(x).prod(-1)), path, ['x'], BOX[1])
+    # Some roundings.
+    assert np.abs(np.ravel(load_learned(path).gradient([-0.5], [0.4])) - slopes).max() < 1e-15
+
+
+def test_existing_model_is_replaced_only_on_request(tmp_path):
+    path = tmp_path / 'model.safetensors'
+    for value in (1.0, 2.0):
+        export(Written(lambda x, value=value: value * x.prod(-1)), path, ['x'], BOX[1],
+               overwrite=value == 2.0)
+    assert load_learned(path).energy([1.0], [1.0]) == 2.0
+    with refused(ModelError):
+        export(net(2, 8, 1), path, ['x'], BOX[1])
 
 
 @pytest.mark.parametrize('coordinates, domain', [

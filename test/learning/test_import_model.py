@@ -123,6 +123,51 @@ def test_state_is_found_in_a_checkpoint(tmp_path, capsys, key, prefix):
     assert (repr(key) in capsys.readouterr().out) == bool(key)
 
 
+@pytest.mark.parametrize('numbers', [
+    {'loss': np.float64(1.5), 'step': np.int64(3), 'best': np.bool_(True)},
+    {'loss': np.float32(1.5), 'mask': torch.ones(2)}])
+def test_numbers_of_numpy_beside_the_weights_are_not_read(tmp_path, numbers):
+    module = sequential('tanh', 2, 9, 1)
+    torch.save({'net': module.state_dict(), **numbers}, tmp_path / 'source.pt')
+    import_file(tmp_path, '--activation', 'tanh')
+    assert_alike(tmp_path / 'model.safetensors', module, 1)
+
+
+def test_entry_names_one_of_several_state_dicts(tmp_path):
+    module = sequential('tanh', 2, 9, 1)
+    torch.save({'net': LINEAR, 'ema': module.state_dict()}, tmp_path / 'source.pt')
+    import_file(tmp_path, '--activation', 'tanh', '--entry', 'ema')
+    assert_alike(tmp_path / 'model.safetensors', module, 1)
+    for entry in ('epoch', 'none'):
+        with refused(ModelError):
+            read_state(tmp_path / 'source.pt', entry)
+
+
+def test_prefix_of_lightning_is_removed_and_half_precision_is_remarked(tmp_path, capsys):
+    (tmp_path / 'code_of_layers.py').write_text(CODE.replace('def hnn():', (
+        'def layers():\n    return Layers([2, 9, 1], torch.tanh)\n\ndef hnn():')))
+    names: dict[str, object] = {}
+    exec(CODE, names)
+    module = names['Layers']([2, 9, 1], torch.tanh).half()
+    torch.save({'state_dict': {'loss.weight': torch.ones(3), **{
+        f'model.net.{name}': part for name, part in module.state_dict().items()}}},
+        tmp_path / 'lightning.ckpt')
+    main([f'{tmp_path}/code_of_layers.py:layers', '--weights', str(tmp_path / 'lightning.ckpt'),
+          '--coordinates', 'x', '--box=-2:2', '--out', str(tmp_path / 'model.safetensors')])
+    assert_alike(tmp_path / 'model.safetensors', module, 1)
+    assert 'weights of float16' in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings('ignore')  # torch tells of what is old
+def test_program_of_torch_is_refused_with_the_call_that_loads_it(tmp_path):
+    module = sequential('tanh', 2, 9, 1)
+    torch.jit.script(module).save(tmp_path / 'script.pt')
+    torch.export.save(torch.export.export(module, (torch.ones(1, 2),)), tmp_path / 'program.pt2')
+    for name in ('script.pt', 'program.pt2'):
+        with refused(ModelError):
+            read_state(tmp_path / name)
+
+
 def import_file(folder: Path, *more: str) -> None:
     main([str(folder / 'source.pt'), '--coordinates', 'x', '--box=-2:2', '--out',
           str(folder / 'model.safetensors'), *more])
@@ -223,7 +268,7 @@ def nested(depth: int) -> tuple:
 @pytest.mark.filterwarnings('ignore')  # types of tensors are deprecated
 @pytest.mark.parametrize('legacy', [False, True])
 @pytest.mark.parametrize('called', [
-    (bytearray, (10**13,)), (codecs.encode, ('a' * 9, 'utf-32')), (torch.Tensor, (10**13,)),
+    (bytearray, (10**13,)), (codecs.encode, (b'a' * 9, 'hex')), (torch.Tensor, (10**13,)),
     (torch.FloatTensor, (10**13,)), (Counter, (['a'],))], ids=lambda called: called[0].__name__)
 def test_type_that_makes_much_of_little_is_not_called(tmp_path, monkeypatch, legacy, called):
     path = tmp_path / 'source.tar'

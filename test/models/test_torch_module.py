@@ -27,11 +27,17 @@ class Written(torch.nn.Module):
     lambda x: (x.float() ** 2).sum(-1), lambda x: x, lambda x: (x[:, :1], x[:, 1:]),
     lambda x: float(x.sum()), lambda x: x[0, 0] ** 2 + x[0, 1] ** 2,
     lambda x: ((x - x.mean(0)) ** 2).sum(-1), lambda x: torch.rand(()) * x.sum(-1),
-    lambda x: (x.detach() ** 2).sum(-1), lambda x: x @ torch.ones(2), lambda x: x.no_such])
+    lambda x: (x.detach() ** 2).sum(-1), lambda x: (x ** 2).sum(-1) + (x.detach() ** 2).sum(-1),
+    lambda x: x @ torch.ones(2), lambda x: x.no_such])
 def test_module_that_is_no_function_of_rows_is_refused(formula):
     module = TorchHamiltonian(Written(formula), [X])
     with refused(ModelError):
         module.check_state(np.array([1.0]), np.array([0.5]))
+
+
+def test_module_of_the_time_is_refused_by_name():
+    with refused(ModelError):
+        TorchHamiltonian(Written(lambda t, x: x.sum(-1)), [X])
 
 
 def test_module_in_training_is_evaluated():

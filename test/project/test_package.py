@@ -27,7 +27,7 @@ FLOORS = (
     'learning', 'identify', 'sweeps', 'envs', 'ros', 'commands', 'cli', '__main__', '__init__')
 # The same inside two rooms.
 INNER_FLOORS = {
-    'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'linear_systems',
+    'learning': ('arguments', 'torch_file', 'data', 'families', 'fit', 'judging', 'linear_systems',
                  'graph_of_module', 'export_module', 'import_model', 'tasks', 'train',
                  'evaluate'),
     'ros': ('worlds', 'plumbing', 'settings', 'node_parameters', 'arguments', 'recording',
