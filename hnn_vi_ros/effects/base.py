@@ -158,6 +158,8 @@ class Effect(ABC):
         Number of knots of a path that it needs space for; see Reference.
     internal : bool
         True for an InternalForce.
+    frequency : float
+        Frequency of a force that oscillates in time [Hz], 0 for none.
     stiff : bool
         True if it has a ``fastest_rate``, which steps should resolve.
     excludes : mapping of Place to str
@@ -178,6 +180,7 @@ class Effect(ABC):
     drawn: ClassVar[bool] = False
     knots: ClassVar[int] = 0
     internal: ClassVar[bool] = False
+    frequency: float = 0.0
     stiff: ClassVar[bool] = False
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
 

@@ -56,7 +56,7 @@ class PeriodicDrive(Force):
     def __init__(self, coordinate: str, amplitude: float, frequency: float, phase: float = 0.0):
         check_positive(frequency=frequency)
         check_finite(amplitude=amplitude, phase=phase)
-        self.coordinate = coordinate
+        self.coordinate, self.frequency = coordinate, float(frequency)
         self.wave = float(amplitude), 2.0 * math.pi * frequency, float(phase)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> DriveParameters:

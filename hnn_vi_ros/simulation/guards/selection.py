@@ -16,7 +16,7 @@ from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.saddles import MOST_COORDINATES, SaddleSearch
 from hnn_vi_ros.simulation.guards.steps import (
-    CostGuard, RescueGuard, SolutionGuard, StiffnessGuard)
+    CostGuard, DriveGuard, RescueGuard, SolutionGuard, StiffnessGuard)
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
@@ -52,6 +52,9 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
     fastest = simulation.system.fastest_rate(np.atleast_2d(simulation.q)[0])
     if fastest:
         yield StiffnessGuard(simulation.step_size * fastest)
+    frequency = max((effect.frequency for effect in simulation.effects), default=0.0)
+    if frequency:
+        yield DriveGuard(simulation.step_size * frequency, method.order)
     for name, function in hamiltonian.invariants.items():
         yield InvariantGuard(name, function, band_limit, hamiltonian)
     if barrier is not None and simulation.conservative:

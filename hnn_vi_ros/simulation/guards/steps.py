@@ -73,6 +73,34 @@ class StiffnessGuard(LimitGuard):
         return self._reach
 
 
+class DriveGuard(LimitGuard):
+    """
+    Periodic drives: h nu at most a quarter of the order of the method, at least one half.
+
+    Beyond, the nodes of the method see fewer than two phases of a period: a drive of h nu = 1 is
+    a constant force, with which no repetition in smaller steps need disagree.
+
+    Parameters
+    ----------
+    reach : float
+        h nu.
+    order : int
+        Order of the method.
+
+    """
+
+    kind = 'drive not resolved'
+    remedy = 'use a step_size below half of the period of the drive'
+    message = f'h nu = {{:.3g}} of a periodic drive of nu [Hz]; {remedy}'
+
+    def __init__(self, reach: float, order: int):
+        self._reach, self.limit = reach, 0.25 * max(order, 2)
+
+    def value(self, sample: Observed) -> float:
+        """Return h nu."""
+        return self._reach
+
+
 class CountGuard(LimitGuard):
     """
     Base class of guards of a counter of the simulation that must stay zero.

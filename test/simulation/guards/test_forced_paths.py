@@ -1,0 +1,84 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs with forces at steps too large raise an alarm, and resolved ones raise none."""
+
+from typing import Any
+
+from hnn_vi_ros import Scene, simulate, simulate_many
+from hnn_vi_ros.simulation import build
+import numpy as np
+import pytest
+
+PENDULUM = {'kind': 'pendulum'}
+WELLS = {'kind': 'formula', 'coordinates': ['x'], 'H': 'p_x^2 / 2 - x^2 / 2 + x^4 / 4'}
+SERVO = {'kind': 'servo', 'coordinates': ['angle'], 'damping': 1.0, 'position': [0.5],
+         'stiffness': 1e4}
+
+
+def drive(coordinate: str, amplitude: float, frequency: float) -> dict[str, Any]:
+    return {'kind': 'periodic_drive', 'coordinate': coordinate, 'amplitude': amplitude,
+            'frequency': frequency}
+
+
+def damping(rate: float) -> dict[str, Any]:
+    return {'kind': 'damping', 'rate': rate}
+
+
+# H, q, p, duration [s], effects; a method, a step that is wrong, one that is right.
+CASES = {
+    'orbit in a double well': (
+        WELLS, 0.8, 0.0, 100.0, [damping(0.25), drive('x', 0.2, 0.5 / np.pi)],
+        'implicit_midpoint', 0.8, 0.02),
+    'overdamped': (PENDULUM, 1.0, 0.0, 30.0, [damping(1e4)], 'generalized_leapfrog', 0.01, None),
+    'resonance': ({'kind': 'harmonic_oscillator', 'stiffness': 100.0}, 0.0, 0.0, 60.0,
+                  [damping(0.05), drive('x', 1.0, 5.0 / np.pi)], 'rk4', 0.1, 0.01),
+    'drag': ({'kind': 'free_particle', 'names': ['x']}, 0.0, 400.0, 5.0,
+             [{'kind': 'quadratic_drag', 'coordinates': ['x'], 'coefficient': 0.5}],
+             'generalized_leapfrog', 0.02, 0.001),
+    'servo': (PENDULUM, 0.0, 0.0, 6.0, [SERVO], 'gauss4', 0.03, 0.002),
+    'paper': (PENDULUM, 0.2, 0.0, 20.0, [damping(0.5), drive('angle', 1.0, 0.4)],
+              'variational_euler', 0.3, 0.002)}
+
+
+def scene_of(case: str, method: str, step_size: float) -> Scene:
+    hamiltonian, q, p, _, effects, *_ = CASES[case]
+    return Scene.build(hamiltonian=hamiltonian, integrator=method, step_size=step_size,
+                       initial_state=([q], [p]), effects=effects)
+
+
+def kinds(case: str, step_size: float) -> set[str]:
+    *_, duration, _, method, _, _ = CASES[case]
+    return {alarm.kind for alarm in simulate(scene_of(case, method, step_size), duration).alarms}
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('case', CASES)
+def test_run_with_forces_at_steps_too_large_raises_an_alarm(case):
+    *_, coarse, fine = CASES[case]
+    assert 'path not resolved' in kinds(case, coarse)
+    assert fine is None or kinds(case, fine) == set()
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('method, h, told', [
+    ('generalized_leapfrog', 1 / 6, True), ('generalized_leapfrog', 0.04, False),
+    ('gauss8', 0.15, False), ('gauss8', 0.2, True)])
+def test_drive_that_the_nodes_cannot_see_is_told(method, h, told):
+    """At h nu = 2, halved steps see a constant force as well."""
+    scene = Scene.build(hamiltonian=PENDULUM, integrator=method, step_size=h,
+                        initial_state=([0.5], [0.0]), effects=[drive('angle', 0.1, 12.0)])
+    alarms = simulate(scene, 2.0).alarms
+    assert ('drive not resolved' in [alarm.kind for alarm in alarms]) == told
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_trajectories_that_step_together_are_told_of_paths_that_are_wrong():
+    scene = scene_of('orbit in a double well', 'implicit_midpoint', 0.8)
+    many = simulate_many(scene, [[0.8], [0.7]], [[0.0], [0.0]], 80.0, samples=100)
+    assert all('path not resolved' in [alarm.kind for alarm in own] for own in many.alarms)
+
+
+def test_trials_leave_no_trace_in_the_run():
+    scene = scene_of('paper', 'variational_euler', 0.02)
+    simulation = build(scene)
+    assert np.array_equal(simulate(scene, 20.0).q[1:], simulation.record(1000, 1)[0])
