@@ -248,11 +248,13 @@ class Joined(Effect):
     ----------
     keeps_separable : bool
         True if a separable H(q, p) = T(p) + V(q) stays separable.
+    smooth : bool
+        True if its gradient is continuous; known once it is resolved.
 
     """
 
     acts = Place.ENERGY
-    conservative = True
+    conservative = smooth = True
     keeps_separable: ClassVar[bool] = False
 
     @classmethod

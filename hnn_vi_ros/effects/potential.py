@@ -49,6 +49,7 @@ class FormulaPotential(Potential):
         moving = [name for name in columns if graph.depending([root], [name])]
         if not moving:
             raise ValueError('formula must depend on a coordinate')
+        self.smooth = graph.is_smooth(root, moving, own)
         slopes = graph.gradient(root, moving)
         changes = {name: f'change of {name}' for name in moving}
         products = graph.tangents(slopes, changes)

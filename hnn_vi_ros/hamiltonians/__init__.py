@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
     from hnn_vi_ros.hamiltonians.argument_order import call_order, TIME_DEPENDENT, TIMES
+    from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
     from hnn_vi_ros.hamiltonians.expressions import (
-        GRAMMAR, Graph, KINKS, Reader, Symbol, traced)
+        GRAMMAR, Graph, Reader, SWITCHES, Symbol, traced)
     from hnn_vi_ros.hamiltonians.formula import Formula
+    from hnn_vi_ros.hamiltonians.kinks import is_continuous
     from hnn_vi_ros.hamiltonians.mechanisms.parts import (
         AMBER, Ball, bounds_of, Cuboid, Line, Mechanism, Part, SILVER, Trail)
     from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS, ROTATING

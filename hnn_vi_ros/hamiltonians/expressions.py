@@ -19,16 +19,17 @@ import warnings
 
 from hnn_vi_ros.errors import did_you_mean
 from hnn_vi_ros.hamiltonians.argument_order import call_order
+from hnn_vi_ros.hamiltonians.kinks import is_continuous
 import numpy as np
 
 # Maximum number of characters, of nested brackets, and of graph nodes with all derivatives.
 LONGEST, DEEPEST, MOST_NODES = 4000, 60, 10_000
+# Number of lines on which kinks are sought.
+_LINES = 512
 # Syntax of a formula, for error messages.
 GRAMMAR = ('numbers, names, + - * / ^ or **, brackets, pi, and the functions abs, acos, acosh, '
            'asin, asinh, atan, atan2(y, x), atanh, cbrt, cos, cosh, exp, expm1, log, log1p, '
            'max, min, piecewise(x > 0, a, b), sign, sin, sinh, sqrt, tan and tanh')
-# Kinds of nodes whose values or slopes jump. Node ('where', c, a, b) is a if c > 0, else b.
-KINKS = frozenset({'abs', 'sign', 'where'})
 
 # Derivatives of functions by their argument x, at the value z.
 _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
@@ -58,6 +59,9 @@ _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
     'versine': lambda g, x, z: g.apply('sin', x),
 }
 FUNCTIONS = (*(name for name in _SLOPES if name != 'versine'), 'atan2', 'max', 'min', 'piecewise')
+# Kinds of nodes whose values or slopes jump: expressions that change their signs there.
+SWITCHES: dict[str, Callable[..., int]] = {
+    'abs': lambda g, x: x, 'sign': lambda g, x: x, 'where': lambda g, c, a, b: c}
 # 1 - cos x as 2 sin(x / 2)^2 is accurate for small x, as for the heights of pendulums.
 _NUMPY: dict[str, Callable[..., Any]] = {
     'acos': np.arccos, 'acosh': np.arccosh, 'asin': np.arcsin, 'asinh': np.arcsinh,
@@ -212,6 +216,11 @@ class Graph:
         if value is not None:
             with np.errstate(all='ignore'):
                 return self.number(float(_CALLS[function](value)))
+        kind, *rest = self.nodes[a]
+        if function == 'sqrt' and kind == 'power':
+            # The rule of roots gives 0 / 0 at a base of 0.
+            base = self.apply('abs', rest[0]) if rest[1] % 4 == 2 else rest[0]
+            return self.raised(base, self.number(0.5 * rest[1]))
         return self._node(function, a)
 
     def where(self, c: int, a: int, b: int) -> int:
@@ -243,9 +252,11 @@ class Graph:
         return rest[1:] if kind == 'scaled' else rest[:1] if kind == 'power' else rest
 
     def _slopes(self, a: int) -> list[tuple[int, int]]:
-        """Return each argument of a node, with the derivative of the node by it."""
+        """Return each argument of a node, or base of a power, with the node's derivative by it."""
         kind, *rest = self.nodes[a]
         one = self.number(1.0)
+        if kind in ('product', 'power') and (found := self._half_power(kind, rest)) is not None:
+            return [found]
         if kind == 'scaled':
             return [(rest[1], self.number(rest[0]))]
         if kind == 'sum':
@@ -272,6 +283,23 @@ class Graph:
             squares = self.plus(self.power(x, 2), self.power(y, 2))
             return [(y, self.over(x, squares)), (x, self.scaled(-1.0, self.over(y, squares)))]
         return [(rest[0], _SLOPES[kind](self, rest[0], a))]
+
+    def _half_power(self, kind: str, rest: Sequence[int]) -> tuple[int, int] | None:
+        """
+        Return x with the slope of x^n sqrt(c x) or of sqrt(x)^n; None of other nodes.
+
+        The rules of products and of roots give 0 * inf at x = 0.
+        """
+        for whole, other in ((rest[0], rest[1]), (rest[1], rest[0])) if kind == 'product' else ():
+            root, *inside = self.nodes[other]
+            base, n = self.nodes[whole][1:] if self.nodes[whole][0] == 'power' else (whole, 1)
+            if root == 'sqrt' and self._factor(inside[0])[1] == self._factor(base)[1]:
+                return base, self.scaled(n + 0.5, self.product(self.power(base, n - 1), other))
+        root, *inside = self.nodes[rest[0]]
+        if kind == 'power' and root == 'sqrt':
+            half = 0.5 * rest[1]
+            return inside[0], self.scaled(half, self.raised(inside[0], self.number(half - 1.0)))
+        return None
 
     def needed(self, roots: Iterable[int], known: Container[int] = ()) -> list[int]:
         """Return all nodes that the roots depend on, arguments first, except known ones."""
@@ -309,13 +337,31 @@ class Graph:
         """Return the changes of nodes; ``changes`` maps names to the names of their changes."""
         found = {self.name(name): self.name(change) for name, change in changes.items()}
         for a in self.needed(roots):
-            if a not in found and (parts := found.keys() & self.arguments(a)):
+            if a not in found and found.keys() & self.arguments(a):
                 total = self.number(0.0)
                 for part, slope in self._slopes(a):
-                    if part in parts:
+                    if part in found:
                         total = self.plus(total, self.product(slope, found[part]))
                 found[a] = total
         return [found.get(root, self.number(0.0)) for root in roots]
+
+    def is_smooth(self, root: int, names: Sequence[str], parameters: Mapping[str, float]) -> bool:
+        """Return whether a node and its derivatives by names are continuous functions of these."""
+        kinked = [self.nodes[a] for a in sorted(self.depending([root], names))
+                  if self.nodes[a][0] in SWITCHES]
+        if not kinked:
+            return True
+        roots = [root, *self.gradient(root, names)]
+        both = roots + [SWITCHES[kind](self, *parts) for kind, *parts in kinked]
+
+        def values(z: np.ndarray) -> np.ndarray:
+            found = self.values(both, {**parameters, **dict(zip(names, z.T, strict=True))})
+            return np.stack([np.broadcast_to(found[a], len(z)) for a in both], axis=1)
+        # The lengths of H are unknown: lines of many.
+        rng = np.random.default_rng(0)
+        scales = 10.0**rng.uniform(-4.0, 4.0, (_LINES, 1))
+        return is_continuous(values, len(roots), scales * rng.normal(
+            size=(2, _LINES, len(names))))
 
     def values(self, roots: Sequence[int], known: Mapping[str, Any]) -> dict[int, Any]:
         """Return the value of each node that the roots depend on, given the values of names."""

@@ -84,6 +84,7 @@ class Formula(Hamiltonian):
         both = names + self._momenta
         self._slopes = graph.gradient(root, both)
         d = len(names)
+        self.smooth = graph.is_smooth(root, both, self.parameters)
         self.separable = not (graph.depending(self._slopes[:d], self._momenta)
                               or graph.depending(self._slopes[d:], names))
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import pip_command
 from hnn_vi_ros.hamiltonians import (
-    check_between, Graph, Hamiltonian, KINKS, straight_code, Symbol)
+    check_between, Graph, Hamiltonian, straight_code, SWITCHES, Symbol)
 from hnn_vi_ros.integrators.base import (
     ENDLESS, Integrator, NOT_FINITE, OK, PhasePoint, Requirements)
 from hnn_vi_ros.integrators.dense_output import DenseOutput
@@ -310,9 +310,9 @@ def _terms(kernel: Kernel, state: np.ndarray, scales: np.ndarray) -> float:
 
 
 def _is_kink(graph: Graph, a: int) -> bool:
-    """Return True if a node is abs(x) to a power, such as the root of a square."""
+    """Return True if a node has a kink, or is abs(x) to a power, such as the root of a square."""
     kind, *rest = graph.nodes[a]
-    if kind in KINKS:
+    if kind in SWITCHES:
         return True
     exponent = 0.5 if kind == 'sqrt' else graph.value(rest[1]) if kind == 'raised' else None
     if exponent is None:

@@ -10,8 +10,7 @@ from typing import NoReturn
 from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.files import in_plain_words, one_line
 from hnn_vi_ros.hamiltonians import call_order
-from hnn_vi_ros.learning.graph_of_module import graph_of, UntranslatedModule
-from hnn_vi_ros.learning.linear_systems import PivotWatch
+from hnn_vi_ros.learning.graph_of_module import graph_of, PivotWatch, UntranslatedModule
 from hnn_vi_ros.models import (
     Box, Builder, Checkpoint, complete_checkpoint, CoordinateCard, graph_data, GraphHamiltonian,
     ModelCard, read_graph, save_checkpoint)

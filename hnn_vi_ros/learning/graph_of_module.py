@@ -16,12 +16,13 @@ import traceback
 from typing import Any, NoReturn
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.learning.linear_systems import LINEAR_SYSTEMS
+from hnn_vi_ros.learning.linear_systems import eliminated, LINEAR_SYSTEMS
 from hnn_vi_ros.models import Builder
 import numpy as np
 import torch
 from torch._decomp import core_aten_decompositions, get_decompositions
 from torch.fx.experimental.proxy_tensor import make_fx
+from torch.utils._python_dispatch import TorchDispatchMode
 
 _aten = torch.ops.aten
 # Kept whole, since they are operations of graphs, or since others are decomposed into less.
@@ -687,3 +688,42 @@ def _depends(values: Any) -> bool:
 def _refuse(target: Any) -> NoReturn:
     raise UntranslatedModule(f'uses {str(target).removeprefix("aten.")}, which stored graphs do '
                              'not have')
+
+
+# Operations with pivots, and the smallest one relative to the largest entry of its matrix.
+_PIVOTED = 'linalg_inv_ex', '_linalg_solve_ex', '_linalg_det', '_linalg_slogdet'
+_MIN_PIVOT = 1e-9
+
+
+class PivotWatch(TorchDispatchMode):
+    """
+    Watch of the pivots of a module's linear systems, without exchanges of rows, while it runs.
+
+    Attributes
+    ----------
+    safe : bool
+        False if the sign of a pivot depends on the state, or a pivot is almost zero.
+
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.safe, self._signs, self._at = True, list[torch.Tensor](), 0
+
+    def __torch_dispatch__(self, op: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        """Call an operation of torch."""
+        if op.name().removeprefix('aten::') in _PIVOTED:
+            pivots = eliminated(args[0], args[0][..., :0])[1]
+            sizes = pivots.abs() / args[0].abs().amax((-1, -2))[..., None]
+            signs, first = pivots.sign(), self._signs[self._at:self._at + 1]
+            self.safe &= bool((sizes > _MIN_PIVOT).all()) and all(
+                torch.equal(signs, one) for one in first)
+            self._signs += [] if first else [signs]
+            self._at += 1
+        return op(*args, **(kwargs or {}))
+
+    def __enter__(self) -> 'PivotWatch':
+        """Begin with the first system of the module."""
+        self._at = 0
+        super().__enter__()
+        return self

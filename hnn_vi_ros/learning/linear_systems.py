@@ -11,10 +11,9 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
 
-def _eliminated(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def eliminated(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the inverse of a times b, and the pivots, shape (..., n)."""
     n, pivots = a.shape[-1], []
     rows, unit = torch.cat([a, b], -1), torch.eye(n, dtype=a.dtype)
@@ -38,15 +37,15 @@ def _no_error(like: torch.Tensor) -> torch.Tensor:
 def _solved(a: torch.Tensor, b: torch.Tensor, left: bool) -> torch.Tensor:
     """Return the solution of a x = b, or of x a = b."""
     if not left:
-        return _eliminated(a.mT, b.mT)[0].mT
+        return eliminated(a.mT, b.mT)[0].mT
     if b.ndim == 1 or b.shape == a.shape[:-1]:
-        return _eliminated(a, b[..., None])[0][..., 0]
-    return _eliminated(a, b)[0]
+        return eliminated(a, b[..., None])[0][..., 0]
+    return eliminated(a, b)[0]
 
 
 def _inverse(a: torch.Tensor, check_errors: bool = False) -> tuple[torch.Tensor, ...]:
     unit = torch.eye(a.shape[-1], dtype=a.dtype).expand(a.shape)
-    return _eliminated(a, unit)[0], _no_error(a)
+    return eliminated(a, unit)[0], _no_error(a)
 
 
 def _solve(a: torch.Tensor, b: torch.Tensor, *, left: bool = True, check_errors: bool = False
@@ -78,11 +77,11 @@ def _cholesky_solve(b: torch.Tensor, factor: torch.Tensor, upper: bool = False) 
 
 
 def _determinant(a: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    return _eliminated(a, a[..., :0])[1].prod(-1), _unknown(a), _no_error(a)
+    return eliminated(a, a[..., :0])[1].prod(-1), _unknown(a), _no_error(a)
 
 
 def _log_determinant(a: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    pivots = _eliminated(a, a[..., :0])[1]
+    pivots = eliminated(a, a[..., :0])[1]
     return torch.sign(pivots).prod(-1), torch.log(torch.abs(pivots)).sum(-1), _unknown(a), \
         _no_error(a)
 
@@ -101,45 +100,6 @@ def _unchecked(*arguments: Any, **keywords: Any) -> None:
     """Report no failure of a factorisation: H would not be finite."""
 
 
-# Smallest pivot relative to the largest entry of its matrix.
-_MIN_PIVOT = 1e-9
-
-
-class PivotWatch(TorchDispatchMode):
-    """
-    Watch of the pivots of a module's linear systems, without exchanges of rows, while it runs.
-
-    Attributes
-    ----------
-    safe : bool
-        False if the sign of a pivot depends on the state, or a pivot is almost zero.
-
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.safe, self._signs, self._at = True, list[torch.Tensor](), 0
-
-    def __torch_dispatch__(self, op: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Call an operation of torch."""
-        if op.name().removeprefix('aten::') in _PIVOTED:
-            pivots = _eliminated(args[0], args[0][..., :0])[1]
-            sizes = pivots.abs() / args[0].abs().amax((-1, -2))[..., None]
-            signs, first = pivots.sign(), self._signs[self._at:self._at + 1]
-            self.safe &= bool((sizes > _MIN_PIVOT).all()) and all(
-                torch.equal(signs, one) for one in first)
-            self._signs += [] if first else [signs]
-            self._at += 1
-        return op(*args, **(kwargs or {}))
-
-    def __enter__(self) -> 'PivotWatch':
-        """Begin with the first system of the module."""
-        self._at = 0
-        super().__enter__()
-        return self
-
-
-_PIVOTED = ('linalg_inv_ex', '_linalg_solve_ex', '_linalg_det', '_linalg_slogdet')
 # By the name of the operation of torch.
 LINEAR_SYSTEMS: dict[str, Callable[..., Any]] = {
     'linalg_inv_ex': _inverse, '_linalg_solve_ex': _solve, 'linalg_solve_triangular': _triangular,

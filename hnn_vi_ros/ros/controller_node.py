@@ -231,9 +231,11 @@ class ControllerNode(ManagedNode):
             return
         q, v = state_of(joined, self._assigned.hamiltonian)
         stamp = nanoseconds(joined.header.stamp)
+        # The simulator repeats a state whose answer it still awaits.
         if self.settings.lockstep and self._sent and stamp == self._stamp:
-            # The simulator repeats a state whose answer it still awaits.
             self._send(self._last)
+        elif self.settings.lockstep and self._next and stamp == self._next[0]:
+            self._next = stamp, q, v
         else:
             self._older = stamp, q, v
             self._next = self._stamps.accept(stamp), q, v

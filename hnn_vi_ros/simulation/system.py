@@ -183,7 +183,8 @@ class JoinedHamiltonian(Hamiltonian):
     def __init__(self, base: Hamiltonian, joined: Sequence[tuple[Joined, tuple]]):
         self.base, self._joined = base, joined
         self.coordinates, self.robot = base.coordinates, base.robot
-        self.box, self.smooth = base.box, base.smooth
+        self.box = base.box
+        self.smooth = base.smooth and all(effect.smooth for effect, _ in joined)
         self.provenance, self.scheme = base.provenance, base.scheme
         self.separable = base.separable and all(
             effect.keeps_separable for effect, _ in joined)
@@ -282,11 +283,12 @@ class System:
         joined = [(cast(Joined, effects[i]), self._parameters[i]) for i in self._in(Place.ENERGY)]
         self.hamiltonian = JoinedHamiltonian(hamiltonian, joined) if joined else hamiltonian
         check_method(integrator, self.hamiltonian)
-        if not hamiltonian.smooth:
+        if not self.hamiltonian.smooth:
             warnings.warn(
-                'the gradient of H is discontinuous, as for every relu network: methods lose '
-                'their order there, and implicit steps may have no solution; train with another '
-                'activation', stacklevel=3)
+                'the gradient of H is discontinuous, as at a kink of abs or relu: methods lose '
+                'their order there, and implicit steps may have no solution; use a smooth '
+                'function, such as sqrt(x^2 + w^2) for abs(x), or train with another activation',
+                stacklevel=3)
         self._assemble(integrator)
 
     def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:

@@ -227,3 +227,26 @@ def test_formula_needs_no_trust_in_code():
         integrator='gauss8', step_size=0.1, initial_state=([1.0], [0.0]))
     again = Scene.model_validate(scene.model_dump())
     assert again.create_hamiltonian().energy(np.array([1.0]), np.array([0.0])) == 0.25
+
+
+@pytest.mark.parametrize('exponent', ['1.3', '1.5', '2.3', '2.5'])
+def test_slope_of_a_power_at_zero_is_its_limit(exponent):
+    H = Formula(['x'], f'p_x^2 / 2 + x^{exponent}')
+    assert H.gradient(np.zeros(1), np.zeros(1))[0] == 0.0
+
+
+def test_contact_with_the_force_of_hertz_opens_and_closes():
+    """The motion is one of constant speed while it is open, by which it returns with -p."""
+    run = simulate(Scene.build(
+        hamiltonian={'kind': 'formula', 'coordinates': ['x'],
+                     'H': 'p_x^2 / 2 + ((abs(x) + x) / 2)^2.5'},
+        integrator='gauss8', step_size=0.005, initial_state=([-0.5], [1.0])), 4.0)
+    assert run.p[-1, 0] == pytest.approx(-1.0, rel=1e-6) and run.q[-1, 0] < 0.0
+
+
+@pytest.mark.parametrize('V, smooth', [
+    ('abs(x)', False), ('abs(x)^3', True), ('((abs(x) + x) / 2)^2.5', True), ('x^4', True),
+    ('max(x, 0)', False), ('max(x, 0)^2', True), ('sqrt(x^2)', False), ('abs(2 + sin(x))', True),
+    ('piecewise(x > 0, x^3, 0)', True), ('piecewise(x > 0, 1, 0)', False), ('sign(x)*x^2', True)])
+def test_formula_is_smooth_if_its_gradient_is_continuous(V, smooth):
+    assert Formula(['x'], f'p_x^2 / 2 + {V}').smooth == smooth

@@ -486,3 +486,16 @@ def test_gradients_by_weights_of_an_exported_model_are_refused_by_name(scene, na
 def test_device_refuses_an_exported_model_by_name(scene):
     with refused(UnsupportedSystem):
         simulate_many(scene, np.ones((2, 1)), np.zeros((2, 1)), duration=1.0, device='cpu')
+
+
+@pytest.mark.parametrize('activation, smooth', [
+    (nn.Softplus(), True), (nn.CELU(), True), (nn.ELU(), True), (nn.GELU(), True),
+    (nn.SiLU(), True), (nn.Softmax(-1), True), (nn.LogSigmoid(), True), (nn.Tanh(), True),
+    (nn.LayerNorm(8), True), (nn.ReLU(), False), (nn.LeakyReLU(), False), (nn.SELU(), False),
+    (nn.Hardtanh(), False)], ids=lambda case: type(case).__name__)
+def test_smoothness_of_a_module_is_that_of_its_gradient(activation, smooth, tmp_path):
+    torch.manual_seed(0)
+    module = nn.Sequential(nn.Linear(2, 8), activation, nn.Linear(8, 1)).double()
+    path = tmp_path / 'model.safetensors'
+    export(module, path, ['x'], {'q': [(-2.0, 2.0)], 'p': [(-2.0, 2.0)]})
+    assert load_learned(path).smooth == smooth

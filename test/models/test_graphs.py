@@ -11,7 +11,7 @@ from hnn_vi_ros.models import Builder, graph_data, read_graph
 from hnn_vi_ros.models.graphs import machine
 from hnn_vi_ros.models.graphs.derivatives import dependence, gradient, tangent
 from hnn_vi_ros.models.graphs.graph import MAX_PRODUCTS
-from hnn_vi_ros.models.graphs.operations import BINARY, KINKED, UNARY
+from hnn_vi_ros.models.graphs.operations import BINARY, SWITCHES, UNARY
 from hnn_vi_ros.models.graphs.tape import Assembler
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def run(b: Builder, output: int, z: np.ndarray) -> np.ndarray:
     tape = assembler.tape(output)
     memory = assembler.memory()
     memory[:z.size] = z
-    machine._run(tape.code, memory, assembler.index())
+    machine.run(tape.code, memory, assembler.index())
     shape = b.shape(output)
     return memory[tape.place:tape.place + math.prod(shape)].reshape(shape).copy()
 
@@ -119,7 +119,8 @@ def test_tangent_of_the_gradient_is_the_hessian_times_a_vector():
     assert run(b, along, z) == pytest.approx(expected, abs=1e4 * EPS**(2 / 3))
 
 
-@pytest.mark.parametrize('op', [op for op in UNARY if op not in KINKED | {'not', 'fixed'}])
+@pytest.mark.parametrize(
+    'op', [op for op in UNARY if op not in SWITCHES.keys() | {'not', 'fixed'}])
 def test_slope_of_every_smooth_function_is_its_derivative(op):
     b = Builder()
     x, z = b.input(5), X[:5]
@@ -259,5 +260,5 @@ def check_places(b: Builder, output: int, x: int) -> None:
     memory, index = assembler.memory(), assembler.index()
     for code in tape.code.astype(int):
         assert (code >= 0).all() and code[1] < memory.size
-    machine._run(tape.code, memory, index)
+    machine.run(tape.code, memory, index)
     assert tape.place + math.prod(b.shape(output)) <= memory.size

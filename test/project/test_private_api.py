@@ -18,15 +18,16 @@ PRIVATE = {
     'recording/bags/mcap_sink.py': ('mcap', {'_Writer__chunk_indices'}),
     'files/command_line.py': ('argparse', {'_actions'}),
     'kernels/linking.py': ('numba', {
-        '_cache', '_cache_path', '_codegen', '_data_path', '_final_module',
+        '_cache', '_codegen', '_config_fname', '_data_path', '_final_module',
         '_finalize_dynamic_globals', '_get_module_for_linking', '_index_name', '_index_path',
-        '_linking_libraries', '_loopvect', '_module_pass_manager', '_open_for_write',
-        '_opt_level', '_py_func', '_raise_if_finalized', '_reload_init', '_set_uuid',
+        '_linking_libraries', '_loopvect', '_module_pass_manager', '_opt_level', '_py_func',
+        '_raise_if_finalized', '_reload_init', '_set_uuid',
         '_source_stamp', '_tm_features', 'numba._dynfunc'}),
     'learning/graph_of_module.py': ('torch', {
         '_adaptive_avg_pool2d', '_native_batch_norm_legit',
         '_native_batch_norm_legit_no_training', '_overloadpacket', '_pytree',
-        'torch._decomp.core_aten_decompositions', 'torch._decomp.get_decompositions'}),
+        'torch._decomp.core_aten_decompositions', 'torch._decomp.get_decompositions',
+        'torch.utils._python_dispatch.TorchDispatchMode'}),
     'ros/plumbing/rclpy_internals.py': ('rclpy', {
         '_service_change_state', '_state_machine',
         'rclpy.impl.implementation_singleton.rclpy_implementation',

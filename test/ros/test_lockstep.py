@@ -107,11 +107,14 @@ def test_period_of_lockstep_is_a_whole_number_of_samples():
     assert lockstep.awaited is None
     lockstep.wait(20, 7, 0.0)
     assert lockstep.awaited == 7
-    lockstep.check(7)
+    assert lockstep.takes(7)
     for stamp, awaited in ((6, 7), (7, None)):
         lockstep.awaited = awaited
         with refused(ValueError):
-            lockstep.check(stamp)
+            lockstep.takes(stamp)
+    # A repeated state may be answered twice.
+    lockstep.repeated = 7
+    assert not lockstep.takes(7)
     for period in (0.004, 0.025):
         with refused(ParameterError):
             Lockstep(Settings(lockstep_period=period), 10, 0.001)

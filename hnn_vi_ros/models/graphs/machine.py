@@ -52,7 +52,7 @@ class GraphParameters(NamedTuple):
 def energy(graph: GraphParameters, q: np.ndarray, p: np.ndarray) -> float:
     """Return H(q, p) [J] for q and p of shape (d,)."""
     _load(graph.memory, 0, q.size, q, p, 0)
-    _run(graph.energy, graph.memory, graph.numbers)
+    run(graph.energy, graph.memory, graph.numbers)
     return float(graph.memory[graph.places[0]])
 
 
@@ -64,7 +64,7 @@ def gradient(graph: GraphParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.nda
     d = np.int64(graph.places[3])
     for s in range(0, q.size, d):
         _load(memory, 0, d, q, p, s)
-        _run(graph.gradient, memory, graph.numbers)
+        run(graph.gradient, memory, graph.numbers)
         for i in range(d):
             dH_dq[s + i], dH_dp[s + i] = memory[place + i], memory[place + d + i]
 
@@ -78,7 +78,7 @@ def hessian_vector(graph: GraphParameters, q: np.ndarray, p: np.ndarray, v_q: np
     for s in range(0, q.size, d):
         _load(memory, 0, d, q, p, s)
         _load(memory, 2 * d, d, v_q, v_p, s)
-        _run(graph.product, memory, graph.numbers)
+        run(graph.product, memory, graph.numbers)
         for i in range(d):
             product_q[s + i], product_p[s + i] = memory[place + i], memory[place + d + i]
 
@@ -90,7 +90,7 @@ def _load(memory: np.ndarray, at: int, d: int, q: np.ndarray, p: np.ndarray, s: 
 
 
 @_compiled
-def _run(code: np.ndarray, x: np.ndarray, index: np.ndarray) -> None:
+def run(code: np.ndarray, x: np.ndarray, index: np.ndarray) -> None:
     """Run a tape."""
     for k in range(len(code)):
         op, out, n, a, b = code[k, 0], code[k, 1], code[k, 2], code[k, 3], code[k, 4]

@@ -140,6 +140,18 @@ BINARY: dict[str, Binary] = {
     'gt': _compared(np.greater), 'ge': _compared(np.greater_equal),
     'eq': _compared(np.equal), 'ne': _compared(np.not_equal),
 }
-# Functions whose derivative jumps: a graph with one of them is not smooth, unless it is fixed.
-KINKED = frozenset({'abs', 'sign', 'floor', 'ceil', 'rint', 'relu', 'maximum', 'minimum', 'amax',
-                    'lt', 'le', 'gt', 'ge', 'eq', 'ne', 'where'})
+
+
+def _neighbours(b: Any, node: Any) -> Any:
+    shape = b.shape(node.inputs[0])
+    numbers = np.arange(int(np.prod(shape))).reshape(shape)
+    return b.sub(node.inputs[0], b.take(node.inputs[0], np.roll(numbers, 1, node.options)))
+
+
+# Functions with kinks or jumps: nodes that change their signs there.
+SWITCHES: dict[str, Callable[[Any, Any], Any]] = {
+    **dict.fromkeys(('abs', 'sign', 'relu'), lambda b, node: node.inputs[0]),
+    **dict.fromkeys(('maximum', 'minimum', 'lt', 'le', 'gt', 'ge', 'eq', 'ne'),
+                    lambda b, node: b.sub(*node.inputs)),
+    **dict.fromkeys(('floor', 'ceil', 'rint'), lambda b, node: b.unary('sin', b.mul(
+        node.inputs[0], b.full(node.inputs[0], 2.0 * np.pi)))), 'amax': _neighbours}

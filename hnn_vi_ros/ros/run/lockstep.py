@@ -26,6 +26,8 @@ class Lockstep:
         Stamp of the sample whose answer is awaited [ns]; None while the run goes on.
     since : float
         Wall time at which the wait began [s].
+    repeated : int or None
+        Stamp of the last sample that was published again, and may be answered again [ns].
 
     Raises
     ------
@@ -45,6 +47,7 @@ class Lockstep:
         self.timeout = settings.lockstep_timeout
         self.holds = settings.on_lockstep_timeout == 'hold'
         self.awaited: int | None = None
+        self.repeated: int | None = None
         self.since = 0.0
 
     def wait(self, step: int, stamp: int, now: float) -> None:
@@ -52,13 +55,18 @@ class Lockstep:
         if step % self._interval == 0:
             self.awaited, self.since = stamp, now
 
-    def check(self, stamp: int) -> None:
-        """Raise ValueError unless a command with this stamp [ns] is the awaited answer."""
-        if stamp != self.awaited:
+    def takes(self, stamp: int) -> bool:
+        """
+        Return whether a command with this stamp [ns] is the awaited answer.
+
+        Another answer to a repeated sample is ignored; any other stamp raises ValueError.
+        """
+        if stamp not in (self.awaited, self.repeated):
             wanted = 'none is awaited' if self.awaited is None else (
                 f'that of {self.awaited / 1e9:.9g} s is awaited')
             raise ValueError(f'lockstep: answers the state of {stamp / 1e9:.9g} s, but {wanted}; '
                              'stamp each command with the stamp of the state that it answers')
+        return stamp == self.awaited
 
     def release(self) -> None:
         """Let the run go on."""

@@ -202,6 +202,7 @@ class Run:
         if lockstep is None or lockstep.awaited is None:
             return
         self._topics.publish_again()
+        lockstep.repeated = lockstep.awaited
         if not going:
             lockstep.since = now
         elif now - lockstep.since > lockstep.timeout:
@@ -214,10 +215,9 @@ class Run:
             lockstep.release()
             self.on_answer()
 
-    def _take_answer(self, stamp: int) -> Callable[[], None]:
+    def _take_answer(self, stamp: int) -> Callable[[], None] | None:
         assert self.lockstep is not None, 'only then are stamps checked'
-        self.lockstep.check(stamp)
-        return self._go_on
+        return self._go_on if self.lockstep.takes(stamp) else None
 
     def _go_on(self) -> None:
         assert self.lockstep is not None, 'only then are answers awaited'

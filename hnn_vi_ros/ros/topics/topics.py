@@ -68,7 +68,7 @@ class Topics:
     def open(self, material: Material, stamp: Callable[[], int],  # noqa: A003
              record: Callable[[Topic, int, bytes], None],
              join: Callable[[JointState], JointState | None] | None = None,
-             answer: Callable[[int], Callable[[], None]] | None = None) -> None:
+             answer: Callable[[int], Callable[[], None] | None] | None = None) -> None:
         """
         Create the topics that depend on the scene: odometry, markers, robot, commands and others.
 
@@ -84,7 +84,7 @@ class Topics:
             Returns the observation that a message of the machine completes, or None.
         answer : callable, optional
             In lockstep: checks the stamp of a joint command [ns], and returns a function to call
-            once the command is accepted.
+            once the command is accepted, or None to ignore it.
 
         """
         simulation = material.simulation
@@ -213,8 +213,11 @@ class Topics:
                 return
         stamp = self._stamp()
         assert one.read is not None, 'it holds commands'
-        accepted = self._answer(nanoseconds(message.header.stamp)) if (
-            self._answer is not None and one.topic == JOINT_COMMANDS.topic) else None
+        accepted = None
+        if self._answer is not None and one.topic == JOINT_COMMANDS.topic:
+            accepted = self._answer(nanoseconds(message.header.stamp))
+            if accepted is None:
+                return
         self._material.simulation.set_command(one.read(message, stamp))
         # Serialised again, because the sender's padding bytes differ from run to run.
         self._record(self._described[one.topic], stamp, serialize(message))

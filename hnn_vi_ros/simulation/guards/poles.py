@@ -16,9 +16,13 @@ _MIN_RATIO = 4.0
 _MAX_SEARCHES = 2
 # Number of points between two samples, even to avoid the midpoint, and of refinements: down to
 # 1e-7 of the distance. There H'' has grown by 1e7 at a pole of first order, as has the gradient
-# at a logarithm. Thresholds of growth: of H'', of H', and of H'' in each round.
-_POINTS, _ROUNDS = 16, 8
+# at a logarithm. Thresholds of growth: of H'', of H', and of H'' in each round; the last
+# rounds show that the line does not only come near to a pole.
+_POINTS, _ROUNDS, _LAST_ROUNDS = 16, 8, 3
 _MIN_POLE_GROWTH, _MIN_FLOW_GROWTH, _MIN_ROUND_GROWTH = 1e6, 1e3, 2.0
+# Lines beside a pole, relative to the distance of the samples: their offset in each coordinate,
+# the least offset relative to the largest, and half of their length.
+_OFFSET, _LEAST_OFFSET, _REACH = 1e-3, 1e-2, 8e-3
 
 
 @kept(error_model='numpy')
@@ -40,7 +44,8 @@ class PoleGuard(BlockGuard):
 
     Between samples at which rows of H'' are large, the maximum of these rows is searched on the
     straight line from one sample to the next. They and H' grow without bound at a pole; H' does
-    not if the factor of the pole is zero, for example a zero angular momentum.
+    not if the factor of the pole is zero, for example a zero angular momentum. A pole that lines
+    beside it miss, such as the center of an orbit, does not separate the samples.
 
     Parameters
     ----------
@@ -93,8 +98,19 @@ class PoleGuard(BlockGuard):
         return np.abs(products).max(axis=1)
 
     def _crossed(self, start: np.ndarray, end: np.ndarray) -> bool:
-        """Return whether there is a pole between two states, shape (2 d,)."""
-        low, high, d = 0.0, 1.0, start.size // 2
+        """Return whether a surface of poles is between two states, shape (2 d,)."""
+        pole, way = self._pole(start, end), end - start
+        if pole is None:
+            return False
+        widths = np.abs(way[:way.size // 2])
+        offsets = np.diag(_OFFSET * np.maximum(widths, _LEAST_OFFSET * widths.max()))
+        beside = pole + np.hstack([offsets, np.zeros_like(offsets)])
+        return all(self._pole(one - _REACH * way, one + _REACH * way) is not None
+                   for one in beside)
+
+    def _pole(self, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+        """Return a pole on the line from one state to another, shape (2 d,), None without one."""
+        low, high, d, peaks = 0.0, 1.0, start.size // 2, list[float]()
 
         def slopes(z: np.ndarray) -> np.ndarray:
             with np.errstate(all='ignore'):
@@ -105,14 +121,18 @@ class PoleGuard(BlockGuard):
         for _ in range(_ROUNDS):
             places = np.linspace(low, high, _POINTS)
             z = start + places[:, None] * (end - start)
-            sizes = self._sizes(z)
-            k = int(np.nan_to_num(sizes, nan=math.inf).argmax())
+            sizes = np.nan_to_num(self._sizes(z), nan=math.inf)
+            k = int(sizes.argmax())
             # A pole shows at the first points: one is within 1 / 30 of the distance from it.
             if sizes[k] < _MIN_ROUND_GROWTH * steepest:
-                return False
+                return None
+            peaks.append(sizes[k])
             low, high = places[max(k - 1, 0)], places[min(k + 1, _POINTS - 1)]
+        before = peaks[-1 - _LAST_ROUNDS]
         grown = (slopes(z[k:k + 1])[0] > _MIN_FLOW_GROWTH * fastest) & (fastest > 0.0)
-        return bool(sizes[k] > _MIN_POLE_GROWTH * steepest and grown.any())
+        found = (peaks[-1] > _MIN_POLE_GROWTH * steepest and grown.any() and not (
+            peaks[-1] < _MIN_ROUND_GROWTH**_LAST_ROUNDS * before < math.inf))
+        return z[k] if found else None
 
     def _alarm(self, step: int) -> Alarm:
         return Alarm(self.kind, step, 1, 0,

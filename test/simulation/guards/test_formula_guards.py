@@ -146,3 +146,10 @@ def test_search_waits_for_no_second_derivatives_that_are_being_compiled():
     simulation = simulation_of(PENDULUM, 'q', 'gauss4', 0.05, [3.0], [0.0])
     search = SaddleSearch(simulation.hamiltonian, lambda: False)
     assert not [*search.take(block_of(simulation, 1000))]
+
+
+@pytest.mark.parametrize('every', [1, 20, 400])
+def test_orbit_that_is_resolved_crosses_no_pole_however_few_its_samples(every):
+    simulation = Simulation(HAMILTONIANS['kepler'](), INTEGRATORS['gauss8'](), 0.005, [0.1, 0.0],
+                            [0.0, 19.0**0.5])
+    assert 'pole crossed' not in kinds(simulation, 4000, every)
