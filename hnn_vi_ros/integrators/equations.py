@@ -105,13 +105,14 @@ class HalfwayWork(NamedTuple):
 
 
 class _EulerEquation(NamedTuple):
-    """x = base + factor H_x(...), and two arrays of shape (n,) for products with H''."""
+    """x = base + factor H_x(...), and arrays of shape (n,): held, and for products with H''."""
 
     kernel: Kernel
     factor: float
     known: Known
     sought: Sought
     base: np.ndarray
+    held: np.ndarray
     product_q: np.ndarray
     product_p: np.ndarray
 
@@ -145,8 +146,8 @@ def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought,
 
     """
     return _solve(_momentum_equation, _momentum_tangent, _EulerEquation(
-        kernel, -h, known, sought, known.base, work.product_q, work.product_p), sought.dH_dq, 0,
-        work, options)
+        kernel, -h, known, sought, known.base, work.solver.iterates.held, work.product_q,
+        work.product_p), sought.dH_dq, 0, work, options)
 
 
 @inlined
@@ -172,8 +173,8 @@ def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought,
 
     """
     return _solve(_coordinate_equation, _coordinate_tangent, _EulerEquation(
-        kernel, h, known, sought, known.base, work.product_q, work.product_p), sought.dH_dp, 1,
-        work, options)
+        kernel, h, known, sought, known.base, work.solver.iterates.held, work.product_q,
+        work.product_p), sought.dH_dp, 1, work, options)
 
 
 @inlined
@@ -185,13 +186,14 @@ def _solve(equation: Callable[..., None], tangent: Callable[..., None], problem:
     iterates, matrix = work.solver.iterates, work.solver.newton.matrix
     for i in range(x.size):
         x[i] = base[i] + problem.factor * known.slope[i]
+        problem.held[i] = known.held[i]
     set_scale(iterates.scale, iterates.own_scale, base, known.slope, problem.factor, kernel, which)
     if options.extrapolate:
         extrapolate(work.kept, base, x)
     outcome, residual, gradients = options.solve(
         equation, tangent, problem, x, work.solver, options.max_iterations)
     if outcome == OK and is_in_doubt(
-            options, iterates.slow_start, matrix, gradients, kernel.dimension):
+            options, iterates.first, matrix, gradients, kernel.dimension):
         return IN_DOUBT, residual, gradients
     if outcome == OK:
         remember(work.kept, base, x)
@@ -243,7 +245,7 @@ def set_scale(scale: np.ndarray, own_scale: np.ndarray, base: np.ndarray, slope:
 
 @inlined
 def _momentum_equation(problem: _EulerEquation, x: np.ndarray, value: np.ndarray) -> None:
-    problem.kernel.gradient(problem.kernel.parameters, problem.known.held, x,
+    problem.kernel.gradient(problem.kernel.parameters, problem.held, x,
                             problem.sought.dH_dq, problem.sought.dH_dp)
     for i in range(x.size):
         value[i] = plus(problem.base[i], problem.known.carry[i],
@@ -257,14 +259,14 @@ def _momentum_tangent(problem: _EulerEquation, x: np.ndarray, v: np.ndarray, pro
     zero, rest = problem.product_q, problem.product_p
     for i in range(x.size):
         zero[i] = 0.0
-    kernel.hessian_vector(kernel.parameters, problem.known.held, x, zero, v, product, rest)
+    kernel.hessian_vector(kernel.parameters, problem.held, x, zero, v, product, rest)
     for i in range(x.size):
         product[i] *= problem.factor
 
 
 @inlined
 def _coordinate_equation(problem: _EulerEquation, x: np.ndarray, value: np.ndarray) -> None:
-    problem.kernel.gradient(problem.kernel.parameters, x, problem.known.held,
+    problem.kernel.gradient(problem.kernel.parameters, x, problem.held,
                             problem.sought.dH_dq, problem.sought.dH_dp)
     for i in range(x.size):
         value[i] = plus(problem.base[i], problem.known.carry[i],
@@ -278,6 +280,6 @@ def _coordinate_tangent(problem: _EulerEquation, x: np.ndarray, v: np.ndarray, p
     zero, rest = problem.product_q, problem.product_p
     for i in range(x.size):
         zero[i] = 0.0
-    kernel.hessian_vector(kernel.parameters, x, problem.known.held, v, zero, rest, product)
+    kernel.hessian_vector(kernel.parameters, x, problem.held, v, zero, rest, product)
     for i in range(x.size):
         product[i] *= problem.factor

@@ -13,7 +13,7 @@ from hnn_vi_ros.integrators.base import (
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import (
-    anderson, assess, BACK, COMMON, GO_ON, is_hopeless, SolverOptions)
+    anderson, assess, BACK, COMMON, GO_ON, is_hopeless, rescaled, SolverOptions, stalls)
 from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
 from hnn_vi_ros.kernels import inlined, invert, Kernel
 import numpy as np
@@ -144,7 +144,7 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
     iterates = work.iterates
     sizes = iterates.scale, iterates.own_scale, iterates.accepted
     value, defect = iterates.values[0], iterates.residuals[0]
-    before, previous, residual, stage = math.inf, math.inf, math.inf, COMMON
+    before, previous, residual, stage, more = math.inf, math.inf, math.inf, COMMON, 1
     inverted, direct = False, problem.work.direct
     for k in range(1, max_iterations + 1):
         settled = stage == COMMON and before < math.inf and previous * previous <= _EPS * before
@@ -152,9 +152,12 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
                                           0.0 if settled else previous, stage, k == max_iterations)
         # J counts as one evaluation.
         if outcome != GO_ON:
-            return outcome, residual, k + 1
+            return outcome, residual, k + more
+        if stalls(k, more - 1, stage, residual, previous):
+            residual, more = rescaled(
+                equation, problem, x, work, sizes[0], value, defect), more + 1
         if stage == COMMON and is_hopeless(k, residual, previous):
-            return NO_CONVERGENCE, residual, k + 1
+            return NO_CONVERGENCE, residual, k + more
         before, previous = previous, residual
         if k == max_iterations:
             break
@@ -167,10 +170,10 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
             copy_array(value, x)
             continue
         if not inverted and not _invert(problem, x, work.newton):
-            return NO_CONVERGENCE, residual, k + 1
+            return NO_CONVERGENCE, residual, k + more
         inverted = True
         _correct(problem, value, x)
-    return NO_CONVERGENCE, residual, max_iterations + 1
+    return NO_CONVERGENCE, residual, max_iterations + more
 
 
 @inlined

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NO_SOLUTION
-from hnn_vi_ros.integrators.solvers import assess, BACK, COMMON, GO_ON, OWN
+from hnn_vi_ros.integrators.solvers import assess, BACK, COMMON, GO_ON, OWN, raise_scales
 from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
 from hnn_vi_ros.kernels import called, factorise_rows, inlined, solve_factorised, solve_linear
 import numpy as np
@@ -86,23 +86,6 @@ def fill_matrix(tangent: Callable, problem: NamedTuple, x: np.ndarray, share: fl
         for i in range(x.size):
             work.matrix[i, j] = unit[i] - share * column[i]
             known[i] += abs(column[i] * x[j])
-
-
-@inlined
-def raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) -> None:
-    """Raise each own scale to the accuracy of the equation, and shared scales to the largest."""
-    for i in range(scale.size):
-        own_scale[i] = max(own_scale[i], known[i])
-    first = 0
-    for i in range(1, scale.size + 1):
-        # Unknowns of one kind and trajectory are adjacent, and share a scale.
-        if i == scale.size or scale[i] != scale[first]:
-            size = scale[first]
-            for j in range(first, i):
-                size = max(size, own_scale[j])
-            for j in range(first, i):
-                scale[j] = size
-            first = i
 
 
 @cache

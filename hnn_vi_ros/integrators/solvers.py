@@ -14,8 +14,9 @@ An iterate is accepted when the residual G(x) - x, relative to the largest unkno
 at most eps, or no longer decreases at no more than max(8, N) eps. A much smaller unknown may then
 still have few correct digits: iteration continues while the residual relative to each unknown's
 own scale is above max(8, N) eps and at least halves. It need not reach that if terms of large
-unknowns cancel. The last evaluation of G is at the returned x, so that the values that it left in
-``problem`` belong to x.
+unknowns cancel. If iterations stall because terms of G cancel, as the forces on a machine at rest,
+the scales are raised to these terms. The last evaluation of G is at the returned x, so that the
+values that it left in ``problem`` belong to x.
 """
 
 from collections.abc import Callable
@@ -26,7 +27,7 @@ from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NOT_FINITE, OK
 from hnn_vi_ros.integrators.workspaces import (
     AndersonWork, DEPTH, FAST_MATRIX, History, Iterates, SolverWork)
-from hnn_vi_ros.kernels import inlined
+from hnn_vi_ros.kernels import called, inlined
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -35,6 +36,8 @@ _EPS = float(np.finfo(np.float64).eps)
 QUICK = 5
 # Residuals that are larger than rounding errors.
 _NOISE = 1e-11
+# Relative change of the variables that shows the size of the terms of G.
+_STRETCH = 2.0**-20
 GO_ON = -1
 # Stages of a solver: the residual is relative to the scale of the largest unknown (COMMON), then
 # to that of each (OWN); or the solver returns to an accepted iterate (BACK).
@@ -71,17 +74,20 @@ def fixed_point(equation: Callable, tangent: Callable, problem: NamedTuple, x: n
     """Iterate x = G(x), as the paper does; see the module."""
     iterates = work.iterates
     sizes = iterates.scale, iterates.own_scale, iterates.accepted
-    previous, residual, stage = math.inf, math.inf, COMMON
+    previous, residual, stage, more = math.inf, math.inf, COMMON, 0
     value, defect = iterates.values[0], iterates.residuals[0]
     for k in range(1, max_iterations + 1):
         outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
                                           stage, k == max_iterations)
         if outcome != GO_ON:
-            return outcome, residual, k
+            return outcome, residual, k + more
+        if stalls(k, more, stage, residual, previous):
+            residual, more = rescaled(
+                equation, problem, x, work, sizes[0], value, defect), more + 1
         previous = residual
         if k < max_iterations:
             copy_array(value, x)
-    return NO_CONVERGENCE, residual, max_iterations
+    return NO_CONVERGENCE, residual, max_iterations + more
 
 
 @inlined
@@ -91,18 +97,25 @@ def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     # The rounding of one unknown does not enter the equation of another.
     iterates = work.iterates
     sizes = iterates.own_scale, iterates.own_scale, iterates.accepted
-    previous, residual, stage = math.inf, math.inf, COMMON
+    previous, residual, stage, more = math.inf, math.inf, COMMON, 0
     value, defect = iterates.values[0], iterates.residuals[0]
     old_value, old_defect = iterates.values[1], iterates.residuals[1]
     for k in range(1, max_iterations + 1):
         outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
                                           stage, k == max_iterations)
         if outcome != GO_ON:
-            return outcome, residual, k
+            return outcome, residual, k + more
+        if stalls(k, more, stage, residual, previous):
+            before = residual
+            residual, more = rescaled(
+                equation, problem, x, work, sizes[0], value, defect), more + 1
+            if residual != before:
+                # Residuals with a different scale must not be combined with these.
+                copy_array(defect, old_defect)
         if stage == COMMON and is_hopeless(k, residual, previous):
-            return NO_CONVERGENCE, residual, k
-        if k == 2:
-            iterates.slow_start[0] = residual > 0.5 * previous > _NOISE
+            return NO_CONVERGENCE, residual, k + more
+        if k <= 2:
+            iterates.first[k - 1] = residual
         previous = residual
         if k == max_iterations:
             break
@@ -112,7 +125,7 @@ def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
             if k > 1 and change != 0.0:
                 x[i] -= defect[i] / change * (value[i] - old_value[i])
             old_value[i], old_defect[i] = value[i], defect[i]
-    return NO_CONVERGENCE, residual, max_iterations
+    return NO_CONVERGENCE, residual, max_iterations + more
 
 
 @inlined
@@ -131,29 +144,34 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
     """
     iterates = work.iterates
     sizes = iterates.scale, iterates.own_scale, iterates.accepted
-    previous, residual, stage = math.inf, math.inf, COMMON
+    previous, residual, stage, more = math.inf, math.inf, COMMON, 0
     rows, origin, old_stage = DEPTH + 1, 1, COMMON
     for k in range(1, max_iterations + 1):
         value, defect = iterates.values[k % rows], iterates.residuals[k % rows]
         outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
                                           stage, k == max_iterations)
         if outcome != GO_ON:
-            return outcome, residual, k
+            return outcome, residual, k + more
+        if stalls(k, more, stage, residual, previous):
+            before = residual
+            residual, more = rescaled(
+                equation, problem, x, work, sizes[0], value, defect), more + 1
+            origin = k if residual != before else origin
         if stage == COMMON and is_hopeless(k, residual, previous):
-            return NO_CONVERGENCE, residual, k
-        if k == 2:
-            iterates.slow_start[0] = residual > 0.5 * previous > _NOISE
+            return NO_CONVERGENCE, residual, k + more
+        if k <= 2:
+            iterates.first[k - 1] = residual
         previous = residual
         if stage != old_stage:
             # Residuals with a different scale must not be combined with these.
             origin, old_stage = k, stage
         if k < max_iterations:
             _accelerate(work, k, value, defect, k - origin, x)
-    return NO_CONVERGENCE, residual, max_iterations
+    return NO_CONVERGENCE, residual, max_iterations + more
 
 
 @inlined
-def is_in_doubt(options: SolverOptions, slow_start: np.ndarray, matrix: np.ndarray,
+def is_in_doubt(options: SolverOptions, first: np.ndarray, matrix: np.ndarray,
                 iterations: int, d: int) -> bool:
     """
     Return True if a solution of d coupled unknowns may not be the one connected to h = 0.
@@ -163,9 +181,9 @@ def is_in_doubt(options: SolverOptions, slow_start: np.ndarray, matrix: np.ndarr
     iteration does not halve the residual.
     """
     # Conditions on scalars come first, since reading arrays costs more.
-    if not options.connected or iterations < 3:
+    if not options.connected or iterations < 3 or first[0] <= _NOISE:
         return False
-    if iterations <= QUICK + min(d - 1, DEPTH) and slow_start[0] == 0:
+    if iterations <= QUICK + min(d - 1, DEPTH) and not first[1] > 0.5 * first[0]:
         return False
     return 0 < matrix.shape[0] <= FAST_MATRIX
 
@@ -241,6 +259,58 @@ def assess(equation: Callable, problem: NamedTuple, x: np.ndarray,
     for i in range(x.size):
         accepted[i] = x[i]
     return GO_ON, own, OWN
+
+
+@inlined
+def stalls(k: int, known: int, stage: int, residual: float, previous: float) -> bool:
+    """Return True if iteration k does not halve the residual; after some known stalls, later."""
+    return stage == COMMON and k > 2 << known and residual > 0.5 * previous
+
+
+@called
+def rescaled(equation: Callable, problem: NamedTuple, x: np.ndarray, work: SolverWork,
+             scale: np.ndarray, value: np.ndarray, defect: np.ndarray) -> float:
+    """
+    Raise the scales to the terms of G if the residual is rounding of these; return it.
+
+    The terms are measured by stretching all variables, including those held in the equation.
+    """
+    iterates, own, at_rounding = work.iterates, work.newton, True
+    known, held = own.known, iterates.held
+    for i in range(x.size):
+        own.solved[i], own.product[i] = x[i], held[i]
+        x[i], held[i] = x[i] * (1.0 + _STRETCH), held[i] * (1.0 + _STRETCH)
+    equation(problem, x, known)
+    for i in range(x.size):
+        x[i], held[i] = own.solved[i], own.product[i]
+        known[i] = abs(known[i] - value[i]) / _STRETCH
+        if not abs(value[i] - x[i]) <= _NOISE * max(scale[i], known[i]):
+            at_rounding = False
+    if at_rounding:
+        before = _residual(value, x, scale, defect)
+        raise_scales(iterates.scale, iterates.own_scale, known)
+        after = _residual(value, x, scale, defect)
+        iterates.first[0] *= after / before
+        iterates.first[1] *= after / before
+        return after
+    return _residual(value, x, scale, defect)
+
+
+@inlined
+def raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) -> None:
+    """Raise each own scale to the accuracy of the equation, and shared scales to the largest."""
+    for i in range(scale.size):
+        own_scale[i] = max(own_scale[i], known[i])
+    first = 0
+    for i in range(1, scale.size + 1):
+        # Unknowns of one kind and trajectory are adjacent, and share a scale.
+        if i == scale.size or scale[i] != scale[first]:
+            size = scale[first]
+            for j in range(first, i):
+                size = max(size, own_scale[j])
+            for j in range(first, i):
+                scale[j] = size
+            first = i
 
 
 @inlined

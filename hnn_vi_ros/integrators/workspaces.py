@@ -111,8 +111,10 @@ class Iterates(NamedTuple):
         Scales of relative residuals: of the largest unknown of a kind, and of each unknown.
     accepted : np.ndarray, shape (N,)
         The last accepted iterate.
-    slow_start : np.ndarray, shape (1,)
-        1 if the first iteration of the last solve did not halve its residual, else 0.
+    held : np.ndarray, shape (N,)
+        The variables that the equation holds constant, if it has any.
+    first : np.ndarray, shape (2,)
+        The residuals of the first two iterates of the last solve.
     values, residuals : np.ndarray, shape (4, N)
         The last evaluations of the fixed-point map and their relative residuals; Newton's method
         uses only the first row.
@@ -125,7 +127,8 @@ class Iterates(NamedTuple):
     scale: np.ndarray
     own_scale: np.ndarray
     accepted: np.ndarray
-    slow_start: np.ndarray
+    held: np.ndarray
+    first: np.ndarray
     values: np.ndarray
     residuals: np.ndarray
     layout: np.ndarray
@@ -215,7 +218,7 @@ class SolverWork(NamedTuple):
         m = KRYLOV_DIMENSION if n > min(FAST_MATRIX, largest_matrix) else 0
         rows = (m + 1, n) if m else (0, 0)
         return cls(
-            Iterates(zeros(n), zeros(n), zeros(n), np.zeros(1, dtype=np.int64),
+            Iterates(zeros(n), zeros(n), zeros(n), zeros(n), np.zeros(2),
                      zeros(DEPTH + 1, n), zeros(DEPTH + 1, n), np.full(2, n, dtype=np.int64)),
             AndersonWork(zeros(DEPTH, n), zeros(DEPTH, DEPTH + 1)),
             NewtonWork(zeros(n), zeros(n), zeros(side, side), np.zeros(side, dtype=np.int64),

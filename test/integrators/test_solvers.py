@@ -138,7 +138,7 @@ def test_memory_grows_as_the_number_of_unknowns_where_no_jacobian_fits():
     for n in (513, 1024, 4096):
         sizes = [array.size for group in SolverWork.empty(n) for array in group]
         assert max(sizes) == 31 * n
-        assert sum(sizes) <= (31 + 3 + 3 + 2 * 4 + 5) * n + 2000
+        assert sum(sizes) <= (31 + 4 + 3 + 2 * 4 + 5) * n + 2000
 
 
 class Chain:

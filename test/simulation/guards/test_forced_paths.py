@@ -82,3 +82,16 @@ def test_trials_leave_no_trace_in_the_run():
     scene = scene_of('paper', 'variational_euler', 0.02)
     simulation = build(scene)
     assert np.array_equal(simulate(scene, 20.0).q[1:], simulation.record(1000, 1)[0])
+
+
+@pytest.mark.parametrize('method', ['gauss4', 'generalized_leapfrog', 'implicit_midpoint'])
+def test_machine_that_a_servo_holds_at_rest_costs_few_gradients(method):
+    # The terms of its force, 1250 N m, cancel but for gravity and rounding.
+    held = {**SERVO, 'stiffness': 2500.0, 'damping': 100.0}
+    scene = Scene.build(hamiltonian=PENDULUM, integrator=method, step_size=0.002,
+                        initial_state=([0.0], [0.0]), effects=[held])
+    assert simulate(scene, 6.0).alarms == ()
+    live = build(scene)
+    live.advance(3000)
+    # Alarmed from 100.
+    assert live.rescued == 0 and live.costliest[0] < 50
