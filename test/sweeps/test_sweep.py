@@ -389,8 +389,9 @@ def test_sweep_whose_worker_is_killed_is_completed(deadly, tmp_path, monkeypatch
 
 @pytest.mark.parametrize('jobs', [1, pytest.param(2, marks=pytest.mark.long)])
 def test_first_interrupt_ends_a_sweep_whose_reduction_hangs(tmp_path, jobs):
-    # With several processes in C, where nothing else of Python runs.
-    hang = 'time.sleep(1e6)' if jobs == 1 else 'ctypes.PyDLL(None).pause()'
+    # With several processes in C, where nothing else of Python runs. One long sleep would miss an
+    # interrupt that comes just before its system call.
+    hang = 'while True: time.sleep(0.05)' if jobs == 1 else 'ctypes.PyDLL(None).pause()'
     path = reducing(
         tmp_path, 'hangs_in_sweeps',
         f'pathlib.Path(__file__).with_name(f"pid{{os.getpid()}}").touch()\n{hang}', ['mean'],
