@@ -207,7 +207,7 @@ def watch_of_cost(simulation: Simulation) -> Watch:
     return Watch(simulation, None, kinds=(CostGuard,))
 
 
-@pytest.mark.parametrize('h, kinds', [(0.4, []), (1.5, ['slow step'])])
+@pytest.mark.parametrize('h, kinds', [(0.4, []), (5.0, ['slow step'])])
 def test_slow_steps_of_generalized_leapfrog_beyond_its_limit_are_an_alarm(h: float, kinds: list):
     simulation = tao(h)
     watch = watch_of_cost(simulation)
@@ -217,9 +217,9 @@ def test_slow_steps_of_generalized_leapfrog_beyond_its_limit_are_an_alarm(h: flo
     assert [alarm.kind for alarm in watch.alarms] == kinds
     # Two equations, ten gradients each as a rule.
     assert simulation.usual_gradients == 20
-    assert (simulation.costliest[0] > 5 * 20) == bool(kinds)
+    assert (simulation.costliest[0] > 10 * 20) == bool(kinds)
     for alarm in watch.alarms:
-        assert alarm.limit == 5 * 20 < alarm.value <= simulation.costliest[0]
+        assert alarm.limit == 10 * 20 < alarm.value <= simulation.costliest[0]
         assert 'use a smaller step_size or another integrator' in alarm.message
 
 
@@ -247,8 +247,8 @@ def test_costliest_step_is_the_same_however_steps_are_asked_for():
 
 
 def test_slow_step_that_no_rescue_took_is_an_alarm():
-    """At q = 1 the plain fixed point contracts by some 0.8 a round: a hundred rounds."""
-    simulation = tao(0.4, 1.0, -1.0, solver='fixed_point', max_iterations=1000)
+    """At q = 1.02 the plain fixed point contracts by some 0.9 a round: two hundred rounds."""
+    simulation = tao(0.4, 1.02, -1.0, solver='fixed_point', max_iterations=1000)
     watch = watch_of_cost(simulation)
     simulation.advance(1)
     watch.update(look(simulation))

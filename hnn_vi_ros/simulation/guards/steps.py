@@ -9,15 +9,15 @@ from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 # Limit of the gradients of a step, as a multiple of the usual maximum.
-_MAX_GRADIENT_RATIO = 5
+_MAX_GRADIENT_RATIO = 10
 
 
 class CostGuard(LimitGuard):
     """
-    Cost of steps: at most five times the usual maximum of gradients of the method.
+    Cost of steps: at most ten times the usual maximum of gradients of the method.
 
-    More are needed if the method's own solver finds no solution of the equations of a step, and
-    Newton's method or sub-steps take over. Gradients are counted instead of time, so that the
+    Newton's method, which takes over from the method's own solver in steps of a radian and more,
+    stays below. More are needed if it finds no solution either, and sub-steps take over. Gradients are counted instead of time, so that the
     same run raises the same alarm on every machine. For trajectories that step together, the
     limit is the sum of the limits of the single trajectories.
 
