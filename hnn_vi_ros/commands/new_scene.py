@@ -11,20 +11,24 @@ from pathlib import Path
 import re
 import sys
 
-from hnn_vi_ros.errors import ModelError, SceneError
+from hnn_vi_ros.errors import ModelError, SceneError, StepFailure
 from hnn_vi_ros.files import (
     dump_yaml, one_line, package_file, Parser, SCHEME, share_folder, write_new_scene)
 from hnn_vi_ros.hamiltonians import (
     Formula, Graph, Joint, MOST_JOINTS, read_urdf, Reader, RigidBodyTree, Robot, SLIDING,
     TIME_DEPENDENT, TIMES)
-from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from scipy.optimize import minimize
 
 # Number of steps per shortest period of small oscillations about equilibrium; and maximum share of
 # a velocity that friction removes in a step.
 _STEPS_PER_PERIOD, _MAX_FRICTION_SHARE = 100, 0.5
+# Shortest time in which damping stops a joint [s]: real gears with more of it have rotors, too.
+_MIN_DAMPING_TIME = 1e-3
 _MAX_STEP_SIZE, _MIN_STEP_SIZE = 0.01, 1e-5
+# Largest change of the first second by half the step, relative to the motion; and trials for that.
+_MAX_CHANGE, _MAX_TRIALS = 0.01, 4
 # Speed of dry friction, the default of the effect, unless the step size needs a larger one.
 _DRY_FRICTION_SPEED = 0.01
 
@@ -80,8 +84,42 @@ def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
         if content:
             print(f'{title}: {content}', file=sys.stderr)
     name = file if file.startswith(SCHEME) else os.path.relpath(urdf, out.parent)
-    write_new_scene(out, scene_text(name, out, tree, locked, rotors, rest), force)
+    text = scene_text(name, out, tree, locked, rotors, rest)
+    write_new_scene(out, text, force)
+    scene = load_scene(out)
+    step_size = resolving_step(scene)
+    if step_size != scene.step_size:
+        write_new_scene(out, text.replace(f'\nstep_size: {scene.step_size:g} ',
+                                          f'\nstep_size: {step_size:g} '), True)
     return out
+
+
+def resolving_step(scene: Scene) -> float:
+    """
+    Return a step size that resolves the first second of a scene [s]: half of it changes little.
+
+    If no trial does, as after many impacts, return the smallest one, and print why.
+    """
+    # Imported lazily: other new scenes need no compiled code.
+    from hnn_vi_ros.simulation import build
+    step_size, coarse, left = scene.step_size, None, ''
+    for _ in range(_MAX_TRIALS):
+        simulation = build(scene.model_copy(update={'step_size': step_size}))
+        try:
+            q, _ = simulation.record(20, round(0.05 / step_size))
+        except StepFailure as problem:
+            coarse, left = None, f'does not resolve the first second: {problem}'
+        else:
+            if coarse is not None:
+                change = np.abs(q - coarse).max() / (np.ptp(q, axis=0).max() or 1.0)
+                if change <= _MAX_CHANGE:
+                    return tried
+                left = (f'changes the first second by {100.0 * change:.2g} % against the next '
+                        'larger one, as after many impacts; reduce it for more')
+            coarse = q
+        tried, step_size = step_size, _round(0.5 * step_size, up=False)
+    print(f'step_size: {tried:g} s {left}', file=sys.stderr)
+    return tried
 
 
 def _find(file: str) -> Path:
@@ -178,14 +216,15 @@ def missing_rotors(tree: RigidBodyTree, rest: np.ndarray) -> dict[str, float]:
     """
     Return rotor inertias for joints with almost no inertia; real motors have some.
 
-    A joint with less than a thousandth of the largest inertia of its kind would make motions so
-    fast that they dictate the step size.
+    A joint with less than a thousandth of the largest inertia of its kind, or one that its damping
+    would stop within a millisecond, would make motions so fast that they dictate the step size.
     """
     inertia = rates(tree, rest)[1]
     kinds = np.array([joint.kind == SLIDING for joint in tree.joints])
-    largest = np.array([inertia[kinds == kind].max() for kind in kinds])
-    return {joint.name: _round(1e-3 * most, up=True) for joint, own, most in zip(
-        tree.joints, inertia, largest, strict=True) if own < 1e-3 * most}
+    least = [max(1e-3 * inertia[kinds == kind].max(), _MIN_DAMPING_TIME * joint.damping)
+             for kind, joint in zip(kinds, tree.joints, strict=True)]
+    return {joint.name: _round(need, up=True) for joint, own, need in zip(
+        tree.joints, inertia, least, strict=True) if own < need}
 
 
 def _range(tree: RigidBodyTree) -> tuple[np.ndarray, np.ndarray]:
@@ -287,7 +326,8 @@ def _rotors(rotors: dict[str, float], first: str) -> str:
     if not rotors:
         return f'\n  # rotor_inertia: {{{first}: 0.1}}'
     named = ', '.join(f'{_quoted(name)}: {value:g}' for name, value in rotors.items())
-    return ('\n  # Guessed for joints with almost no inertia: a thousandth of the largest.\n'
+    return ('\n  # Guessed for joints with almost no inertia: 1 / 1000 of the largest, or 1 ms of '
+            'damping.\n'
             f'  rotor_inertia: {{{named}}}')
 
 

@@ -3,8 +3,10 @@
 """The scene that is written for a robot: valid, in motion, and never over another file unasked."""
 
 from pathlib import Path
+import re
 import shutil
 
+from hnn_vi_ros.commands import new_scene as new_scene_module
 from hnn_vi_ros.commands.new_scene import fixed_joints, resting_state, write_scene
 from hnn_vi_ros.commands.scene_tool import main
 from hnn_vi_ros.errors import ModelError, SceneError
@@ -61,7 +63,7 @@ def test_robot_stays_where_it_is_said_to_rest(robot):
 def new_scene(folder: Path, robot: str) -> Path:
     """Write the scene of a robot, given as the text of its URDF; return its path."""
     (folder / 'robot.urdf').write_text(robot)
-    return write_scene(str(folder / 'robot.urdf'), folder / 'new.yaml')
+    return write_scene(str(folder / 'robot.urdf'), folder / 'new.yaml', force=True)
 
 
 def test_joint_that_moves_next_to_nothing_gets_a_rotor(tmp_path):
@@ -72,6 +74,34 @@ def test_joint_that_moves_next_to_nothing_gets_a_rotor(tmp_path):
     assert scene.hamiltonian.rotor_inertia == {'j2': pytest.approx(1e-3, rel=1.0)}
     # As above without rotors: two small motions, of which the faster one has 3.2 rad/s.
     assert scene.step_size == 0.01
+
+
+def test_damping_that_stops_a_joint_at_once_gets_a_rotor(tmp_path):
+    """As hands and grippers have it: 1 N m s/rad on a finger of 1e-4 kg m2."""
+    text = chain([1.0, 0.01], [1.0, 0.1]).replace(
+        '<child link="l2"/>', '<child link="l2"/><dynamics damping="1.0"/>')
+    scene = load_scene(new_scene(tmp_path, text))
+    # The time of damping is that of the rotor: 1 ms.
+    assert scene.hamiltonian.rotor_inertia == {'j2': 1e-3}
+    assert scene.step_size >= 0.5 * 1e-3
+
+
+def test_new_scene_has_a_step_size_that_resolves_its_first_second(tmp_path, monkeypatch, capsys):
+    """A light link between heavy ones whips: the small motions about equilibrium are slower."""
+    scene = load_scene(new_scene(tmp_path, chain([0.01, 1.0], [0.1, 1.0])))
+
+    def error(step_size: float) -> float:
+        """Return the change by an eighth of the step, relative to the motion."""
+        coarse, fine = (build(scene.model_copy(update={'step_size': step_size / k})).record(
+            20, k * round(0.05 / step_size))[0] for k in (1, 8))
+        return np.abs(coarse - fine).max() / np.ptp(fine, axis=0).max()
+    # Half the step changes it by 1 %, of which the sum of 1, 1/4, 1/16 ... is 4/3.
+    assert error(scene.step_size) < 4.0 / 3.0 * 0.01 < error(2.5 * scene.step_size)
+    assert capsys.readouterr().err == 'moves: j1, j2\n'
+    monkeypatch.setattr(new_scene_module, '_MAX_CHANGE', 1e-9)
+    new_scene(tmp_path, chain([1.0, 1.0], [1.0, 1.0]))
+    assert re.search(r'step_size: 0.001 s changes the first second by 0.00\d+ %',
+                     capsys.readouterr().err)
 
 
 def test_new_scene_names_joints_limits_and_tells_what_follows_another(tmp_path, capsys):
