@@ -128,6 +128,11 @@ def test_several_bags_are_joined_and_split_by_blocks_of_time(tmp_path):
     assert data.description.startswith('0, 1 (960 samples')
 
 
+def test_topic_without_a_slash_at_the_start_is_the_same(tmp_path):
+    path = write(tmp_path / 'a.mcap', joints(T, topic='joint_states'))
+    assert_oscillates(shifted(dataset([path], bag(mass=[MASS])), T[0]), TOLERANCE)
+
+
 def test_whole_name_of_a_topic_is_preferred_to_the_end_of_another(tmp_path):
     both = [*joints(T), *joints(T, topic='/b/joint_states', amplitude=2.0)]
     path = write(tmp_path / 'a.mcap', sorted(both, key=lambda message: message[2]))

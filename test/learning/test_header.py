@@ -96,6 +96,11 @@ SCENE = [Coordinate('angle', 'rad', 'N m s'), Coordinate('x', 'm', 'N s')]
     ('t,theta_deg', SCENE[:1], 'theta_deg', None, None), ('t,q,dq', SCENE[:1], 'q', 'dq', None),
     ('t,ch1', SCENE[:1], 'ch1', None, None), ('t,x,angle', SCENE, 'angle x', None, None),
     ('t,x_mm,angle,force', SCENE, 'angle x_mm', None, 'force'),
+    ('t,/joint_states/angle/position,/joint_states/base/position', SCENE[:1],
+     '/joint_states/angle/position', None, None),
+    ('t,/js/angle/effort,/js/x/position,/js/angle/velocity,/js/angle/position,/js/x/velocity',
+     SCENE, '/js/angle/position /js/x/position', '/js/angle/velocity /js/x/velocity',
+     '/js/angle/effort'),
     ('', SCENE[:1], 'column 2', None, None)])
 def test_columns_are_those_of_the_coordinates_of_a_scene(
         tmp_path, header, coordinates, q, v, tau):

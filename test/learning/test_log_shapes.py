@@ -70,6 +70,12 @@ READ: dict[str, Callable[[], tuple[str | bytes, np.ndarray]]] = {
     'microseconds': lambda: (rows(1e6 * T, Q, head='t [us],theta'), Q),
     'nanoseconds': lambda: (rows(1e9 * T, Q, head='stamp_ns,theta'), Q),
     'stamps since 1970': lambda: (rows(1.7e9 + T, Q, head='stamp,theta'), Q),
+    'seconds and nanoseconds of ROS': lambda: (
+        rows([f'{1692089273 + t // 1:.0f}' for t in T], [f'{1e9 * (t % 1.0):.0f}' for t in T], Q,
+             head='header.stamp.sec,header.stamp.nanosec,theta'), Q),
+    'nanoseconds beside words': lambda: (
+        rows([f'{1692089273 * 10**9 + round(1e9 * t)}' for t in T], ['joint1'] * len(T), Q,
+             head='time,name,theta'), Q),
     'stamps since 1970 in ms': lambda: (rows(1.7e12 + 1e3 * T, Q, head='stamp,theta'), Q),
     'semicolons and decimal commas': lambda: (rows(comma(T), comma(Q), mark=';',
                                                    head='t;theta'), Q),

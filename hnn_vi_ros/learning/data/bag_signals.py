@@ -102,7 +102,8 @@ class SignalReader:
         self._origin: int | None = None
         self._topics: dict[str, list[int]] = {}
         for number, channel in self.bag.channels.items():
-            self._topics.setdefault(channel.topic, []).append(number)
+            # Writers without ROS may omit the slash at the start.
+            self._topics.setdefault(f'/{channel.topic.lstrip("/")}', []).append(number)
         if not any(self.bag.messages()):
             raise DataError(f'{self.path}: contains no messages; record while something moves')
 

@@ -175,8 +175,11 @@ def column_of(name: str, known: Mapping[str, str]) -> Column:
     """Return the meaning of a column's name; `known` has the units of coordinates by name."""
     base, unit = split_unit(name)
     for coordinate, q_unit in known.items():
-        if base.lower() == coordinate.lower():
-            return Column(name, Q, coordinate, coordinate, _kind_of(q_unit), unit)
+        # Whole, or as a part of a path: /joint_states/elbow/velocity.
+        _, found, rest = f'/{base.lower()}/'.partition(f'/{coordinate.lower()}/')
+        if found:
+            role = column_of(rest, {}).role if rest else Q
+            return Column(name, role, coordinate, coordinate, _kind_of(q_unit), unit)
     words = [word.lower() for word in _WORD.findall(base.translate(_GREEK))]
     roles, key, letter, order = set[str](), list[str](), '', 0
     for word in words:

@@ -36,6 +36,8 @@ BLOCKS = 20
 # Names of columns without a header.
 COLUMN = 'column {}'
 
+# Nanoseconds of a stamp of ROS, such as header.stamp.nanosec.
+_NANOSECONDS = re.compile(r'(|.*[^a-z])(?:nanosec|nsec)s?', re.IGNORECASE)
 _DATE = re.compile(r'\d+[-/:.]\d+[-/:.]\d.*')
 _COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?")
@@ -338,8 +340,9 @@ def _read_rows(path: Path, data: LogFormat, layout: Layout) -> Table:
     # Stored as 8-byte numbers: lists of lists would take ten times the size of the log.
     numbers, lines, notes = array('d'), array('q'), list[str]()
     names = layout.names or [COLUMN.format(k + 1) for k in range(layout.width)]
-    reader = _Reader(path, names, data.used or names if data.columns is None else names,
-                     layout.delimiter, strict=bool(data.used))
+    stamps = _stamps(names)
+    reader = _Reader(path, names, [*(data.used or names), *stamps.values()], layout.delimiter,
+                     strict=bool(data.used))
     whole, last, before, decimals = _ends_with_line_break(path), None, MAX_BYTES, 0
     # The last row is read when it is known to be the last: it may be truncated.
     for number, line in text_lines(path, MAX_BYTES, layout.encoding):
@@ -362,8 +365,17 @@ def _read_rows(path: Path, data: LogFormat, layout: Layout) -> Table:
             lines.append(last[0])
         else:
             notes.append(f'line {last[0]}, the last one, is truncated')
-    return Table(np.array(numbers).reshape(len(lines), -1), np.array(lines),
-                 sha256_of(path, MAX_BYTES), names, notes)
+    table = np.array(numbers).reshape(len(lines), -1)
+    for whole_seconds, parts in stamps.items():
+        table[:, names.index(whole_seconds)] += 1e-9 * table[:, names.index(parts)]
+    return Table(table, np.array(lines), sha256_of(path, MAX_BYTES), names, notes)
+
+
+def _stamps(names: Sequence[str]) -> dict[str, str]:
+    """Return the columns of whole seconds of ROS stamps, and those of their nanoseconds."""
+    return {name: part for name in names for part in names
+            if (match := _NANOSECONDS.fullmatch(part)) and name.lower() in (
+                f'{match[1]}sec'.lower(), f'{match[1]}secs'.lower())}
 
 
 def _ends_with_line_break(path: Path) -> bool:
