@@ -16,6 +16,9 @@ from hnn_vi_ros.simulation import build
 from messages import refused
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
+from ros.recorded import record_run, recorded_messages
+from sensor_msgs.msg import JointState
 from urdf_robots import chain, SHIPPED, TREE
 
 TREE_FILE = 'tree: 1.urdf'
@@ -102,6 +105,19 @@ def test_new_scene_has_a_step_size_that_resolves_its_first_second(tmp_path, monk
     new_scene(tmp_path, chain([1.0, 1.0], [1.0, 1.0]))
     assert re.search(r'step_size: 0.001 s changes the first second by 0.00\d+ %',
                      capsys.readouterr().err)
+
+
+def test_names_with_slashes_and_digits_are_those_of_joint_states(tmp_path):
+    """As the Robonaut has them, and quadrupeds that number their joints."""
+    names = ['/r2/waist.joint-0', '8', '1e5']
+    text = chain([1.0] * 3, [1.0] * 3)
+    for k, name in enumerate(names, 1):
+        text = text.replace(f'name="j{k}"', f'name="{name}"')
+    scene = load_scene(new_scene(tmp_path, text))
+    assert scene.hamiltonian.joints == names
+    record_run(tmp_path / 'bag', scene, 3)
+    last = recorded_messages(tmp_path / 'bag')['/joint_states'][-1]
+    assert deserialize_message(last, JointState).name == names
 
 
 def test_new_scene_names_joints_limits_and_tells_what_follows_another(tmp_path, capsys):

@@ -391,10 +391,10 @@ def test_robot_of_very_many_followers_is_refused_in_one_short_line(tmp_path):
 
 
 def test_joint_whose_name_cannot_name_a_coordinate_is_refused_unless_it_is_held(tmp_path):
-    text = chain([1.0, 1.0], [1.0, 1.0]).replace('name="j2"', 'name="j 2/x"')
+    text = chain([1.0, 1.0], [1.0, 1.0]).replace('name="j2"', 'name="j 2.x"')
     with refused(ModelError):
         build(tmp_path, text, **PLAIN)
-    assert build(tmp_path, text, **PLAIN | {'locked': {'j 2/x': 0.0}}).dimension == 1
+    assert build(tmp_path, text, **PLAIN | {'locked': {'j 2.x': 0.0}}).dimension == 1
 
 
 SCENE = """\

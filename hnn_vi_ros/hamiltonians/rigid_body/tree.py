@@ -16,7 +16,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, compose, Following
 import numpy as np
 
 MOST_JOINTS, MOST_DRIVEN = 12, 64
-_NAME = re.compile(r'[^\W\d][\w.-]*\Z')
+_NAME = re.compile(r'[\w/][\w./-]*\Z')
 # Smallest eigenvalue of M, with its diagonal scaled to one, that counts as positive.
 _MIN_EIGENVALUE = 1e-13
 # Generic configurations at which M is tested.
@@ -190,9 +190,9 @@ def _check_joints(order: Sequence[str], moving: Mapping[str, Joint], met: Mappin
                          f'some, or use another base: {listed(order)}')
     for name in order:
         if not _NAME.match(name):
-            raise ModelError(f'{moving[name].place}: the name of a coordinate must be a letter or '
-                             'underscore, then letters, digits, underscores, dots, hyphens; '
-                             'rename the joint')
+            raise ModelError(f'{moving[name].place}: the name of a coordinate must be letters, '
+                             'digits, underscores, slashes, dots, hyphens, and not begin with a '
+                             'dot or hyphen; rename the joint')
 
 
 def _check_mass(bodies: Bodies, following: Following | None, joints: Sequence[Joint]) -> None:
