@@ -259,8 +259,9 @@ class _Builder:
         self._rows = [_Body(0, False, False, np.eye(3), np.zeros(3))]
         # Body of each link, and the pose of its frame in that of the body.
         self.links: dict[str, tuple[int, np.ndarray, np.ndarray]] = {}
-        # Physically impossible links, with their rows and the reason.
+        # Physically impossible links, with their rows and the reason; and those by rounding.
         self._odd: list[tuple[Link, int, str]] = []
+        self._rounded: list[tuple[Link, float]] = []
         # The moving joints, in the order of the bodies; and all joints that could move.
         self.joints: list[Joint] = []
         self.met: dict[str, Joint] = {}
@@ -285,6 +286,8 @@ class _Builder:
         if link.inertial is not None:
             if fault := link.inertial.fault:
                 self._odd.append((link, row, fault))
+            elif row > 0 and link.inertial.excess > 0.0:
+                self._rounded.append((link, link.inertial.excess))
             # A fixed link may have any mass.
             if row > 0:
                 self._rows[row].add(link.inertial, rotation, origin)
@@ -304,6 +307,12 @@ class _Builder:
             others = listed(other.name for other, *_ in self._odd[1:])
             warnings.warn(f'{link.place}: {fault}; simulated nevertheless, because {why}'
                           f'{"; likewise " * bool(others)}{others}', stacklevel=5)
+        for link, excess in self._rounded[:1]:
+            others = listed(f'{other.name} by {more:.2g}' for other, more in self._rounded[1:])
+            warnings.warn(
+                f'{link.place}: the largest moment of inertia exceeds the sum of the others by '
+                f'{excess:.2g} of it, as after rounding; simulated as given'
+                f'{"; likewise " * bool(others)}{others}', stacklevel=5)
 
     def _pass(self, joint: Joint, row: int, rotation: np.ndarray, origin: np.ndarray) -> None:
         origin = origin + rotation @ joint.origin

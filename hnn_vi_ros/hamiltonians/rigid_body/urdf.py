@@ -42,6 +42,13 @@ _ATTRIBUTES: dict[str, tuple[str, ...]] = {
     'mimic': ('joint', *_MIMIC), 'calibration': (
         'rising', 'falling', 'reference_position'), 'safety_controller': (
         'soft_lower_limit', 'soft_upper_limit', 'k_position', 'k_velocity')}
+# Further elements of robots without physical meaning; others are told.
+_KNOWN = ('material', 'gazebo', 'transmission', 'ros2_control', 'sensor', 'mujoco')
+# Other formats, and tools that write URDFs of them.
+_FORMATS = {'sdf': ('SDF', 'sdf2urdf of pysdf'),
+            'mujoco': ('MJCF', 'the Python package mjcf-urdf-simple-converter')}
+# Elements of which the first counts, as in urdfdom.
+_FIRST = ('inertial', 'origin', 'axis', 'limit', 'dynamics')
 _ELEMENTS: dict[str, tuple[str, ...]] = {
     'robot': ('link', 'joint'), 'link': ('inertial',), 'inertial': ('origin', 'mass', 'inertia'),
     'joint': ('origin', 'parent', 'child', 'axis', 'limit', 'dynamics', 'mimic', 'calibration',
@@ -80,6 +87,10 @@ def read_urdf(path: Path) -> Robot:
 def parse_urdf(text: bytes, where: str) -> Robot:
     """Return the robot that a URDF describes; see ``read_urdf``."""
     root = parse_xml(text, where, ModelError)
+    if root.tag in _FORMATS:
+        name, tool = _FORMATS[root.tag]
+        raise ModelError(f'{where}:{root.line}: {name}, not a URDF; convert it with {tool}: see '
+                         'docs/how-to/sdf-and-mjcf.md')
     if root.tag != 'robot':
         raise ModelError(f'{where}:{root.line}: not a URDF: <{root.tag}>, expected <robot>')
     macro = next((child for child in root.children if child.tag.startswith('xacro:')), None)
@@ -148,6 +159,9 @@ def _foreign(element: Element, where: str, version: str, label: str = 'robot'
         raise ModelError(f'{place}: quat_xyzw needs version 1.1, but the version of this file is '
                          '1.0; write <robot version="1.1">, or use rpy instead')
     for child in element.children:
+        if tag == 'robot' and child.tag not in (*inside, *_KNOWN) and not did_you_mean(
+                child.tag.lower(), inside):
+            yield f'{where}:{child.line}: {label}: element <{child.tag[:60]}>'
         if child.tag in inside:
             named = f'{child.tag} {child.attributes.get("name", "")!r}'
             yield from _foreign(child, where, version,
@@ -313,7 +327,10 @@ def _float(word: str, name: str, place: str, largest: float = _MAX_NUMBER) -> fl
 
 def _only(element: Element, tag: str, place: str) -> Element | None:
     found = element.named(tag)
-    if len(found) > 1:
+    if len(found) > 1 and tag in _FIRST:
+        warnings.warn(f'{place}: {len(found)} times <{tag}>: the first counts, as in urdfdom',
+                      stacklevel=2)
+    elif len(found) > 1:
         raise ModelError(f'{place}: {len(found)} times <{tag}>, expected once; remove the others')
     return found[0] if found else None
 
