@@ -80,6 +80,7 @@ def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
     for title, content in (
             ('moves', ', '.join(joint.name for joint in tree.joints)),
             ('follows', '; '.join(followers_of(tree))),
+            ('closes', ', '.join(dict.fromkeys(tree.loops.names)) if tree.loops else ''),
             ('fixed (see locked in the scene)', why_fixed), ('fixed with its leader', held)):
         if content:
             print(f'{title}: {content}', file=sys.stderr)
@@ -102,7 +103,8 @@ def resolving_step(scene: Scene) -> float:
     """
     # Imported lazily: other new scenes need no compiled code.
     from hnn_vi_ros.simulation import build
-    step_size, coarse, left = scene.step_size, None, ''
+    assert scene.step_size is not None, 'scenes of robots have a step size'
+    tried, step_size, coarse, left = 0.0, scene.step_size, None, ''
     for _ in range(_MAX_TRIALS):
         simulation = build(scene.model_copy(update={'step_size': step_size}))
         try:
@@ -272,6 +274,11 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
                rotors: dict[str, float], rest: np.ndarray) -> str:
     """Return the YAML of the scene of a robot."""
     joints, q = tree.joints, moving_state(tree, rest)
+    start = f'Slightly off equilibrium, which is {rest.tolist()}.'
+    if tree.loops is not None:
+        # Most are drawn closed.
+        zero = np.clip(np.zeros(len(joints)), *_range(tree))
+        q, start = moving_state(tree, zero), f'Near {zero.tolist()}; closed by assemble.'
     frequency, inertia = rates(tree, rest)
     damping, friction = (np.array([getattr(joint, name) for joint in joints])
                          for name in ('damping', 'friction'))
@@ -286,7 +293,7 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
         effects.append('# f = -b v - F tanh(v / speed), with damping b and friction F of the URDF')
         effects.append(f'- {{kind: joint_friction, from: urdf, speed: {_round(speed, up=True):g}}}'
                        f'   # {_units(f"{joint.units.q}/s" for joint in joints)}')
-    if any(joint.bounds[0] is not None for joint in joints):
+    if tree.loops is None and any(joint.bounds[0] is not None for joint in joints):
         effects.append('# Rigid stops; restitution: 0.5 lets joints bounce off them.')
         effects.append('- {kind: joint_limits, from: urdf}')
     names = [_quoted(joint.name) for joint in joints]
@@ -295,13 +302,16 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
         robot=one_line(Path(file).name), scene=one_line(out), file=_quoted(file),
         description=_quoted(f'{Path(file).stem}, from its URDF'), rotors=_rotors(rotors, names[0]),
         names=', '.join(names), locked=_locked(tree.robot, locked),
+        loops='' if tree.loops is None else
+        '  # Move the initial state onto the closed chains of the URDF, which joint_limits do\n'
+        '  # not support; loops: [] opens them.\n  assemble: true\n',
         followers=''.join(f'  # Follows another: {line}\n' for line in followers_of(tree)),
         rotor_units=_units(joint.units.rotor for joint in joints),
         force_units=_each(joint.units.force for joint in joints),
         joints='\n'.join(f'    - {name:{wide}}   # {_comment(joint)}'
                          for name, joint in zip(names, joints, strict=True)),
         effects=''.join(f'\n  {line}' for line in effects) or ' []', step_size=f'{step_size:g}',
-        q=q.tolist(), rest=rest.tolist(), p=[0.0] * q.size,
+        q=q.tolist(), start=start, p=[0.0] * q.size,
         units=_each(coordinate.q_unit for coordinate in tree.coordinates),
         p_units=_each(coordinate.p_unit for coordinate in tree.coordinates))
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Read untrusted XML within limits: only elements and attributes.
+Read untrusted XML within limits: elements, attributes and text.
 
 A document type declaration is rejected, and with it all entities except the predefined ones:
 nothing is expanded and no other file is read.
@@ -22,7 +22,7 @@ MAX_ELEMENTS = 100_000
 @dataclass(frozen=True, eq=False)
 class Element:
     """
-    An element; text between elements is discarded.
+    An element.
 
     Parameters
     ----------
@@ -34,6 +34,8 @@ class Element:
         Line at which it starts.
     children : list of Element
         Child elements in order.
+    parts : list of str
+        Parts of its own text.
 
     """
 
@@ -41,6 +43,12 @@ class Element:
     attributes: dict[str, str]
     line: int
     children: list['Element'] = field(default_factory=list)
+    parts: list[str] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """Return its own text without spaces at the ends."""
+        return ''.join(self.parts).strip()
 
     def named(self, tag: str) -> list['Element']:
         """Return the children with a given name."""
@@ -81,6 +89,8 @@ def parse_xml(text: bytes, where: object, error: type[HnnViRosError]) -> Element
                        'other files; remove it')
 
     parser.StartElementHandler, parser.EndElementHandler = start, lambda _tag: opened.pop()
+    parser.CharacterDataHandler = lambda part: opened[-1].parts.append(part)
+    parser.buffer_text = True
     parser.StartDoctypeDeclHandler = refuse_doctype
     try:
         parser.Parse(text, True)

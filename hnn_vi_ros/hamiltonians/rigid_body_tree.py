@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.rigid_body.closures import loops_in
 from hnn_vi_ros.hamiltonians.rigid_body.gears import drives_of, ElasticDrive, with_rotors
 from hnn_vi_ros.hamiltonians.rigid_body.loops import ClosingJoint, loops_of
 from hnn_vi_ros.hamiltonians.rigid_body.robot import JointCoordinate, Robot
@@ -48,7 +49,8 @@ class RigidBodyTree(Hamiltonian):
         Inertias of the rotors behind joints, reduced to the joint, that is multiplied by the
         square of the gear ratio [kg m2], [kg].
     loops : list of ClosingJoint, optional
-        Joints that close chains of the tree, kept with RATTLE.
+        Joints that close chains of the tree, kept with RATTLE; by default those of `loop_joint`,
+        `drake:ball_constraint`, and `joint` in `gazebo` of the URDF, and [] for none.
     assemble : bool
         Move any initial state onto the loops; by default one that is more than 1e-3 away (of a
         coordinate, or of the largest velocity) is refused.
@@ -90,11 +92,15 @@ class RigidBodyTree(Hamiltonian):
         units = {link.name: (link.q_unit, link.p_unit) for link in links}
         self.coordinates = (*links, *(Coordinate(rotor_name(name), *units[name], rotor_of=name)
                                       for name in self._drives))
+        links_at = links_of(self.robot, self.robot.locked, base or robot.root) \
+            if loops or robot.closures else {}
+        if loops is None:
+            rows = {name: row for name, (row, *_) in links_at.items()}
+            loops = loops_in(robot, rows, self.bodies, self.following)
         if loops and drives:
             raise ValueError('loops and drives are not supported together yet; remove one')
         if loops:
-            self.loops = loops_of(loops, self.bodies, self.following, links_of(
-                self.robot, self.robot.locked, base or robot.root), assemble)
+            self.loops = loops_of(loops, self.bodies, self.following, links_at, assemble)
 
     def _build(self, robot: Robot) -> None:
         self.robot, self.bodies, self.joints, self.following = tree_of(robot, *self._arguments)

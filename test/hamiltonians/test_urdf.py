@@ -118,7 +118,7 @@ def test_each_version_of_the_format_is_read_as_urdfdom_reads_it(tmp_path, versio
     ('<link name="base"/>', '<link name="base" type="x"><visual><orgin/></visual><contact/>'
      '<origin xyz="0 0 0"/><sensor><mas/></sensor></link><gazebo reference="base"><mass/></gazebo>'
      '<transmission><joint name="x"/></transmission><ros2_control><joint name="hip"><limit x="1"/>'
-     '</joint></ros2_control><material/><mujoco/><loop_joint/>'),
+     '</joint></ros2_control><material/><mujoco/>'),
     ('<robot ', '<robot xmlns="http://www.ros.org" xmlns:drake="http://drake.mit.edu" ')])
 def test_misspelt_name_of_what_has_physical_meaning_is_answered_with_the_nearest(
         tmp_path, old, new):

@@ -5,7 +5,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import did_you_mean, listed, ModelError
 from hnn_vi_ros.phase_space import Coordinate
@@ -214,6 +214,26 @@ class Link:
     joints: tuple[Joint, ...]
 
 
+class Closure(NamedTuple):
+    """
+    An element of another dialect that closes a chain.
+
+    Parameters
+    ----------
+    place : str
+        ``file:line: element 'name'``, for errors.
+    links : tuple of str
+        The links at both ends; fewer if the element does not tell.
+    loop : dict or None
+        Arguments of a ClosingJoint; None if it is not one.
+
+    """
+
+    place: str
+    links: tuple[str, ...]
+    loop: dict[str, Any] | None
+
+
 @dataclass(frozen=True, eq=False)
 class Robot:
     """
@@ -233,6 +253,8 @@ class Robot:
         Joints that do not move, and their values [rad], [m].
     followers : mapping of str to Mimic
         Joints that follow others, and the moving joint at the end of each chain of mimics.
+    closures : tuple of Closure
+        Elements that close chains.
 
     """
 
@@ -243,6 +265,7 @@ class Robot:
     text: str
     locked: Mapping[str, float] = field(default_factory=dict)
     followers: Mapping[str, Mimic] = field(default_factory=dict)
+    closures: tuple[Closure, ...] = ()
 
     @cached_property
     def joints(self) -> dict[str, Joint]:

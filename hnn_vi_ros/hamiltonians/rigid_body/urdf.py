@@ -9,24 +9,22 @@ such as a quaternion in a file of version 1.0, is refused: it would be another r
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 import math
 from pathlib import Path
-import re
 import warnings
 
 from hnn_vi_ros.errors import did_you_mean, listed, ModelError
 from hnn_vi_ros.files import Element, MAX_XML_BYTES, parse_xml, read_limited
+from hnn_vi_ros.hamiltonians.rigid_body.closures import closures_of, is_closure
+from hnn_vi_ros.hamiltonians.rigid_body.elements import (
+    frame_in, name_of, number_of, only, place_of, vector_of)
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Inertial, Joint, Limits, Link, Mimic, Robot, SLIDING, TURNING)
 import numpy as np
 
-# Without backtracking: the time is proportional to the length.
-_NUMBER = re.compile(r'[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?\Z')
-_MAX_NAME_LENGTH = 200
 # Ten times as many links as the largest published humanoids.
 _MAX_LINKS = 2000
-# In SI units; larger numbers, whose products overflow, are mistakes. Limits may be any number.
-_MAX_NUMBER = 1e12
 _MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
 _MIMIC = {'multiplier': 1.0, 'offset': 0.0}
 # Version 1.0 has no quaternions; 1.2 requires both limits of a joint, or none.
@@ -47,8 +45,6 @@ _KNOWN = ('material', 'gazebo', 'transmission', 'ros2_control', 'sensor', 'mujoc
 # Other formats, and tools that write URDFs of them.
 _FORMATS = {'sdf': ('SDF', 'sdf2urdf of pysdf'),
             'mujoco': ('MJCF', 'the Python package mjcf-urdf-simple-converter')}
-# Elements of which the first counts, as in urdfdom.
-_FIRST = ('inertial', 'origin', 'axis', 'limit', 'dynamics')
 _ELEMENTS: dict[str, tuple[str, ...]] = {
     'robot': ('link', 'joint'), 'link': ('inertial',), 'inertial': ('origin', 'mass', 'inertia'),
     'joint': ('origin', 'parent', 'child', 'axis', 'limit', 'dynamics', 'mimic', 'calibration',
@@ -110,9 +106,9 @@ def parse_urdf(text: bytes, where: str) -> Robot:
         warnings.warn(f'{foreign[0]}{f" and {len(foreign) - 1} more" * (len(foreign) > 1)}: '
                       'extensions of other tools, ignored', stacklevel=4)
     joints = [_joint(element, where, version) for element in between]
-    _check_names([_name(element, where) for element in links], 'link', where)
+    _check_names([name_of(element, where) for element in links], 'link', where)
     _check_names([joint.name for joint in joints], 'joint', where)
-    carried: dict[str, list[Joint]] = {_name(element, where): [] for element in links}
+    carried: dict[str, list[Joint]] = {name_of(element, where): [] for element in links}
     if not links:
         raise ModelError(f'{where}: the robot has no links; expected <link name="..."/>')
     for joint in joints:
@@ -121,10 +117,11 @@ def parse_urdf(text: bytes, where: str) -> Robot:
                 raise ModelError(f'{joint.place}: no link {end!r}; links: {listed(carried)}')
         carried[joint.parent].append(joint)
     first = _root(list(carried), joints, where)
-    return Robot(root.attributes.get('name', ''), {
-        name: Link(name, _place(element, where), _inertial(element, where), tuple(own))
+    robot = Robot(root.attributes.get('name', ''), {
+        name: Link(name, place_of(element, where), _inertial(element, where), tuple(own))
         for element, (name, own) in zip(links, carried.items(), strict=True)}, first,
         where, text.decode(errors='replace'))
+    return replace(robot, closures=closures_of(root, robot))
 
 
 def _read(path: Path) -> bytes:
@@ -159,13 +156,15 @@ def _foreign(element: Element, where: str, version: str, label: str = 'robot'
         raise ModelError(f'{place}: quat_xyzw needs version 1.1, but the version of this file is '
                          '1.0; write <robot version="1.1">, or use rpy instead')
     for child in element.children:
-        if tag == 'robot' and child.tag not in (*inside, *_KNOWN) and not did_you_mean(
-                child.tag.lower(), inside):
+        if tag == 'robot' and child.tag not in (*inside, *_KNOWN) and not (
+                is_closure(child.tag) or did_you_mean(child.tag.lower(), inside)):
             yield f'{where}:{child.line}: {label}: element <{child.tag[:60]}>'
         if child.tag in inside:
             named = f'{child.tag} {child.attributes.get("name", "")!r}'
             yield from _foreign(child, where, version,
                                 named if tag == 'robot' else f'{label}: {child.tag}')
+        elif is_closure(child.tag) and tag == 'robot':
+            continue
         elif (hint := did_you_mean(child.tag.lower(), inside)) or (
                 child.tag in _ATTRIBUTES and (tag, child.tag) != ('link', 'origin')):
             raise ModelError(f'{where}:{child.line}: {label}: unknown element '
@@ -201,14 +200,14 @@ def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
 
 
 def _joint(element: Element, where: str, version: str) -> Joint:
-    name, place = _name(element, where), _place(element, where)
+    name, place = name_of(element, where), place_of(element, where)
     kind = element.attributes.get('type')
     if not kind:
         raise ModelError(f'{place}: type is missing; valid: revolute, continuous, prismatic, '
                          'fixed')
-    origin, rotation = _frame(element, place)
-    limit, dynamics, mimic = (_only(element, tag, place) for tag in ('limit', 'dynamics', 'mimic'))
-    damping, friction = (_number(dynamics, key, place, default=0.0)
+    origin, rotation = frame_in(element, place)
+    limit, dynamics, mimic = (only(element, tag, place) for tag in ('limit', 'dynamics', 'mimic'))
+    damping, friction = (number_of(dynamics, key, place, default=0.0)
                          for key in ('damping', 'friction'))
     _check_not_negative(place, {'damping': damping, 'friction': friction})
     if mimic is not None and not mimic.attributes.get('joint'):
@@ -217,22 +216,22 @@ def _joint(element: Element, where: str, version: str) -> Joint:
     return Joint(name, kind, place, parent, child, origin, rotation, _axis(element, kind, place),
                  _limits(limit, place, version == '1.2' and kind in ('revolute', SLIDING)),
                  damping, friction, None if mimic is None else Mimic(
-                     mimic.attributes['joint'], *(_number(mimic, key, place, default=default)
+                     mimic.attributes['joint'], *(number_of(mimic, key, place, default=default)
                                                   for key, default in _MIMIC.items())))
 
 
 def _end(element: Element, end: str, place: str) -> str:
-    found = _only(element, end, place)
+    found = only(element, end, place)
     if found is None or not found.attributes.get('link'):
         raise ModelError(f'{place}: {end} is missing; expected <{end} link="..."/>')
     return found.attributes['link']
 
 
 def _axis(element: Element, kind: str, place: str) -> np.ndarray:
-    given, moves = _only(element, 'axis', place), kind in (*TURNING, SLIDING)
+    given, moves = only(element, 'axis', place), kind in (*TURNING, SLIDING)
     if moves and given is not None and 'xyz' not in given.attributes:
         raise ModelError(f'{place}: axis without xyz; expected <axis xyz="0 0 1"/>, for example')
-    axis = _vector(given, 'xyz', place, (1.0, 0.0, 0.0))
+    axis = vector_of(given, 'xyz', place, (1.0, 0.0, 0.0))
     length = math.sqrt(axis @ axis)
     if moves and not length > 0.0:
         raise ModelError(f'{place}: axis xyz = 0 0 0 has no direction; give one, such as 0 0 1')
@@ -242,7 +241,7 @@ def _axis(element: Element, kind: str, place: str) -> np.ndarray:
 def _limits(element: Element | None, place: str, both: bool) -> Limits:
     """Return the limits of a joint; with ``both``, lower and upper limit are required."""
     found = {key: None if element is None or key not in element.attributes
-             else _number(element, key, place, largest=math.inf) for key in _ATTRIBUTES['limit']}
+             else number_of(element, key, place, largest=math.inf) for key in _ATTRIBUTES['limit']}
     lower, upper = found.pop('lower'), found.pop('upper')
     if both and element is not None and (lower is None or upper is None):
         raise ModelError(f'{place}: limit without {"lower" if lower is None else "upper"}; '
@@ -261,86 +260,18 @@ def _check_not_negative(place: str, values: Mapping[str, float | None]) -> None:
 
 
 def _inertial(link: Element, where: str) -> Inertial | None:
-    place = _place(link, where)
-    element = _only(link, 'inertial', place)
+    place = place_of(link, where)
+    element = only(link, 'inertial', place)
     if element is None:
         return None
-    masses, inertia = (_only(element, tag, place) for tag in ('mass', 'inertia'))
+    masses, inertia = (only(element, tag, place) for tag in ('mass', 'inertia'))
     if masses is None or inertia is None:
         raise ModelError(f'{place}: inertial without {"mass" if masses is None else "inertia"}; '
                          'give both, or remove inertial from a link without mass')
-    xx, xy, xz, yy, yz, zz = (_number(inertia, key, place) for key in _MOMENTS)
+    xx, xy, xz, yy, yz, zz = (number_of(inertia, key, place) for key in _MOMENTS)
     moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    centre, rotation = _frame(element, place)
-    return Inertial(_number(masses, 'value', place), centre, rotation @ moments @ rotation.T)
-
-
-def _frame(element: Element, place: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the origin and the rotation, about fixed axes x, y, z in turn, of its <origin>."""
-    # Imported lazily: the import is slow, and scenes without robots do not need it.
-    from scipy.spatial.transform import Rotation
-    origin = _only(element, 'origin', place)
-    xyz = _vector(origin, 'xyz', place, (0.0, 0.0, 0.0))
-    if origin is None or 'quat_xyzw' not in origin.attributes:
-        turn = Rotation.from_euler('xyz', _vector(origin, 'rpy', place, (0.0, 0.0, 0.0)))
-        return xyz, turn.as_matrix()
-    if 'rpy' in origin.attributes:
-        raise ModelError(f'{place}: origin has rpy and quat_xyzw; remove one of them')
-    # As in urdfdom, it need not be normalised.
-    quaternion = _vector(origin, 'quat_xyzw', place, (0.0, 0.0, 0.0, 1.0))
-    size = np.abs(quaternion).max()
-    if not size > 0.0:
-        raise ModelError(f'{place}: origin quat_xyzw = 0 0 0 0 is not a rotation; the identity is '
-                         '0 0 0 1')
-    return xyz, Rotation.from_quat(quaternion / size).as_matrix()
-
-
-def _vector(element: Element | None, key: str, place: str, default: tuple[float, ...]
-            ) -> np.ndarray:
-    if element is None or key not in element.attributes:
-        return np.array(default)
-    number = len(default)
-    words = element.attributes[key].split(maxsplit=number)
-    if len(words) != number:
-        count = f'more than {number}' if len(words) > number else len(words)
-        raise ModelError(f'{place}: {element.tag} {key} has {count} numbers, expected {number}')
-    return np.array([_float(word, f'{element.tag} {key}', place) for word in words])
-
-
-def _number(element: Element | None, key: str, place: str, default: float | None = None,
-            largest: float = _MAX_NUMBER) -> float:
-    if element is None or key not in element.attributes:
-        if default is None:
-            assert element is not None, 'only a number that is optional may have no element'
-            raise ModelError(f'{place}: {element.tag} without {key}; expected {key}="..."')
-        return default
-    return _float(element.attributes[key].strip(), f'{element.tag} {key}', place, largest)
-
-
-def _float(word: str, name: str, place: str, largest: float = _MAX_NUMBER) -> float:
-    value = float(word) if _NUMBER.match(word) else math.nan
-    if not (math.isfinite(value) and abs(value) <= largest):
-        bound = '' if largest == math.inf else f' of at most {largest:g}'
-        raise ModelError(f'{place}: {name} = {word[:40]!r} must be a finite number{bound}')
-    return value
-
-
-def _only(element: Element, tag: str, place: str) -> Element | None:
-    found = element.named(tag)
-    if len(found) > 1 and tag in _FIRST:
-        warnings.warn(f'{place}: {len(found)} times <{tag}>: the first counts, as in urdfdom',
-                      stacklevel=2)
-    elif len(found) > 1:
-        raise ModelError(f'{place}: {len(found)} times <{tag}>, expected once; remove the others')
-    return found[0] if found else None
-
-
-def _name(element: Element, where: str) -> str:
-    name = element.attributes.get('name', '')
-    if not (name and name.isprintable() and len(name) <= _MAX_NAME_LENGTH):
-        raise ModelError(f'{where}:{element.line}: {element.tag} name={name[:60]!r} must be 1 to '
-                         f'{_MAX_NAME_LENGTH} printable characters')
-    return name
+    centre, rotation = frame_in(element, place)
+    return Inertial(number_of(masses, 'value', place), centre, rotation @ moments @ rotation.T)
 
 
 def _check_names(names: Sequence[str], tag: str, where: str) -> None:
@@ -348,7 +279,3 @@ def _check_names(names: Sequence[str], tag: str, where: str) -> None:
     if count > 1:
         raise ModelError(f'{where}: {count} {tag}s are named {name!r}; give each a unique '
                          'name')
-
-
-def _place(element: Element, where: str) -> str:
-    return f'{where}:{element.line}: {element.tag} {element.attributes["name"]!r}'
