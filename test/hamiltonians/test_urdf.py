@@ -247,6 +247,25 @@ def test_moments_that_miss_the_triangle_inequality_by_rounding_are_taken_and_tol
         build(tmp_path, text(0.2 / (1.0 - 0.06)), **PLAIN)
 
 
+@pytest.mark.parametrize('masses, lengths, told', [
+    ([1.0, 1e-9], [1.0, 1e-3], "joint 'j2': has next to no inertia beside .*condition 1e.15 of"),
+    # In mm and g: 0.3 m, 2 kg, 0.01 kg m2.
+    ([2e3, 2e3], [300.0, 300.0], "link 'l2': centre of mass of 300 m: .* in mm and g"),
+    # Moments in kg mm2 with lengths in m.
+    ([1.0, 1.0], [1.0, 1.0], "link 'l1': radius of gyration of 100 m"),
+    ([1.0, 1e-3], [1.0, 0.1], None)])
+def test_light_joints_and_lengths_in_mm_are_told(tmp_path, masses, lengths, told):
+    text = chain(masses, lengths)
+    if 'gyration' in (told or ''):
+        text = text.replace('ixx="0" ixy="0" ixz="0" iyy="0"',
+                            'ixx="5e3" ixy="0" ixz="0" iyy="5e3"', 1)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        build(tmp_path, text, **PLAIN)
+    assert len(caught) == (told is not None)
+    assert all(re.search(told, str(one.message)) for one in caught)
+
+
 def test_slide_on_what_rests_turns_no_moments_of_inertia(tmp_path):
     text = chain([1.0], [1.0]).replace('continuous', 'prismatic').replace('ixx="0"', 'ixx="-5"')
     with pytest.warns(UserWarning, match="'l1': .* must not be negative; .* it does not rotate"):

@@ -19,6 +19,8 @@ MOST_JOINTS, MOST_DRIVEN = 12, 64
 _NAME = re.compile(r'[\w/][\w./-]*\Z')
 # Smallest eigenvalue of M, with its diagonal scaled to one, that counts as positive.
 _MIN_EIGENVALUE = 1e-13
+# Condition of M, or ratio of its diagonal, above which half of the digits are lost.
+_MAX_CONDITION = 1e8
 # Generic configurations at which M is tested.
 _PROBES = 4
 # Share of a joint's range by which limits of followers may narrow it unsaid.
@@ -196,7 +198,7 @@ def _check_joints(order: Sequence[str], moving: Mapping[str, Joint], met: Mappin
 
 
 def _check_mass(bodies: Bodies, following: Following | None, joints: Sequence[Joint]) -> None:
-    """Raise unless M is positive definite at some configuration."""
+    """Raise unless M is positive definite at some configuration; warn if it barely is."""
     rng = np.random.default_rng(1)
     for _ in range(_PROBES):
         with np.errstate(all='ignore'):
@@ -209,6 +211,17 @@ def _check_mass(bodies: Bodies, following: Following | None, joints: Sequence[Jo
             scale = np.sqrt(diagonal)
             values, vectors = np.linalg.eigh(mass / scale / scale[:, None])
             if values[0] > _MIN_EIGENVALUE:
+                # Masses of slides and moments of inertia have different units.
+                slides = np.array([joint.kind == SLIDING for joint in joints])
+                most = np.where(slides, *(diagonal[own].max(initial=0.0)
+                                          for own in (slides, ~slides)))
+                condition = max(1.0 / values[0], (most / diagonal).max())
+                if condition > _MAX_CONDITION:
+                    lightest = joints[int(np.argmax(most / diagonal))]
+                    warnings.warn(
+                        f'{lightest.place}: has next to no inertia beside the others (condition '
+                        f'{condition:.2g} of the mass matrix): it needs tiny steps, and digits '
+                        'are lost; give its rotor_inertia, or lock it', stacklevel=5)
                 return
             free = np.abs(vectors[:, 0]) > 0.1
         else:

@@ -25,6 +25,8 @@ import numpy as np
 
 # Ten times as many links as the largest published humanoids.
 _MAX_LINKS = 2000
+# Ten times the largest distance in published robots, and a tenth of an arm's in mm [m].
+_MAX_LENGTH = 30.0
 _MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
 _MIMIC = {'multiplier': 1.0, 'offset': 0.0}
 # Version 1.0 has no quaternions; 1.2 requires both limits of a joint, or none.
@@ -121,7 +123,24 @@ def parse_urdf(text: bytes, where: str) -> Robot:
         name: Link(name, place_of(element, where), _inertial(element, where), tuple(own))
         for element, (name, own) in zip(links, carried.items(), strict=True)}, first,
         where, text.decode(errors='replace'))
+    _doubt_units(robot)
     return replace(robot, closures=closures_of(root, robot))
+
+
+def _doubt_units(robot: Robot) -> None:
+    """Warn if lengths are those of a robot in mm."""
+    lengths = [(float(np.abs(joint.origin).max()), joint.place, 'origin')
+               for joint in robot.joints.values()]
+    for link in robot.links.values():
+        if (body := link.inertial) is not None and body.mass > 0.0:
+            lengths += [(float(np.abs(body.centre).max()), link.place, 'centre of mass'), (
+                math.sqrt(abs(np.trace(body.moments)) / body.mass), link.place,
+                'radius of gyration')]
+    length, place, what = max(lengths, default=(0.0, '', ''))
+    if length > _MAX_LENGTH:
+        warnings.warn(f'{place}: {what} of {length:.3g} m: URDFs are in m, kg and kg m2; if this '
+                      'one is in mm and g, divide lengths and masses by 1e3 and moments of '
+                      'inertia by 1e9', stacklevel=4)
 
 
 def _read(path: Path) -> bytes:
