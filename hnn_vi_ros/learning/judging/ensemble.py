@@ -294,7 +294,9 @@ def field_calibration(checkpoint: Checkpoint, config: FieldConfig, test: Dataset
 def scores_of(checkpoint: Checkpoint, held: Held) -> np.ndarray:
     """Return abs(x - mean) / deviation, shape (K, M, 2 d), without the initial time."""
     mean, *members = simulate_held(checkpoint, held)
-    return _scores(np.concatenate([held.q, held.p], axis=-1) - mean, deviation(members))[1:]
+    scores = _scores(np.concatenate([held.q, held.p], axis=-1) - mean, deviation(members))[1:]
+    # No band covers a motion at which a simulation fails.
+    return np.where(np.isnan(scores), np.inf, scores)
 
 
 def simulate_held(checkpoint: Checkpoint, held: Held) -> list[np.ndarray]:

@@ -12,7 +12,7 @@ from typing import Any
 import warnings
 
 from hnn_vi_ros.effects import LARGEST
-from hnn_vi_ros.errors import optional, StepFailure
+from hnn_vi_ros.errors import optional, StateError, StepFailure
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.scene import AutoChoice, Choice, load_scene, Parts, Scene
@@ -38,6 +38,8 @@ ManyCommands = ArrayLike | Callable[[float], ArrayLike]
 # An initial state.
 State = tuple[ArrayLike, ArrayLike] | Mapping[str, ArrayLike]
 _FIRST = slice(0, 1)
+# Samples of q and p, shape (n, m, d), and alarms about the steps.
+Recorded = tuple[np.ndarray, np.ndarray, list[Alarm]]
 # Maximum gradients of `name_step`, as a share of those of a calibration run: tenths of a second.
 _MAX_GRADIENT_SHARE = 0.1
 
@@ -369,7 +371,8 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     Trajectory
         t of shape (samples + 1,), q and p of shape (samples + 1, m, d), energy of shape
         (samples + 1, m). Alarms about steps, and about energies if work is done, are assigned to
-        all trajectories of a block.
+        all trajectories of a block. A trajectory that fails has the alarm ``failed``, and NaN
+        from then on.
 
     Warns
     -----
@@ -379,7 +382,7 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     Raises
     ------
     HnnViRosError
-        The scene cannot be built, or a step of any trajectory fails.
+        The scene cannot be built, or all trajectories fail.
     MissingPackage
         `device` is given, but the extra ``train`` is not installed.
     ValueError
@@ -394,8 +397,6 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
 
     """
     check_seconds('duration', duration)
-    if duration == 0.0:
-        raise ValueError('duration = 0 s must be greater than 0 s')
     check_count('samples', samples)
     if threads is not None:
         check_count('threads', threads)
@@ -410,7 +411,7 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
         run.step_on(device, threads)
     else:
         run.step(threads)
-    energies = show_many(run.simulation(), run.t / run.step_size, run.q, run.p, run.alarms)
+    energies = run.energies()
     tell_many(run.alarms, run.step_size)
     return Trajectory(run.t, run.q, run.p, energies, run.parts.hamiltonian.coordinates,
                       tuple(map(tuple, run.alarms)), scene=scene)
@@ -435,6 +436,8 @@ class _Many:
         Samples, filled in by step, follow or step_on.
     alarms : list of list of Alarm
         Alarms about the steps of each trajectory.
+    failures : dict of int to StepFailure or StateError
+        Failures of trajectories.
 
     """
 
@@ -445,12 +448,14 @@ class _Many:
                              'memory; simulate fewer at a time')
         self.parts, self.count = parts, len(q0)
         self.step_size = h = parts.scene.known_step_size
-        self._interval = interval = duration / samples
+        samples = samples if duration else 0
+        self._interval = interval = duration / max(samples, 1)
         self._every, self._share = whole_steps(interval, h)
         self.t = np.arange(samples + 1) * (interval if self._share else self._every * h)
-        self.q, self.p = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
+        self.q, self.p = (np.full((samples + 1, *part.shape), np.nan) for part in (q0, p0))
         self.q[0], self.p[0] = q0, p0
         self.alarms: list[list[Alarm]] = [[] for _ in q0]
+        self.failures: dict[int, StepFailure | StateError] = {}
 
     def simulation(self, block: slice = _FIRST) -> Simulation:
         """Return a simulation of a block of trajectories in their initial states."""
@@ -460,14 +465,13 @@ class _Many:
         """Take the steps in compiled loops, in lockstep blocks if the system supports it."""
         _, hamiltonian, integrator, effects = self.parts
         size = BLOCK if System(hamiltonian, effects, integrator).lockstep else 1
-        schedule = Schedule(0, 1, self.t[1:]) if self._share or not self._every else \
-            Schedule(self.t.size - 1, self._every, np.empty(0))
 
-        def start(first: slice) -> Callable[[slice], None]:
-            simulation = self.simulation(first)
-            return lambda block: self._put(block, *record_block(
-                simulation, self.q[0, block], self.p[0, block], block.start, schedule))
-        in_blocks(self.count, size, threads, start)
+        def take(simulation: Simulation, block: slice, samples: int) -> Recorded:
+            return record_block(
+                simulation, self.q[0, block], self.p[0, block], block.start,
+                Schedule(0, 1, self.t[1:samples + 1]) if self._share or not self._every else
+                Schedule(samples, self._every, np.empty(0)))
+        in_blocks(self.count, size, threads, lambda first: self._kept(take, size))
 
     def follow(self, commands: ManyCommands, threads: int | None, device: str | None) -> None:
         """Take the steps with individual commands, or raise ValueError."""
@@ -485,22 +489,21 @@ class _Many:
             commands = _checked_numbers(
                 'commands', commands, [(self.count, self.t.size - 1, one.command_size)])
 
-        def start(first: slice) -> Callable[[slice], None]:
-            simulation = self.simulation(slice(first.start, first.start + 1))
-            return lambda block: self._put(block, *record_rows(
+        def take(simulation: Simulation, block: slice, samples: int) -> Recorded:
+            return record_rows(
                 simulation, self.q[0, block], self.p[0, block], block.start,
-                (part[block] for part in self._held(commands, one.command_size))))
-        in_blocks(self.count, BLOCK, threads, start)
+                (part[block] for part in self._held(commands, one.command_size, samples)))
+        in_blocks(self.count, BLOCK, threads, lambda first: self._kept(take, 1))
 
-    def _held(self, commands: Any, c: int) -> Iterator[np.ndarray]:
+    def _held(self, commands: Any, c: int, samples: int) -> Iterator[np.ndarray]:
         """Yield, for each interval between samples, the commands of its steps, (m, every, c)."""
-        for sample in range(self.t.size - 1):
+        for sample in range(samples):
             yield np.stack([
                 _numbers(commands, k * self.step_size, sample, (self.count, c))
                 for k in range(sample * self._every, (sample + 1) * self._every)], axis=1)
 
     def step_on(self, device: str, threads: int | None) -> None:
-        """Take the steps in torch; raise ValueError, or the failure of the first failed row."""
+        """Take the steps in torch, or raise ValueError."""
         if self._share:
             raise ValueError(f'device = {device}: samples are {self._interval:g} s apart, '
                              f'{self._interval / self.step_size:g} steps; a device needs whole '
@@ -510,7 +513,7 @@ class _Many:
             from hnn_vi_ros.simulation.trajectory.devices import (
                 ensemble_on, one_thread_each, record_on, TOGETHER)
         size = TOGETHER if open_device(device).type == 'cpu' else self.count
-        samples, failures = [k * self._every for k in range(self.t.size)], {}
+        samples = [k * self._every for k in range(self.t.size)]
 
         def start(first: slice) -> Callable[[slice], None]:
             ensemble, one = ensemble_on(device, self.parts), self.simulation(_FIRST)
@@ -519,17 +522,60 @@ class _Many:
                 found, alarms = record_on(
                     ensemble, one, self.q[0, block], self.p[0, block], samples)
                 self.q[:, block], self.p[:, block] = found.q, found.p
-                failures.update({block.start + k: own for k, own in found.failures.items()})
+                for k, problem in found.failures.items():
+                    self._fail(block.start + k, problem)
                 for k, told in alarms.items():
                     self.alarms[block.start + k] += told
             return take
 
         with one_thread_each(device):
             in_blocks(self.count, size, threads, start)
-        if failures:
-            raise failures[min(failures)]
 
-    def _put(self, block: slice, q: np.ndarray, p: np.ndarray, alarms: list[Alarm]) -> None:
-        self.q[:, block], self.p[:, block] = q, p
-        for own in self.alarms[block]:
-            own += alarms
+    def _kept(self, take: Callable[[Simulation, slice, int], Recorded], size: int
+              ) -> Callable[[slice], None]:
+        """Return a function that records a block; if it fails, each trajectory on its own."""
+        cached = list[Simulation]()
+
+        def put(block: slice, samples: int) -> None:
+            simulation = cached.pop() if cached else self.simulation(
+                slice(block.start, min(block.stop, block.start + size)))
+            q, p, alarms = take(simulation, block, samples)
+            # One that failed is not used again.
+            cached.append(simulation)
+            self.q[:samples + 1, block], self.p[:samples + 1, block] = q, p
+            for own in self.alarms[block]:
+                own += alarms
+
+        def attempt(block: slice) -> None:
+            try:
+                put(block, self.t.size - 1)
+            except (StepFailure, StateError) as problem:
+                alone = [slice(k, k + 1) for k in range(self.count)[block]]
+                if len(alone) > 1:
+                    for own in alone:
+                        attempt(own)
+                elif samples := self._fail(block.start, problem):
+                    put(block, samples)
+        return attempt
+
+    def _fail(self, k: int, problem: StepFailure | StateError) -> int:
+        """Record the failure of a trajectory; return the number of samples before it."""
+        time = getattr(problem, 't', 0.0) + 1e-9 * self.step_size
+        samples = int(np.searchsorted(self.t, time, 'right')) - 1
+        self.q[samples + 1:, k] = self.p[samples + 1:, k] = np.nan
+        self.failures[k] = problem
+        self.alarms[k].append(Alarm('failed', round(time / self.step_size), time,
+                                    float(self.t[-1]), str(problem), 's'))
+        return samples
+
+    def energies(self) -> np.ndarray:
+        """Return H, shape (samples + 1, m), and add alarms; if all failed, raise the first."""
+        if len(self.failures) == self.count:
+            raise self.failures[min(self.failures)]
+        kept = [k for k in range(self.count) if k not in self.failures]
+        simulation = self.simulation(slice(kept[0], kept[0] + 1))
+        found = np.asarray(simulation.hamiltonian.energy(self.q, self.p)) if self.failures else \
+            np.empty(self.q.shape[:2])
+        found[:, kept] = show_many(simulation, self.t / self.step_size, self.q[:, kept],
+                                   self.p[:, kept], [self.alarms[k] for k in kept])
+        return found

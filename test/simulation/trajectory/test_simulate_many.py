@@ -71,14 +71,41 @@ def test_many_trajectories_report_the_failure_of_one():
     scene = scene_of('tao', {'kind': 'variational_euler', 'solver': 'fixed_point'})
     q = np.zeros((20, 1))
     q[17] = 1e3
+    with pytest.warns(AlarmWarning, match='^failed in 1 of 20 trajectories; in trajectory 17, t = '):
+        found = simulate_many(scene, q, q, 1.0, samples=2)
+    assert np.isnan(found.q).any(axis=(0, 2)).nonzero()[0].tolist() == [17]
+    assert [k for k, own in enumerate(found.alarms) if 'failed' in {
+        alarm.kind for alarm in own}] == [17]
     with pytest.raises(StepFailure):
-        simulate_many(scene, q, q, 1.0)
+        simulate_many(scene, q[17:18], q[17:18], 1.0)
+
+
+@pytest.mark.parametrize('commands', [None, np.zeros((3, 20, 1))])
+def test_trajectory_that_fails_is_kept_until_then_and_the_others_are_those_alone(commands):
+    scene = Scene.build(
+        hamiltonian={'kind': 'formula', 'coordinates': ['x'], 'H': 'p_x^2/2 + sqrt(1 - x^2)'},
+        integrator='gauss8', step_size=0.01, initial_state=([0.5], [0.0]),
+        effects=[] if commands is None else [{'kind': 'external_force', 'coordinates': ['x']}])
+    q, p = [[0.3], [0.9], [0.4]], [[0.1], [3.0], [-0.2]]
+    with pytest.warns(AlarmWarning, match='in trajectory 1, t = 0.03 s: step failed'):
+        many = simulate_many(scene, q, p, 0.2, samples=20, commands=commands)
+    for k in range(3):
+        n = 4 if k == 1 else 21
+        alone = simulate(scene, (n - 1) * 0.01, initial_state=(q[k], p[k]), commands=(
+            None if commands is None else commands[k]))
+        assert np.array_equal(many.q[:n, k], alone.q) and np.isnan(many.q[n:, k]).all()
+        assert np.array_equal(many.energy[:n, k], alone.energy)
+
+
+def test_duration_of_zero_gives_the_initial_states():
+    found = simulate_many('harmonic_oscillator', [[1.0], [2.0]], [[0.0], [0.5]], 0.0, samples=3)
+    assert found.q.tolist() == [[[1.0], [2.0]]] and found.t.tolist() == [0.0]
 
 
 @pytest.mark.parametrize('kind, arguments', [
     (ValueError, {'q': [[1.0, 2.0]], 'p': [[0.0, 0.0]]}),
     (ValueError, {'q': [1.0, 2.0], 'p': [0.0, 0.0]}),
-    (ValueError, {'q': [[np.nan]]}), (ValueError, {'duration': 0.0}),
+    (ValueError, {'q': [[np.nan]]}), (ValueError, {'duration': -1.0}),
     (ValueError, {'q': np.empty((0, 1)), 'p': np.empty((0, 1))}), (ValueError, {'threads': -1}),
     (TypeError, {'samples': 1.5}), (ValueError, {'samples': 10 ** 12}), (TypeError, {'q': 'a'})],
     ids=range(9))
