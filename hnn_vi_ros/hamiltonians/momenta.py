@@ -69,6 +69,7 @@ def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.n
         first = np.unravel_index(np.argmax(~(size <= _MAX_RESIDUAL * scale)), size.shape)[:-1]
         raise StateError(
             f'no momentum gives the velocity {v[first].tolist()} at q = {q[first].tolist()}: '
-            f'H_p differs by {float(size[first][0]):.3g}; the state is outside the training '
-            'domain of the model')
+            f'H_p differs by {float(size[first][0]):.3g}; ' + (
+                'H has no Legendre transform there' if hamiltonian.box is None else
+                'the state is outside the training domain of the model'))
     return p

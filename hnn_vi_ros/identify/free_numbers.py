@@ -259,6 +259,10 @@ def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
     if load_scene(free.scene.source).step_size not in (None, free.scene.step_size):
         changes['step_size',] = repr(free.scene.step_size)
     if initial_state is not None:
+        if scene.initial_state.v:
+            q, p = map(np.array, initial_state.values())
+            initial_state = {'q': initial_state['q'],
+                             'v': scene.create_hamiltonian().gradient(q, p)[1].tolist()}
         changes |= {('initial_state', key): str([float(one) for one in part])
                     for key, part in initial_state.items()}
     if free.robot & {number.place for number in free.numbers}:

@@ -133,6 +133,8 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
         'tolerance': asdict(chosen.tolerance), 'choice': asdict(chosen.choice)}
     loops = getattr(simulation.system.constraints, 'report', '')
     said = {'loops': loops} if loops else {}
+    # A scene may state velocities; a reproduction needs the momenta to all digits.
+    said['initial_state'] = {'q': scene.initial_state.q, 'p': scene.initial_state.p}
     return (scene.model_dump() | choice | said | simulation.hamiltonian.provenance | {
         'model_files': scene.model_digests, 'source': str(working_folder() / scene.source),
         'origin': origin, 'first_step': simulation.steps, 'conservative': simulation.conservative})

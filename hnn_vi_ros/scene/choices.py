@@ -8,14 +8,15 @@ from inspect import cleandoc, Parameter, signature
 import math
 from typing import Annotated, Any, Literal, Union
 
+from hnn_vi_ros.effects import Effect, Joined
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, listed, SceneError
 from hnn_vi_ros.files import find_beside, import_named, NAMES_CODE, StrictModel
-from hnn_vi_ros.hamiltonians import GRAMMAR, Graph, Hamiltonian, Reader
+from hnn_vi_ros.hamiltonians import GRAMMAR, Graph, Hamiltonian, momentum, Reader
 from hnn_vi_ros.phase_space import columns
 import numpy as np
 from pydantic import (
-    BaseModel, BeforeValidator, create_model, Field, field_validator, model_validator,
-    StringConstraints)
+    BaseModel, BeforeValidator, ConfigDict, create_model, Field, field_validator,
+    model_serializer, model_validator, SerializerFunctionWrapHandler, StringConstraints)
 
 
 class InvariantChoice(StrictModel):
@@ -189,12 +190,39 @@ class Condition:
 
 
 class InitialState(StrictModel):
-    """The state at t = 0."""
+    """The state at t = 0; `p` of a state given by its velocities is found with H."""
+
+    # Not a nullable list: `p` holds numbers in every scene that was read.
+    model_config = ConfigDict(json_schema_extra={
+        'oneOf': [{'required': ['p']}, {'required': ['v']}]})
 
     q: list[float] = Field(min_length=1, max_length=10_000, description=(
         "coordinates, in the Hamiltonian's order and units"))
-    p: list[float] = Field(min_length=1, max_length=10_000, description=(
+    p: list[float] = Field(default_factory=list, min_length=1, max_length=10_000, description=(
         "conjugate momenta, in the Hamiltonian's order and units"))
+    v: list[float] = Field(default_factory=list, min_length=1, max_length=10_000, description=(
+        "velocities q' in place of p, which solves H_p(q, p) = v; of a rotation the angular "
+        'velocity in the body frame [rad/s]'))
+
+    @model_validator(mode='after')
+    def _check_one(self) -> 'InitialState':
+        if bool(self.p) == bool(self.v):
+            raise ValueError('expected q and either momenta p or velocities v')
+        return self
+
+    @model_serializer(mode='wrap')
+    def _given(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return q, and of p and v the one that was given."""
+        return {key: own for key, own in dump(self).items() if key != ('p' if self.v else 'v')}
+
+    def find_momenta(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> None:
+        """Set p to the momenta of the velocities, or raise ValueError."""
+        for effect in effects:
+            if isinstance(effect, Joined) and not effect.keeps_separable:
+                raise ValueError(f'v does not determine p with {type(effect).__name__}; give p')
+        q, v = np.array(self.q), np.array(self.v)
+        # The class is frozen for its users.
+        object.__setattr__(self, 'p', momentum(hamiltonian, q, v, np.zeros_like(v)).tolist())
 
 
 class LearnedChoice(StrictModel):

@@ -105,7 +105,8 @@ class Scene(StrictModel):
             As in YAML, ``{'kind': 'pendulum', 'length': 2.0}``; or the name of a kind; or a part
             of another scene. A Hamiltonian may be a function; see ``simulate``.
         initial_state : tuple of (q, p), or mapping
-            Coordinates and momenta, in the order and units of the Hamiltonian.
+            Coordinates and momenta, in the order and units of the Hamiltonian; a mapping with
+            'q' and 'v' has velocities, for which p solves H_p(q, p) = v.
         step_size : float, optional
             Step size h [s]; required unless the integrator is auto.
         effects : sequence of str or mapping, optional
@@ -151,9 +152,14 @@ class Scene(StrictModel):
             'on_failure': on_failure, 'events': events, 'invariants': invariants,
             'uncertainty': uncertainty, 'measurements': measurements, 'mechanism': mechanism,
             'duration': duration})
-        scene = _validated(data, f'Scene.build {name}')
-        scene._origin = Origin(Path(name))
-        return scene
+        return _validated(data, f'Scene.build {name}')._placed_at(Origin(Path(name)))
+
+    def _placed_at(self, origin: Origin) -> 'Scene':
+        """Set the origin, and with it the momenta of given velocities; return the scene."""
+        self._origin = origin
+        if self.initial_state.v:
+            self.create_hamiltonian()
+        return self
 
     @property
     def source(self) -> Path:
@@ -172,10 +178,9 @@ class Scene(StrictModel):
     def changed(self, changes: Mapping[str, Any]) -> 'Scene':
         """Return this scene with other values of some keys, or raise SceneError."""
         # Code named in the scene was approved when it was read.
-        scene = _validated({**self.model_dump(exclude=set(changes)), **changes},
-                           f'{self.name} with overrides')
-        scene._origin = replace(self._origin, replaced=self._origin.replaced | changes.keys())
-        return scene
+        return _validated({**self.model_dump(exclude=set(changes)), **changes},
+                          f'{self.name} with overrides')._placed_at(
+            replace(self._origin, replaced=self._origin.replaced | changes.keys()))
 
     def to_yaml(self) -> str:
         """
@@ -290,6 +295,9 @@ class Scene(StrictModel):
         else:
             hamiltonian = self._construct(_EXACT, choice, 'hamiltonian')
         self._check_dimension(hamiltonian.coordinates)
+        if self.initial_state.v:
+            with self.placed('initial_state'):
+                self.initial_state.find_momenta(hamiltonian, self.create_effects())
         state = np.array(self.initial_state.q), np.array(self.initial_state.p)
         with self.placed('hamiltonian'):
             hamiltonian.check_state(*state)
@@ -321,7 +329,8 @@ class Scene(StrictModel):
 
     def _check_dimension(self, coordinates: Sequence[Coordinate]) -> None:
         names, momenta = columns(coordinates)
-        for (key, values), own in zip(self.initial_state, (names, momenta), strict=True):
+        for key, values in self.initial_state.model_dump().items():
+            own = names if key == 'q' else momenta
             if len(values) != len(own):
                 raise SceneError(
                     f'{self.place("initial_state", key)}: {len(values)} values, expected '
@@ -413,8 +422,8 @@ class Parts(NamedTuple):
 
 def _traced(function: Callable[[Any, Any], Any], state: Any, name: str) -> tuple[Any, Any]:
     """Return the formula of H, and the state at which it starts with lists of numbers."""
-    if not isinstance(state, Mapping) or state.keys() != {'q', 'p'}:
-        raise SceneError(f'Scene.build {name}: initial_state: a function H needs q and p')
+    if not isinstance(state, Mapping) or state.keys() not in ({'q', 'p'}, {'q', 'v'}):
+        raise SceneError(f'Scene.build {name}: initial_state: a function H needs q and p, or v')
     q = np.asarray(state['q'])
     try:
         names, text = traced(function, q)
@@ -460,5 +469,4 @@ def load_scene(scene: str | Path, trust_code: bool = True) -> Scene:
     path = find_yaml('scene', str(scene), SceneError)
     loaded, places = read_yaml(path, Scene, SceneError, trust_code)
     # A module next to the scene is found like an installed one.
-    loaded._origin = Origin(path, places, code_folder=str(path.resolve().parent))
-    return loaded
+    return loaded._placed_at(Origin(path, places, code_folder=str(path.resolve().parent)))

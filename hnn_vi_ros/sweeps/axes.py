@@ -159,6 +159,9 @@ def find_key(scene: Scene, key: str, names: Mapping[str, Sequence[str]], place: 
         The key does not exist; the message names the valid ones.
 
     """
+    if scene.initial_state.v and key.startswith(f'{_STATE}.'):
+        raise DataError(f'{place}: {key!r}: the scene starts at velocities v, which determine p; '
+                        'vary the initial state of a scene with q and p')
     value: Any = scene.model_dump()
     parts: list[str | int] = []
     for part in key.split('.'):

@@ -298,7 +298,8 @@ class _Made:
             system = System(hamiltonian, effects, integrator)
         self.joined = system.hamiltonian
         self.lockstep = system.lockstep and not scene.events
-        self._state = {half: np.array(values) for half, values in scene.initial_state}
+        self._state = {half: np.array(values) for half, values in (
+            ('q', scene.initial_state.q), ('p', scene.initial_state.p))}
         steps, _ = whole_steps(plan.sweep.duration, scene.known_step_size)
         self._every = plan.sweep.every or max(steps, 1)
         if steps // self._every + 2 > 2 * plan.samples:

@@ -124,7 +124,7 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
     integrator : str or mapping, optional
         Key of INTEGRATORS, or ``{'kind': 'taylor', 'tolerance': 1e-14}``; overrides the scene's
         integrator. The default for a function is gauss8.
-    initial_state : tuple of (q, p) or {'q': q, 'p': p}, shape (d,) each, optional
+    initial_state : tuple of (q, p) or mapping with 'q' and 'p' or 'v', shape (d,) each, optional
         Initial state; overrides the scene's.
     effects : sequence of mapping, optional
         Effects, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``; overrides the scene's.
@@ -279,16 +279,17 @@ def _scene(scene: Scene | str | Path) -> Scene:
 
 
 def _state(state: State | None) -> dict[str, list[float]] | None:
-    """Return a pair (q, p) as a mapping with the keys q and p."""
+    """Return an initial state as a mapping of lists."""
     if state is None:
         return None
-    if isinstance(state, Mapping) and state.keys() == {'q', 'p'}:
-        state = state['q'], state['p']
+    names = 'qv' if isinstance(state, Mapping) and state.keys() == {'q', 'v'} else 'qp'
+    if isinstance(state, Mapping) and state.keys() == set(names):
+        state = state['q'], state[names[1]]
     if not isinstance(state, Sequence | np.ndarray) or isinstance(state, str) or len(state) != 2:
         raise TypeError('initial_state must be a pair of coordinates q and momenta p, such as '
                         f"([1.0], [0.0]) or {{'q': [1.0], 'p': [0.0]}}, not {state!r:.60}")
     return {name: check_numbers(f'{name} of initial_state', part).tolist()
-            for name, part in zip(('q', 'p'), state, strict=True)}
+            for name, part in zip(names, state, strict=True)}
 
 
 def _initial_states(q: ArrayLike, p: ArrayLike,
