@@ -148,7 +148,7 @@ class Settings:
         0.0, 'control period in lockstep, a whole number of samples; 0: every sample', 's', 0.0,
         1e6)
     lockstep_timeout: float = parameter(
-        60.0, 'longest wait for such a command', 's', 1e-3, 1e9)
+        60.0, 'longest wait for such a command after the first', 's', 1e-3, 1e9)
     on_lockstep_timeout: str = parameter(
         'stop', 'after that wait, end the run, or go on with the last command and warn',
         choices=('stop', 'hold'))

@@ -242,6 +242,8 @@ class System:
         Name of each effect: its kind, with its index if the kind occurs more than once.
     conservative, lockstep : bool
         True if no effect does work, and if several trajectories can step together.
+    single_file : list of str
+        Names of the effects and of the method due to which they cannot.
     motors : Motors
         Effects that take commands.
     constraints : Manifold, LoopManifold or None
@@ -267,11 +269,11 @@ class System:
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
                        for index, kind in enumerate(kinds)]
         self.conservative = all(effect.conservative for effect in effects)
-        self._single_file = [label for effect, label in zip(effects, self.labels, strict=True)
+        self.single_file = [label for effect, label in zip(effects, self.labels, strict=True)
                              if not effect.lockstep]
         if not integrator.requirements.from_state:
-            self._single_file.append(method_name(integrator))
-        self.lockstep = not self._single_file
+            self.single_file.append(method_name(integrator))
+        self.lockstep = not self.single_file
         if not hamiltonian.canonical or hamiltonian.rotations:
             self._check_coordinates(hamiltonian, integrator)
         self._places = [effect.place(integrator) for effect in effects]
@@ -399,7 +401,7 @@ class System:
         states = check_state(q, p, self.hamiltonian.dimension, self.hamiltonian.rotations)
         flat_q, flat_p = (part.ravel() for part in states)
         if not self.lockstep and flat_q.size > self.hamiltonian.dimension:
-            raise ValueError(f'q and p contain several states, but {", ".join(self._single_file)} '
+            raise ValueError(f'q and p contain several states, but {", ".join(self.single_file)} '
                              'supports one at a time; use simulate_many')
         for effect, parameters in zip(self._effects, self._parameters, strict=True):
             effect.check_state(self.hamiltonian, parameters, flat_q)

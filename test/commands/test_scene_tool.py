@@ -227,7 +227,7 @@ def test_explain_tells_the_lyapunov_time_of_a_chaotic_motion():
 
 def test_explain_says_why_a_lyapunov_time_is_not_measured():
     line = lyapunov_line(load_scene('bouncing_mass'), 2048)
-    assert line.startswith('Lyapunov time: not measured: thermostat, impact')
+    assert line.startswith('Lyapunov time: not measured: impact: supported for one motion')
 
 
 def test_measure_effects_of_a_scene_without_effects_is_its_bare_integrator():

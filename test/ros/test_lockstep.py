@@ -12,7 +12,7 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.run.lockstep import Lockstep
 from hnn_vi_ros.ros.settings import Settings
 from messages import refused
-from peer import simulating
+from peer import peer, simulating
 from processes import finish, standard_error, start, start_executable, wait_until
 import pytest
 from recorded import assert_agrees
@@ -83,12 +83,21 @@ def test_run_in_lockstep_waits_for_a_late_controller_and_can_be_paused_and_reset
 
 
 @pytest.mark.parametrize(('policy', 'status', 'word'), [
-    ('stop', 1, 'stopped: lockstep: no command on ~/joint_commands with the stamp 0.01 s within'),
-    ('hold', 0, 'with the stamp 0.02 s within 0.1 s; the last command is held')])
-def test_wait_that_is_too_long_ends_the_run_or_is_warned_of(tmp_path, policy, status, word):
-    found, _, error = finish(start(
-        tmp_path, duration=0.03, lockstep_timeout=0.1, on_lockstep_timeout=policy, record=False,
-        rerun_sink='none', **GIVEN))
+    ('stop', 1, 'stopped: lockstep: no command on ~/joint_commands with the stamp 0.02 s within'),
+    ('hold', 0, 'with the stamp 0.03 s within 0.1 s; the last command is held')])
+def test_wait_after_the_first_command_that_is_too_long_ends_the_run_or_is_warned_of(
+        tmp_path, policy, status, word):
+    process = start(tmp_path, duration=0.05, lockstep_timeout=0.1, on_lockstep_timeout=policy,
+                    record=False, rerun_sink='none', **GIVEN)
+    with peer() as other:
+        commands = other.publisher(JointState, '~/joint_commands')
+        heard = other.hear(JointState, 'joint_states')
+        # Repeated once a second: the wait for the first command is longer than the limit.
+        other.spin_until(lambda: len(heard) > 2 and commands.get_subscription_count())
+        assert {one.header.stamp.nanosec for one in heard} == {10_000_000}
+        commands.publish(JointState(header=heard[-1].header, name=['angle'], effort=[0.1]))
+        found, _, error = finish(process)
+    assert 'lockstep: waiting for the first command on ~/joint_commands' in error
     assert found == status and word in error
 
 

@@ -26,6 +26,8 @@ class Lockstep:
         Stamp of the sample whose answer is awaited [ns]; None while the run goes on.
     since : float
         Wall time at which the wait began [s].
+    begun : bool
+        True from the first answer on, before which the wait has no limit.
     repeated : int or None
         Stamp of the last sample that was published again, and may be answered again [ns].
 
@@ -48,7 +50,7 @@ class Lockstep:
         self.holds = settings.on_lockstep_timeout == 'hold'
         self.awaited: int | None = None
         self.repeated: int | None = None
-        self.since = 0.0
+        self.since, self.begun = 0.0, False
 
     def wait(self, step: int, stamp: int, now: float) -> None:
         """Wait for the answer to a sample if a period ends with it."""
@@ -66,6 +68,7 @@ class Lockstep:
                 f'that of {self.awaited / 1e9:.9g} s is awaited')
             raise ValueError(f'lockstep: answers the state of {stamp / 1e9:.9g} s, but {wanted}; '
                              'stamp each command with the stamp of the state that it answers')
+        self.begun = True
         return stamp == self.awaited
 
     def release(self) -> None:

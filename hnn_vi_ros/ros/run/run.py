@@ -202,8 +202,10 @@ class Run:
         if lockstep is None or lockstep.awaited is None:
             return
         self._topics.publish_again()
+        if not lockstep.begun and lockstep.repeated is None:
+            self.tell(f'lockstep: waiting for the first command on {JOINT_COMMANDS.topic}', 'INFO')
         lockstep.repeated = lockstep.awaited
-        if not going:
+        if not going or not lockstep.begun:
             lockstep.since = now
         elif now - lockstep.since > lockstep.timeout:
             text = (f'lockstep: no command on {JOINT_COMMANDS.topic} with the stamp '

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from hnn_vi_ros.effects import Effect
-from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.errors import HnnViRosError, listed
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.scene import load_scene, Scene
@@ -113,9 +113,8 @@ class _Pair:
     def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
                  integrator: Integrator, h: float, q: np.ndarray, p: np.ndarray,
                  on_failure: str):
-        if not System(hamiltonian, effects, integrator).lockstep:
-            raise ValueError('thermostat, impact, joint_limits, holonomic_constraint, loops '
-                             'and time_transformed support one motion at a time: the Lyapunov '
+        if alone := System(hamiltonian, effects, integrator).single_file:
+            raise ValueError(f'{listed(alone)}: supported for one motion at a time; the Lyapunov '
                              'time cannot be measured')
         self.growth, self._scale = 0.0, state_scales(hamiltonian, q, p)
         direction = np.random.default_rng(0).normal(size=q.size + p.size)
