@@ -26,6 +26,7 @@ from hnn_vi_ros.simulation import build, difference, DifferentiableRun, Trajecto
 from hnn_vi_ros.sweeps import running as sweep
 from messages import refused
 import numpy as np
+from python_process import run_code
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -701,6 +702,19 @@ def test_command_writes_numbers_posterior_report_and_scene(log, drawn, tmp_path,
     scene = load_scene(paths['fitted.yaml'])
     assert scene.hamiltonian.length == numbers['length']['value']
     assert hnn_vi_ros.simulate(scene, 0.1).q.shape[1] == 1
+
+
+def test_identify_needs_no_torch_for_a_scene_without_networks(log):
+    code = ('import sys\n'
+            'class Without:\n'
+            '    def find_spec(self, name, *_):\n'
+            '        if name == "torch":\n'
+            '            raise ModuleNotFoundError(name=name)\n'
+            'sys.meta_path.insert(0, Without())\n'
+            'from hnn_vi_ros.identify.identify import main\n'
+            f'main(["exact_pendulum", "--data", {str(log)!r}, "--free", "length"])')
+    result = run_code(code)
+    assert result.returncode == 0 and '| length | 1' in result.stdout, result.stderr
 
 
 def test_bounds_that_hold_the_truth_out_are_told(log, capsys):

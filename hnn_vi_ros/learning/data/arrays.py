@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import errno
 import os
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import array_names, sha256_of, StrictModel, unpack_arrays
@@ -14,7 +14,9 @@ from hnn_vi_ros.learning.data.motions import Motion, MotionData, Recording, TEST
 from hnn_vi_ros.models import turn_matrices
 import numpy as np
 from pydantic import Field
-import torch
+
+if TYPE_CHECKING:
+    import torch
 
 MAX_BYTES = 1 << 30
 _NAMED = '; name the keys with --keys, or in the data section of a configuration'
@@ -95,17 +97,17 @@ class BodyMotions(NamedTuple):
 
     """
 
-    x: torch.Tensor
-    R: torch.Tensor
-    v: torch.Tensor
-    u: torch.Tensor
+    x: 'torch.Tensor'
+    R: 'torch.Tensor'
+    v: 'torch.Tensor'
+    u: 'torch.Tensor'
     interval: float
 
     def at(self, times: slice) -> 'BodyMotions':
         """Return the samples of all motions in a slice of times."""
         return self._each(lambda part: part[times])
 
-    def of(self, rows: torch.Tensor) -> 'BodyMotions':
+    def of(self, rows: 'torch.Tensor') -> 'BodyMotions':
         """Return the motions with these indices."""
         return self._each(lambda part: part[:, rows])
 
@@ -115,11 +117,10 @@ class BodyMotions(NamedTuple):
         if count >= length:
             raise DataError(f'windows of {count} intervals are longer than the motions of '
                             f'{length - 1}; reduce windows')
-        return self._each(lambda part: torch.cat([
-            part[i:length - count + i][:, None] for i in range(count + 1)], dim=1)
-            .transpose(0, 1).flatten(1, 2))
+        return self._each(lambda part: part.unfold(0, count + 1, 1).movedim(-1, 0)[
+            :, :length - count].flatten(1, 2))
 
-    def _each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> 'BodyMotions':
+    def _each(self, change: Callable[['torch.Tensor'], 'torch.Tensor']) -> 'BodyMotions':
         x, R, v, u = map(change, self[:4])
         return BodyMotions(x, R, v, u, self.interval)
 
@@ -364,5 +365,7 @@ def _motions(name: str, parts: Sequence[np.ndarray], interval: float) -> BodyMot
     left, _, right = np.linalg.svd(R[off])
     R[off] = left @ right
     R = R.reshape(*attitude.shape[:-1], 3, 3)
+    # Imported lazily: hnn identify reads other arrays without it.
+    import torch
     x, R, v, u = map(torch.tensor, (x, R, v, u))
     return BodyMotions(x, R, v, u, interval)
