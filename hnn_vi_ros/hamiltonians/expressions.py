@@ -787,7 +787,16 @@ _OF_SYMBOLS: dict[str, Callable[..., int]] = {
     'greater': _COMPARISONS['>'], 'greater_equal': _COMPARISONS['>='],
     'less': _COMPARISONS['<'], 'less_equal': _COMPARISONS['<='],
     'logical_and': Graph.product, 'bitwise_and': Graph.product, 'where': Graph.where,
-    'logical_or': Graph.largest, 'bitwise_or': Graph.largest}
+    'logical_or': Graph.largest, 'bitwise_or': Graph.largest,
+    # Symbols are real numbers.
+    'conjugate': lambda g, x: x, 'float_power': Graph.raised,
+    'exp2': lambda g, x: g.raised(g.number(2.0), x),
+    **dict.fromkeys(('deg2rad', 'radians'), lambda g, x: g.scaled(math.pi / 180.0, x)),
+    **dict.fromkeys(('rad2deg', 'degrees'), lambda g, x: g.scaled(180.0 / math.pi, x)),
+    'log2': lambda g, x: g.scaled(1.0 / math.log(2.0), g.apply('log', x)),
+    'log10': lambda g, x: g.scaled(1.0 / math.log(10.0), g.apply('log', x)),
+    'logaddexp': lambda g, x, y: g.plus(g.largest(x, y), g.apply('log1p', g.apply(
+        'exp', g.scaled(-1.0, g.apply('abs', _minus(g, x, y))))))}
 
 
 def _plain(value: Any) -> Any:
@@ -961,8 +970,11 @@ def _compare(function: Callable[[Any, Any], Any], order: int, graph: Graph, root
              start: np.ndarray) -> None:
     """Raise ValueError unless a formula has the values of its function, with numbers."""
     chance, names = np.random.default_rng(0), [node[1] for node in graph.nodes[:2 * start.size]]
-    for k in range(_STATES):
-        state = chance.normal(size=(2, *start.shape)) * (0.3, 2.0)[k % 4 // 2]
+    states = [*chance.normal(size=(_STATES, 2, *start.shape))]
+    first = math.nan
+    # The first one is repeated at the end.
+    for k, state in enumerate((*states, states[0])):
+        state = state * (0.3, 2.0)[k % 4 // 2]
         state[0] += start * (k % 2)
         known = dict(zip(names, state.ravel(), strict=True))
         values = graph.values([root], known)
@@ -973,8 +985,10 @@ def _compare(function: Callable[[Any, Any], Any], order: int, graph: Graph, root
             except Exception as problem:  # noqa: B902  the user's code may raise any
                 raise ValueError(f'H raises {type(problem).__name__} with numbers: '
                                  f'{" ".join(str(problem).split())}') from problem
+            first = own if k == 0 else first
+            again = k < _STATES or own == first or not np.isfinite(first)
             size = max(abs(value) for value in values.values() if np.isfinite(value))
-            if np.isfinite(own) and not own.imag and not (
+            if not again or np.isfinite(own) and not own.imag and not (
                     abs(values[root] - own.real) <= _TOLERANCE * size):
                 raise ValueError(
                     f'H with numbers differs from its formula: at q = {state[0].tolist()}, p = '

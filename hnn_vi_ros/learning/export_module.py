@@ -3,6 +3,7 @@
 """Export a torch module as a model file that needs no torch."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import NoReturn
@@ -24,6 +25,8 @@ import torch
 # and the largest difference relative to the largest value or slope: rounding errors of sums in
 # another order; torch's own slopes of CELU and Hardsigmoid have constants in float32.
 _STATES, _BATCH, _TOLERANCE, _SLOPE_TOLERANCE = 100, 7, 1e-9, 1e-7
+# Relative change of a state, by some units in the last place, that shows the rounding errors of H.
+_ROUNDING = 1e-15
 Intervals = Sequence[Sequence[float]]
 
 
@@ -240,6 +243,10 @@ def _check(graph: GraphHamiltonian, function: Callable[[torch.Tensor], torch.Ten
         _refuse(kind, 'solves linear systems whose pivots vanish or change sign in the domain, '
                 'and rows are not exchanged: use positive definite matrices, or write the '
                 'solution out')
+    noise = [float(function(state * (1.0 + _ROUNDING)) - function(state.clone()))
+             for state in z[:_BATCH]]
+    if np.abs(values).max() <= 10.0 * np.abs(noise).max():
+        _refuse(kind, 'is 0 up to rounding errors: it may sum the output of a normalisation')
     for what, one, other, tolerance in zip(
             ('values', 'slopes'), own, (np.array(values), np.array(slopes)),
             (_TOLERANCE, _SLOPE_TOLERANCE), strict=True):
@@ -247,17 +254,30 @@ def _check(graph: GraphHamiltonian, function: Callable[[torch.Tensor], torch.Ten
         if not apart <= tolerance * max(np.abs(other).max(), 1e-300):
             _refuse(kind, f'has other {what} than its graph, by {apart:.3g}: its operations '
                     'change from state to state, or it detaches a part of its input')
+    # Products of one row and of several have different rounding errors.
+    error, steepest = _SLOPE_TOLERANCE * max(np.abs(values).max(), 1e-300), max(
+        np.abs(slopes).max(), 1e-300)
+    plain = values[0]
+    # A module may differentiate inside, which needs gradients.
+    with suppress(Exception), torch.no_grad():
+        plain = float(function(z[0].clone()))
+    if not abs(plain - values[0]) <= error:
+        _refuse(kind, f'has other values without gradients, by {abs(plain - values[0]):.3g}: it '
+                'depends on requires_grad or on torch.is_grad_enabled()')
     x = z[:_BATCH].clone().requires_grad_(True)
     try:
-        total = rows(x.clone()).sum()
-        (together,) = torch.autograd.grad(total, x)
+        together = rows(x.clone()).reshape(-1)
+        # Different weights of the rows: their sum would not show which value is whose.
+        weights = torch.linspace(1.0, 2.0, len(together), dtype=x.dtype)
+        (moved,) = torch.autograd.grad((weights * together).sum(), x)
     except Exception:  # noqa: B902  a module may support single rows only
         return
-    # Products of one row and of several have different rounding errors.
-    if not (np.abs(together.numpy() - slopes[:_BATCH]).max() <= _SLOPE_TOLERANCE * max(
-                np.abs(slopes).max(), 1e-300)
-            and abs(float(total.detach()) - sum(values[:_BATCH]))
-            <= _SLOPE_TOLERANCE * _BATCH * max(np.abs(values).max(), 1e-300)):
+    # One number is the sum over the rows.
+    known = np.array(values[:_BATCH]) if len(together) > 1 else np.sum(values[:_BATCH])
+    if len(together) not in (1, _BATCH) or not (
+            np.abs(together.detach().numpy() - known).max() <= _BATCH * error
+            and np.abs(moved.numpy() - weights.numpy()[:, None] * slopes[:_BATCH]).max()
+            <= 2.0 * _SLOPE_TOLERANCE * steepest):
         _refuse(kind, f'has other values in a batch of {_BATCH} rows: it mixes the rows of its '
                 'input, or uses only the first; index columns as in x[:, 0], and avoid layers '
                 'that depend on the batch')

@@ -237,6 +237,8 @@ class _Translator:
             return value.node
         if isinstance(value, torch.Tensor):
             return self.b.constant(value.detach().cpu().double().numpy())
+        if isinstance(value, complex):
+            raise ModelError('contains complex numbers: write their real and imaginary parts')
         return self.b.constant(np.array(float(value)))
 
     def _alike(self, *values: Any) -> list[int]:

@@ -39,6 +39,9 @@ FUNCTIONS = [
       for order in (1, 2, 3, np.inf, -np.inf)),
     (lambda q, p: p @ np.linalg.solve(matrix(q), p) + np.linalg.det(matrix(p))
      + np.linalg.inv(matrix(p))[0, 1] + p @ np.linalg.solve(MASS, q), 2),
+    (lambda q, p: np.vdot(p, p) + np.var(q) + np.log2(2 + q @ q) + np.log10(3 + q[0]**2)
+     + np.logaddexp(q[0], p[1]) + np.exp2(q).sum() + np.degrees(np.radians(q[1]))
+     + np.float_power(2 + q[0]**2, 0.3), 2),
     (lambda q, p: sum(np.tanh(p)**2) + np.einsum('i,ij,j', q, MASS, q) - 1e-7 * q[0], 2)]
 
 
@@ -61,6 +64,8 @@ REFUSED = {
     'time first': lambda t, x: x**2, 'velocity': lambda q, v: v**2 / 2,
     'type': lambda q, p: p**2 + (q**2 if isinstance(q, float) else q**4),
     'random': lambda q, p: p**2 + q * CHANCE.normal(),
+    'slow drift': lambda q, p, calls=[0]: p**2 + q**2 * (
+        1.0 + 1e-9 * (calls.append(0) or len(calls))),
     'counter': lambda q, p, calls=[0]: p**2 + q * (calls.append(0) or len(calls)),
     'try': lambda q, p: p**2 + (q if hasattr(q, '__float__') and attempt(q) else 0.0),
     'method of symbols': lambda q, p: p**2 + q.sin(),

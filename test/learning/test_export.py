@@ -376,6 +376,13 @@ REFUSED = {name: function if isinstance(function, nn.Module) else Written(functi
     'a determinant without pivot': lambda x: torch.linalg.det(torch.stack([torch.stack(
         [x[:, 0], x[:, 1]], -1), torch.stack([x[:, 1], 1 + x[:, 0]], -1)], -2)),
     'a mean of the batch': lambda x: ((x - x.mean(0) + 1)**2).sum(-1),
+    'rows in another order': lambda x: (x.flip(0)**2).sum(-1),
+    'columns beside rows': lambda x: (x[:, :1]**2 + x[:, 1]**2).mean(1),
+    'rows beside rows': lambda x: x[:, :1]**2 + x[:, 1]**2,
+    'a function of requires_grad': lambda x: (x**2).sum(-1) * (2.0 if x.requires_grad else 1.0),
+    'complex numbers': lambda x: torch.exp(1j * x).real.sum(-1),
+    'rounding errors': lambda x: functional.layer_norm(
+        x @ torch.arange(10.0, dtype=x.dtype).reshape(2, 5)**0.5, (5,)).sum(-1),
     'the first row': lambda x: x[0, 0]**2 + x[0, 1]**2,
     'attention over the batch': nn.Sequential(
         nn.Linear(2, 8), nn.TransformerEncoderLayer(8, 2, 16, activation='gelu'), nn.Linear(8, 1)),
