@@ -49,6 +49,7 @@ HOMES = {
     'ray': r'sweeps/ray_cluster\.py',
     'argcomplete': r'commands/completion\.py',
     'rerun': r'recording/viewer/rerun_\w+\.py',
+    'rerun_cli': r'recording/viewer/rerun_stream\.py',
     'contourpy': r'recording/viewer/phase_portrait\.py',
     'matplotlib': r'(learning|identify)/(\w+/)?\w+\.py|simulation/trajectory/\w+\.py'
                   r'|commands/cost_figure\.py',

@@ -4,6 +4,7 @@
 
 from pathlib import Path
 import socket
+from subprocess import DEVNULL, PIPE, Popen
 import threading
 import time
 from typing import final
@@ -14,13 +15,18 @@ from hnn_vi_ros.errors import RecordingError
 import rerun as rr
 from rerun import bindings  # type: ignore[attr-defined]  # not exported, but needed
 import rerun.blueprint as rrb
+import rerun_cli  # type: ignore[import-untyped]
 
 Target = Path | str | int
 # Time limits of closing [s]: to flush the last samples, to end a connection, and to finish a
 # server or the index of a file.
 FLUSH, HANG_UP, FINISH = 0.5, 0.3, 10.0
-# Time limit for a server to release its port afterwards [s]; milliseconds on an idle machine.
-RELEASE = 2.0
+# Time limit for a server to start [s]; a second on an idle machine.
+START = 30.0
+# The server of the SDK listens on all interfaces, so the command `rerun` is started as a server.
+# A shell ends it when its standard input is closed, also if this process is killed.
+_ADDRESS = '127.0.0.1'
+_UNTIL_CLOSED = '"$@" & read _; kill $!; wait'
 # Threads that wait for a target that may never answer.
 _waiting: list[threading.Thread] = []
 
@@ -35,7 +41,7 @@ class RerunStream:
     application : str
         Application; its recordings share a layout in the viewer.
     target : Path, str or int
-        File to write (must not exist), URL of a viewer, or port to serve viewers on.
+        File to write (must not exist), URL of a viewer, or port to serve viewers of this machine.
 
     Attributes
     ----------
@@ -54,7 +60,8 @@ class RerunStream:
     def __init__(self, application: str, target: Target):
         self.live = not isinstance(target, Path)
         self._application, self._target, self._size = application, target, 0
-        self.recording = _open(application, target)
+        self._server: Popen[bytes] | None = None
+        self.recording = self._open()
 
     def send_blueprint(self, blueprint: rrb.Blueprint) -> None:
         """
@@ -132,8 +139,32 @@ class RerunStream:
         if thread.is_alive():
             _waiting.append(thread)
             rr.unregister_shutdown()
-        if isinstance(self._target, int):
-            _wait_for_port(self._target)
+        self._end_server()
+
+    def _end_server(self) -> None:
+        if self._server is not None:
+            self._server.communicate()
+
+    def _open(self) -> rr.RecordingStream:
+        target = self._target
+        try:
+            if isinstance(target, Path):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                # Exclusive creation here ensures that an existing file is not overwritten.
+                target.open('xb').close()
+            elif isinstance(target, str):
+                _check_viewer(target)
+            else:
+                _check_port(target)
+                self._server = _serve(target)
+            return _connect(self._application, target)
+        except FileExistsError as problem:
+            raise RecordingError(f'{target}: exists and is not overwritten; choose another '
+                                 'rerun_path') from problem
+        except (OSError, RuntimeError, ValueError, OverflowError) as problem:
+            self._end_server()
+            raise RecordingError(f'{target}: a rerun recording cannot be written there: '
+                                 f'{problem}') from problem
 
 
 def _number(part: rrb.Container | rrb.View, place: str) -> None:
@@ -144,25 +175,6 @@ def _number(part: rrb.Container | rrb.View, place: str) -> None:
             _number(child, f'{place}/{number}')
 
 
-def _open(application: str, target: Target) -> rr.RecordingStream:
-    try:
-        if isinstance(target, Path):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            # Exclusive creation here ensures that an existing file is not overwritten.
-            target.open('xb').close()
-        elif isinstance(target, str):
-            _check_viewer(target)
-        else:
-            _check_port(target)
-        return _connect(application, target)
-    except FileExistsError as problem:
-        raise RecordingError(f'{target}: exists and is not overwritten; choose another '
-                             'rerun_path') from problem
-    except (OSError, RuntimeError, ValueError, OverflowError) as problem:
-        raise RecordingError(f'{target}: a rerun recording cannot be written there: '
-                             f'{problem}') from problem
-
-
 def _connect(application: str, target: Target) -> rr.RecordingStream:
     # The SDK keeps each closed recording (two threads, half a megabyte) until a clean-up call
     # (rerun issue 2116), for example in rr.init; the clean-up waits for all of them.
@@ -171,12 +183,28 @@ def _connect(application: str, target: Target) -> rr.RecordingStream:
     stream = rr.RecordingStream(application)
     if isinstance(target, Path):
         stream.save(target)
-    elif isinstance(target, str):
-        stream.connect_grpc(target)
     else:
-        stream.serve_grpc(grpc_port=target)
-        stream.flush(timeout_sec=FLUSH)
+        stream.connect_grpc(
+            target if isinstance(target, str) else f'rerun+http://{_ADDRESS}:{target}/proxy')
     return stream
+
+
+def _serve(port: int) -> Popen[bytes]:
+    """Start a server for viewers of this machine; return its process when it listens."""
+    program = Path(rerun_cli.__file__).with_name('rerun')
+    server = Popen(
+        ['/bin/sh', '-c', _UNTIL_CLOSED, 'sh', program, '--serve-grpc', '--bind', _ADDRESS,
+         '--port', str(port)], stdin=PIPE, stdout=DEVNULL, stderr=DEVNULL, start_new_session=True)
+    until = time.monotonic() + START
+    while True:
+        try:
+            socket.create_connection((_ADDRESS, port)).close()
+            return server
+        except OSError:
+            if time.monotonic() > until:
+                server.communicate()
+                raise
+            time.sleep(0.02)
 
 
 def _check_viewer(url: str) -> None:
@@ -198,16 +226,6 @@ def _check_port(port: int) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind(('', port))
-
-
-def _wait_for_port(port: int) -> None:
-    """Wait until the SDK's server, which ends in its own thread, has released its port."""
-    until = time.monotonic() + RELEASE
-    while time.monotonic() < until:
-        try:
-            return _check_port(port)
-        except OSError:
-            time.sleep(0.001)
 
 
 def _reason(problem: OSError | RuntimeError) -> str:

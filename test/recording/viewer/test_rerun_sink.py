@@ -10,7 +10,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import threading
 import time
 from types import SimpleNamespace
 
@@ -258,6 +257,23 @@ def viewer() -> Iterator[tuple[str, subprocess.Popen]]:
         process.communicate()
 
 
+def test_server_ends_with_a_killed_process():
+    port = free_port()
+    program = ('from hnn_vi_ros.recording.viewer.rerun_stream import RerunStream; import os; '
+               f'stream = RerunStream("test", {port}); os.kill(os.getpid(), 9)')
+    assert subprocess.run([sys.executable, '-c', program], check=False).returncode == -9
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        until = time.monotonic() + 60.0
+        while True:
+            try:
+                probe.bind(('', port))
+                break
+            except OSError:
+                assert time.monotonic() < until
+                time.sleep(0.05)
+
+
 def test_connected_viewer_takes_all_samples(viewer: tuple[str, subprocess.Popen]):
     record(viewer[0], 100)
 
@@ -330,13 +346,14 @@ def test_samples_that_no_clock_holds_back_do_not_pile_up(path, monkeypatch):
     assert sizes_of(path) == [rerun_sink.MOST_PENDING] * 3
 
 
-def test_port_is_free_once_the_recording_served_there_is_closed(monkeypatch):
-    """As a reset needs it: the SDK's server ends a little after its disconnect has returned."""
+def test_served_recording_listens_on_this_machine_only_until_it_is_closed():
+    """A reset serves the next recording on the same port."""
     port = free_port()
     stream = RerunStream('test', port)
-    end = stream.recording.disconnect
-    monkeypatch.setattr(stream.recording, 'disconnect',
-                        lambda: threading.Timer(0.1, end).start())
+    socket.create_connection(('127.0.0.1', port)).close()
+    # Loopback has more addresses; a server on all interfaces has them too.
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(('127.0.0.2', port))
     stream.close()
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
