@@ -90,9 +90,16 @@ def _merge_interrupts() -> None:
     signal.signal(signal.SIGINT, on_signal)
 
 
-def _end_at_interrupt() -> None:
-    """Make SIGINT end the process: C libraries turn it into other errors of their import."""
-    signal.signal(signal.SIGINT, lambda number, frame: os._exit(_INTERRUPTED))
+def _is_node(module: str, argv: Sequence[str]) -> bool:
+    """Return whether a command is a node, which signals end with status 0."""
+    return module.startswith('hnn_vi_ros.ros.') and '--verify' not in argv
+
+
+def _end_at_signals(node: bool) -> None:
+    """Make signals end the process: C libraries turn SIGINT into other errors of their import."""
+    for number in ENDING if node else (signal.SIGINT,):
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda *_: os._exit(0 if node else _INTERRUPTED))
 
 
 def _answer_at_once(name: str, argv: Sequence[str]) -> None:
@@ -109,7 +116,7 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     argv = list(sys.argv[1:] if argv is None else argv)
     name, *meant = ALIASES.get(name, (name,))
     argv, shown = [*meant, *argv], f'hnn {name}'
-    _end_at_interrupt()
+    _end_at_signals(_is_node(module_of(name), argv))
     guard_streams()
     # Otherwise the viewer's library would write to standard error.
     os.environ.setdefault('RUST_LOG', 'off')
@@ -172,10 +179,12 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
         if module.startswith('hnn_vi_ros.ros.'):
             # Before any ROS library is loaded, because some terminate the process.
             settle_ros_environment()
-        _end_at_interrupt()
+        _end_at_signals(_is_node(module, argv))
         _warn_in_lines(shown)
         loaded = import_module(module)
-        _merge_interrupts()
+        if not _is_node(module, argv):
+            # Nodes take signals themselves, see ros_process.
+            _merge_interrupts()
         return loaded.main(argv)
     except HnnViRosError as problem:
         return _lines(shown, problem)

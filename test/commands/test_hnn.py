@@ -23,6 +23,7 @@ from hnn_vi_ros.version import __version__
 from messages import assert_message, refused
 import numpy as np
 import pytest
+from python_process import run_code
 
 SETUP = (Path(__file__).resolve().parents[2] / 'setup.py').read_text()
 
@@ -235,6 +236,26 @@ def test_long_work_without_a_terminal_says_how_long_it_takes(monkeypatch, capsys
         while 'so far' not in (said := capsys.readouterr().err):
             time.sleep(0.01)
     assert re.match(r'simulating, 0 s so far\n', said)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize('words', ['simulator', 'replay bag', 'controller'])
+def test_signal_while_a_node_loads_its_libraries_ends_it_with_status_0(words, number):
+    assert status_at(number, words) == 0
+
+
+@pytest.mark.parametrize('words', ['doctor', 'replay bag --verify'])
+def test_interrupt_while_a_command_loads_its_libraries_ends_it_with_status_130(words):
+    assert status_at(signal.SIGINT, words) == 130
+
+
+def status_at(number, words):
+    """Return the status of hnn if a signal arrives in its first import."""
+    return run_code(
+        'import os, signal, sys, time; from hnn_vi_ros import cli; '
+        f'sys.argv[1:] = {words.split()!r}; cli.check_names = lambda *_: None; '
+        f'cli.import_module = lambda _: (os.kill(os.getpid(), {int(number)}), time.sleep(60)); '
+        'cli.main()').returncode
 
 
 def test_interrupt_says_how_to_go_on(monkeypatch, capsys):
