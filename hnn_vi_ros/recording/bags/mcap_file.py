@@ -9,7 +9,7 @@ length, reading continues at the next chunk.
 
 from array import array
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
+from functools import cached_property, partial
 from io import BytesIO
 import os
 from pathlib import Path
@@ -156,7 +156,7 @@ def _read_at(stream: BinaryIO, start: int, length: int) -> bytes:
     return stream.read(length) if length <= MAX_RECORD_SIZE else b''
 
 
-def crc_of(stream: BinaryIO, start: int, end: int) -> int:
+def _crc_of(stream: BinaryIO, start: int, end: int) -> int:
     """Return the CRC of a range of a stream."""
     stream.seek(start)
     found, left = 0, end - start
@@ -407,7 +407,7 @@ class McapFile:
         summary = self.data_end[0] + PREFIX.size + 4
         return counted == there and _read_at(stream, end, size - end) == MAGIC \
             and footer.summary_start in (0, summary) and footer.summary_crc in (
-                0, crc_of(stream, summary, end - 4))
+                0, _crc_of(stream, summary, end - 4))
 
     def _open_all(self, stream: BinaryIO) -> int:
         """Read definitions and message times from all chunks; return the number of messages."""
@@ -451,6 +451,14 @@ class McapFile:
                 yield record
             elif isinstance(record, Message) or record is None or not self._define(record):
                 self.unread[piece.start] = piece.length
+
+    @cached_property
+    def altered(self) -> bool:
+        """Return whether a finished file fails the CRC that covers also header and metadata."""
+        if not self.finished or self.data_end is None or not self.data_end[1]:
+            return False
+        with regular(self.path) as stream:
+            return _crc_of(stream, 0, self.data_end[0]) != self.data_end[1]
 
     def messages(self) -> Iterator[Message]:
         """Yield all messages in the order of the file."""

@@ -112,6 +112,9 @@ class BagReader:
         found += [f'{source.path}: contains {source.message_count} messages, but its summary or '
                   f'indexes count {source.counted}' for source in self._sources
                   if source.counted not in (None, source.message_count)]
+        found += [f'{source.path}: its header or metadata differ from the recorded ones '
+                  '(wrong checksum)' for source in self._sources
+                  if source.altered and not source.unread]
         message_count = sum(source.message_count for source in self._sources)
         counted = counted_messages(self._files[0].parent, [path.name for path in self._files])
         # Recorders write the counts only at the end.

@@ -17,7 +17,7 @@ from hnn_vi_ros.files import dump_yaml, numbered, regular, temporary_beside
 from hnn_vi_ros.recording.bags.bag_files import bag_files
 from hnn_vi_ros.recording.bags.bag_metadata import (
     bag_metadata, counted_messages, Extent, NEVER, read_description, Topic, write_bag_metadata)
-from hnn_vi_ros.recording.bags.mcap_file import crc_of, McapFile
+from hnn_vi_ros.recording.bags.mcap_file import McapFile
 from mcap.writer import CompressionType, Writer
 
 _CHUNK_SIZE = 256 * 1024
@@ -109,7 +109,7 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
         with regular(path) as stream, _not_being_recorded(stream, path):
             file = McapFile(path, thorough=True)
             content = _Content(file)
-            recovery = _compared(file, content, stream)
+            recovery = _compared(file, content)
             if recovery.changed:
                 _write_anew(file, content, recovery, replace)
             if (bag.is_dir() or _is_bag(path)) and (
@@ -165,12 +165,11 @@ def _not_being_recorded(stream: BinaryIO, path: Path) -> Iterator[None]:
     yield
 
 
-def _compared(file: McapFile, content: _Content, stream: BinaryIO) -> Recovery:
+def _compared(file: McapFile, content: _Content) -> Recovery:
     """Compare the readable messages with the counts; raise an error if there are none."""
     messages = content.extent.messages
     recovery = Recovery(file.path, *content.extent[1:])
-    recovery.altered = file.finished and file.data_end is not None and file.data_end[1] not in (
-        0, crc_of(stream, 0, file.data_end[0]))
+    recovery.altered = file.altered
     recovery.incomplete = file.incomplete
     recovery.damaged, recovery.unread = len(file.unread), sum(file.unread.values())
     described = _description(file).get('message_count')
@@ -229,8 +228,7 @@ def copy_messages(file: McapFile, content: _Content, target: BinaryIO) -> None:
 def _read_back(path: Path, messages: int) -> None:
     """Read a written file back; raise RecordingError unless all messages are in it."""
     copy = McapFile(path, thorough=True)
-    with regular(path) as stream:
-        found = _compared(copy, _Content(copy), stream)
+    found = _compared(copy, _Content(copy))
     if found.messages != messages or found.changed:
         raise RecordingError(f'{path}: the repaired file reads back with {found.messages} of '
                              f'{messages} messages; the bag is unchanged; check the disk')

@@ -56,6 +56,7 @@ class SqliteBag:
     def __init__(self, path: Path):
         self.path = path
         self.unread: dict[int, int] = {}
+        self.altered = False  # it has no checksums
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.pieces: list[Piece] = []

@@ -132,6 +132,8 @@ def test_no_mutation_ends_in_a_traceback_a_silent_loss_or_a_message_that_never_w
             outcomes[found.kind, 'nothing can be read'] += 1
             continue
         recovery, kept = result[0], Counter(result[1])
+        reader = BagReader(tmp_path / 'read.mcap')
+        assert reader.damage or not recovery.altered, found.description
         assert kept <= allowed, found.description
         assert recovery.lost or kept == whole or cut_off or (
             recovery.incomplete and kept >= LAST), (found.description, recovery)
@@ -277,3 +279,11 @@ def test_changes_of_a_file_are_not_taken_for_whole(tmp_path, finished):
     changed = finished[:begins[2]] + finished[begins[3]:begins[4]] + finished[begins[3]:]
     recovery, _ = attempt(tmp_path / 'bag', changed)
     assert recovery.changed
+
+
+def test_flip_in_the_header_is_damage_to_readers_and_to_recover_bag(tmp_path, finished):
+    path = tmp_path / 'bag.mcap'
+    path.write_bytes(finished)
+    assert not BagReader(path).damage
+    path.write_bytes(finished.replace(b'ros2', b'ros3', 1))
+    assert 'checksum' in BagReader(path).damage and recover(path).altered
