@@ -54,6 +54,11 @@ class Coordinate:
     rotor_of : str
         Joint whose rotor it is, behind an elastic gear; empty for all other coordinates.
 
+    Raises
+    ------
+    ValueError
+        A name or unit contains ``$``, which marks formulas in the texts of pictures.
+
     """
 
     name: str
@@ -62,6 +67,13 @@ class Coordinate:
     kind: Literal['scalar', 'rotation', 'pose'] = 'scalar'
     followers: tuple[Follower, ...] = ()
     rotor_of: str = ''
+
+    def __post_init__(self) -> None:
+        """Check the texts."""
+        for text in (self.name, self.q_unit, self.p_unit):
+            if '$' in text:
+                raise ValueError(f'{text!r}: names and units of coordinates contain no $; give a '
+                                 'unit such as kg m2/s')
 
 
 def leaders(coordinates: Sequence[Coordinate]) -> dict[str, str]:

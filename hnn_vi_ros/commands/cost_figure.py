@@ -118,7 +118,7 @@ def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
     _dress(ax, study, good)
     handles = [*lines, *_draw_levels(ax, study, error)]
     figure.text(0.08, 0.955, f'{name}: cost of accuracy over {study.reference.horizon:g} s',
-                fontsize=14, color=INK, va='center')
+                fontsize=14, color=INK, va='center', parse_math=False)
     subtitle = study.no_path if study.no_path else f'reference: {study.reference.how}'
     figure.text(0.08, 0.918, subtitle[:120], fontsize=8.5, color=FAINT, va='center')
     figure.legend(handles=handles, loc='upper left', bbox_to_anchor=(0.735, 0.855), fontsize=8.5,

@@ -60,18 +60,18 @@ def draw_fit(path: Path, solution: Solution, channels: Sequence[tuple[str, str]]
         left.plot(t[::thin], measured[::thin, c], '.', color=_INK, markersize=2.5,
                   label='measured')
         left.plot(t[::thin], fitted[::thin, c], color=_FITTED, linewidth=1.0, label='fitted')
-        left.set_ylabel(f'{name} [{unit}]')
+        left.set_ylabel(f'{name} [{unit}]', parse_math=False)
         right.plot(t[::thin], residuals[::thin, c], '.', color=_FITTED, markersize=2.5)
         for side in (-_INTERVAL, _INTERVAL):
             right.axhline(side, color=_INK, linewidth=0.7, linestyle='--')
-        right.set_ylabel(f'{name}: residual / noise [1]')
+        right.set_ylabel(f'{name}: residual / noise [1]', parse_math=False)
         for axes in (left, right):
             axes.grid(alpha=0.3)
     grid[0, 0].legend(loc='upper right', frameon=False)
     grid[0, 1].set_title('dashed: 95 % band of white noise', fontsize=10)
     for axes in grid[-1]:
         axes.set_xlabel('t [s]')
-    figure.suptitle(f'run {windows.motions[run].name}')
+    figure.suptitle(f'run {windows.motions[run].name}', parse_math=False)
     figure.savefig(path, dpi=130)
 
 

@@ -194,6 +194,8 @@ def test_units_and_angles_come_from_the_coordinates():
     assert hamiltonian.coordinates[0].q_unit == 'rad'
     with pytest.raises(ValueError, match='deg: angles must be in rad'):
         FormulaCoordinate(name='a', q_unit='deg')
+    with refused(ValueError):
+        Formula([{'name': 'a', 'q_unit': r'$\frac{a$'}], 'p_a^2/2 + a^2')
     with pytest.raises(ValueError, match='unit'):
         Formula([{'name': 'a', 'unit': 'rad'}], 'p_a^2/2')
 

@@ -33,7 +33,9 @@ def log(path: Path, header: str, count: int | None = None) -> Path:
     ('rate_deg_s', 'rate', 'deg/s'), ('Ang. Vel. (°/s)', 'Ang. Vel.', '°/s'),
     ('Motor Torque Nm', 'Motor Torque', 'Nm'), ('a [m/s²]', 'a', 'm/s²'), ('q1', 'q1', ''),
     ('Angle/deg', 'Angle', 'deg'), ('time_ms_rel', 'time', 'ms'), ('Zeit in s', 'Zeit', 's'),
-    ('angle (left)', 'angle (left)', ''), ('v_m_per_s', 'v', 'm/s'), ('a_m_s2', 'a', 'm/s2')])
+    ('angle (left)', 'angle (left)', ''), ('v_m_per_s', 'v', 'm/s'), ('a_m_s2', 'a', 'm/s2'),
+    ('x [mm^-200]', 'x [mm^-200]', ''), ('x [ns^-99]', 'x [ns^-99]', ''),
+    ('x [ns^-9]', 'x', 'ns^-9')])
 def test_name_is_split_from_its_unit(name, base, unit):
     assert split_unit(name) == (base, unit)
 

@@ -36,7 +36,7 @@ _CLEAR = frozenset((
     'nanoseconds', 'rpm', 'dps'))
 _BRACKETED = re.compile(r'[\[(]([^\[\]()]*)[\])]')
 _WORD = re.compile(r'[^\W\d_]+|[°º%]')
-_FACTOR = re.compile(r'([^\W\d_]+|[°º%1])\^?([-+]?\d{1,2})?')
+_FACTOR = re.compile(r'([^\W\d_]+|[°º%1])\^?([-+]?\d)?')
 # Number of words at the end of a name that may form a unit.
 _MOST_WORDS = 8
 _POWERS = str.maketrans('⁰¹²³⁴⁵⁶⁷⁸⁹⁻', '0123456789-')

@@ -196,7 +196,7 @@ def plot_field(comparison: Comparison, card: ModelCard, path: Path) -> None:
     columns = 2 if comparison.states is not None else 1
     figure = Figure(figsize=(6.0 * columns, 4.0 * rows), layout='constrained')
     figure.suptitle(f'{card.name}: learned field against '
-                    f'{"the true one" if comparison.exact else "held-out data"}')
+                    f'{"the true one" if comparison.exact else "held-out data"}', parse_math=False)
     grid = figure.subplots(rows, columns, squeeze=False)
     for i in range(rows):
         if comparison.states is not None:
@@ -298,7 +298,8 @@ def draw_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
     predicted = [(t, q) for t, q in run.predicted if t[0] >= window[0] and t[-1] <= window[1]]
     d = len(coordinates)
     figure = Figure(figsize=(11.0, 1.2 + max(2.0, 6.0 / d) * d), layout='constrained')
-    figure.suptitle(f'{name}: predictions of {length:.3g} s over run {run.name}')
+    figure.suptitle(f'{name}: predictions of {length:.3g} s over run {run.name}',
+                    parse_math=False)
     grid = figure.subplots(d, 1, sharex=True, squeeze=False)[:, 0]
     for i, (axes, coordinate) in enumerate(zip(grid, coordinates, strict=True)):
         measured = run.q[inside, i]

@@ -108,7 +108,8 @@ def _write_title(figure: 'Figure', text: str) -> None:
     """Write the title of a figure, wrapped to its width."""
     # A letter is about 8 points wide; lines break at commas.
     parts = [part.replace(' ', '\N{NO-BREAK SPACE}') for part in text.split(', ')]
-    figure.suptitle(fill(', '.join(parts), int(9.0 * figure.get_figwidth())))
+    # The scene's name may hold $, which begins a formula.
+    figure.suptitle(fill(', '.join(parts), int(9.0 * figure.get_figwidth())), parse_math=False)
 
 
 def _panels(trajectory: Trajectory, half: int) -> list[_Panel]:
