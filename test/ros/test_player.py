@@ -122,6 +122,15 @@ def test_window_without_messages_takes_its_time():
     assert heard == [] and time.monotonic() - begin >= 0.1
 
 
+def test_player_waits_for_a_time_beyond_the_longest_timeout():
+    player, heard, _ = play([0, 2**64 - 1])
+    player.join(0.5)
+    assert player.is_alive() and player.problem is None
+    player.stop()
+    player.join(60.0)
+    assert not player.is_alive() and len(heard) <= 1
+
+
 def test_error_of_the_reader_ends_the_player_and_is_kept():
     def read():
         yield Message(0)

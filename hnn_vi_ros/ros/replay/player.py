@@ -226,7 +226,7 @@ class Player(threading.Thread):
                 due = stamp if self._tell_time is None else min(stamp, self._clock_due)
                 remaining = self._deadline(due) - time.monotonic_ns()
                 if remaining > 0:
-                    self._changed.wait(remaining * 1e-9)
+                    self._changed.wait(min(remaining * 1e-9, threading.TIMEOUT_MAX))
                     continue
             self._show_clock(due)
             if due == stamp:

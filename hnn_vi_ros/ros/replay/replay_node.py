@@ -37,6 +37,8 @@ from std_srvs.srv import SetBool, Trigger
 _DEFAULT_DEPTH = 10
 # rosbag2 writes an infinite duration as the largest possible one.
 _MAX_QOS_SECONDS = 9_000_000_000
+# Messages have seconds of 32 bits [ns].
+_CLOCK_END = 2**31 * 10**9
 
 
 def recorded_qos(text: str) -> QoSProfile:
@@ -138,6 +140,10 @@ class ReplayNode(RobustNode):
                 f'{(last - self.reader.first) * 1e-9:g} s long')
         if settings.duration:
             last = min(last, first + round(settings.duration * 1e9))
+        if settings.publish_clock and last >= _CLOCK_END:
+            raise ParameterError(
+                f'parameter publish_clock: the bag ends at {last * 1e-9:.9g} s, and {CLOCK_TOPIC} '
+                f'counts to {_CLOCK_END // 10**9} s; remove publish_clock, or limit the duration')
         clock = create_publisher(
             self, ClockMessage, CLOCK_TOPIC, CLOCK_QOS) if settings.publish_clock else None
         self.player = Player(

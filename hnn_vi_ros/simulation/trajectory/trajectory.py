@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, final, Self, TextIO, TYPE_CHECKING
 
 from hnn_vi_ros.errors import listed, optional, RecordingError
-from hnn_vi_ros.files import dump_yaml, one_line, replacing
+from hnn_vi_ros.files import dump_yaml, one_line, parse_json, replacing
 from hnn_vi_ros.hamiltonians import Hamiltonian, Mechanism, MECHANISMS, skeleton
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
 from hnn_vi_ros.recording import Sample
@@ -453,7 +453,7 @@ class Trajectory:
             with safe_open(path, 'np') as file:
                 arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
                 texts = file.metadata()
-            rest, text = json.loads(texts['trajectory']), texts['scene']
+            rest, text = parse_json(texts['trajectory'].encode()), texts['scene']
             many = arrays['q'].ndim == 3
             return cls(
                 **arrays, coordinates=tuple(Coordinate(**own) for own in rest['coordinates']),

@@ -16,6 +16,7 @@ from matplotlib.colors import to_rgb
 from messages import refused
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 from rerun_reader import read
 
 T = np.linspace(0.0, 2.0, 41)
@@ -116,7 +117,8 @@ def test_saved_trajectory_is_loaded_whole(run, tmp_path):
                    for name in ('t', 'q', 'p', 'energy') + ('work',) * (whole.work is not None))
     assert np.array_equal(Trajectory.load(tmp_path / '0.safetensors')(0.7), run(0.7))
     (tmp_path / 'text').write_text('t,q\n')
-    for name in ('text', 'none'):
+    save_file({'t': np.zeros(3)}, tmp_path / 'deep', {'trajectory': 200_000 * '[', 'scene': ''})
+    for name in ('text', 'none', 'deep'):
         with refused(RecordingError):
             Trajectory.load(tmp_path / name)
 
