@@ -72,10 +72,17 @@ LOG = """
 import sys
 import rclpy
 from hnn_vi_ros.ros.plumbing.starting import init_ros
+from type_description_interfaces.srv import GetTypeDescription
 init_ros([])
 node = rclpy.create_node('evil')
 node.get_logger().warning(sys.argv[1])
 rclpy.logging.get_logger('other').error(sys.argv[1], once=True)
+client = node.create_client(GetTypeDescription, 'evil/get_type_description')
+assert client.wait_for_service(60.0)
+for text in ('RIHS01_' + 64 * '0', sys.argv[1]):
+    future = client.call_async(GetTypeDescription.Request(type_name=sys.argv[1], type_hash=text))
+    rclpy.spin_until_future_complete(node, future, timeout_sec=60.0)
+    assert not future.result().successful
 """
 
 

@@ -7,10 +7,12 @@ The error UnknownROSArgsError and the type of a node's logger have no public nam
 The default handler of ``change_state`` lets the error of an illegal transition end the process;
 the only remedy is another callback of the same service. A subscription passes one message to its
 callback, and gives no access to the other waiting ones. Loggers write to the terminal directly
-and not through the streams of Python.
+and not through the streams of Python; of the service ``get_type_description``, rcl itself logs the
+texts of requests.
 """
 
 from collections.abc import Callable, Iterator
+import re
 from typing import Any, TYPE_CHECKING
 
 from hnn_vi_ros.errors import printable
@@ -18,6 +20,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.type_description_service import TypeDescriptionService
 
 if TYPE_CHECKING:
     from rclpy.lifecycle import LifecycleNodeMixin
@@ -26,16 +29,28 @@ UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
 Logger = RcutilsLogger
 
 
+_TYPE_HASH = re.compile('RIHS01_[0-9a-f]{64}')
 _write_to_log = rclpy_implementation.rclpy_logging_rcutils_log
+_describe = TypeDescriptionService._service_callback
 
 
 def log_plainly() -> None:
     """Write each log entry as one line of printable characters; see errors.printable."""
     rclpy_implementation.rclpy_logging_rcutils_log = _write_plainly
+    TypeDescriptionService._service_callback = (  # type: ignore[method-assign]
+        _describe_plainly)
 
 
 def _write_plainly(severity: int, name: str, message: str, *place: Any) -> None:
     _write_to_log(severity, name, printable(message), *place)
+
+
+def _describe_plainly(service: TypeDescriptionService, request: Any, response: Any) -> Any:
+    if not _TYPE_HASH.fullmatch(request.type_hash):
+        response.failure_reason = 'type_hash: expected RIHS01_ and 64 hexadecimal digits'
+        return response
+    request.type_name = printable(request.type_name[:200])
+    return _describe(service, request, response)
 
 
 def answer_changes(node: 'LifecycleNodeMixin', callback: Callable[..., Any]) -> None:
