@@ -11,12 +11,14 @@ from pathlib import Path
 import random
 import re
 import time
+from types import SimpleNamespace
 from typing import Any
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.listener_node import Listener
+from hnn_vi_ros.ros.plumbing import executor
 from hnn_vi_ros.ros.plumbing.executor import failed, NodeExecutor
 from hnn_vi_ros.ros.plumbing.managed_node import steady_timer
 from hnn_vi_ros.ros.replay.replay_node import ReplayNode
@@ -32,6 +34,7 @@ import pytest
 from rcl_interfaces.msg import Parameter, ParameterValue, SetParametersResult
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import get_logger, LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from recorded import record_run
@@ -294,6 +297,18 @@ def test_error_of_any_callback_is_counted_and_told_and_the_node_goes_on(tmp_path
         assert_goes_on(found)
     log = capfd.readouterr().err
     assert "/numbers: error ignored: KeyError: 'unforeseen' (1 so far)" in log
+
+
+def test_ignored_error_is_formatted_for_debugging_only(monkeypatch):
+    """Where another thread compiles, ast.parse of the formatting would raise an error there."""
+    node: Any = SimpleNamespace(get_logger=lambda: get_logger('ignored'))
+    formatted = []
+    monkeypatch.setattr(executor.traceback, 'format_exception',
+                        lambda problem: formatted.append(problem) or [''])
+    for level in (LoggingSeverity.INFO, LoggingSeverity.DEBUG):
+        set_logger_level('ignored', level)
+        executor.Ignored(node).ignore('topic', ValueError('wrong'), 'message ignored')
+        assert bool(formatted) == (level == LoggingSeverity.DEBUG)
 
 
 def test_service_whose_callback_raises_gives_a_failed_response(tmp_path):

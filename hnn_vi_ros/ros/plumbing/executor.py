@@ -15,6 +15,7 @@ from typing import Any
 from hnn_vi_ros.errors import HnnViRosError, printable
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import ShutdownException, SingleThreadedExecutor, TimeoutException
+from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.service import Service
 
@@ -62,7 +63,10 @@ class Ignored:
             self._due[name] = now + _LOG_PERIOD
             logger = self._node.get_logger()
             logger.error(f'{name}: {what}: {reason} ({self.ignored[name]} so far)')
-            logger.debug(''.join(traceback.format_exception(problem)))
+            # Formatting calls ast.parse, which raises SystemError in Python 3.11 if another
+            # thread, such as that of a configuration, calls it as well.
+            if logger.is_enabled_for(LoggingSeverity.DEBUG):
+                logger.debug(''.join(traceback.format_exception(problem)))
         return reason
 
 
