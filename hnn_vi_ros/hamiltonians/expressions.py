@@ -971,7 +971,7 @@ def _compare(function: Callable[[Any, Any], Any], order: int, graph: Graph, root
     """Raise ValueError unless a formula has the values of its function, with numbers."""
     chance, names = np.random.default_rng(0), [node[1] for node in graph.nodes[:2 * start.size]]
     states = [*chance.normal(size=(_STATES, 2, *start.shape))]
-    first = math.nan
+    first: complex = math.nan
     # The first one is repeated at the end.
     for k, state in enumerate((*states, states[0])):
         state = state * (0.3, 2.0)[k % 4 // 2]
@@ -988,8 +988,8 @@ def _compare(function: Callable[[Any, Any], Any], order: int, graph: Graph, root
             first = own if k == 0 else first
             again = k < _STATES or own == first or not np.isfinite(first)
             size = max(abs(value) for value in values.values() if np.isfinite(value))
-            if not again or np.isfinite(own) and not own.imag and not (
-                    abs(values[root] - own.real) <= _TOLERANCE * size):
+            if not again or (np.isfinite(own) and not own.imag and not (
+                    abs(values[root] - own.real) <= _TOLERANCE * size)):
                 raise ValueError(
                     f'H with numbers differs from its formula: at q = {state[0].tolist()}, p = '
                     f'{state[1].tolist()} it is {own.real:.9g}, and {values[root]:.9g} by '

@@ -29,7 +29,7 @@ PRIVATE = {
         'torch._decomp.core_aten_decompositions', 'torch._decomp.get_decompositions',
         'torch.utils._python_dispatch.TorchDispatchMode'}),
     'ros/plumbing/rclpy_internals.py': ('rclpy', {
-        '_service_change_state', '_state_machine',
+        '_service_callback', '_service_change_state', '_state_machine',
         'rclpy.impl.implementation_singleton.rclpy_implementation',
         'rclpy.impl.rcutils_logger.RcutilsLogger'}),
     'recording/viewer/rerun_stream.py': (

@@ -17,9 +17,9 @@ class CostGuard(LimitGuard):
     Cost of steps: at most ten times the usual maximum of gradients of the method.
 
     Newton's method, which takes over from the method's own solver in steps of a radian and more,
-    stays below. More are needed if it finds no solution either, and sub-steps take over. Gradients are counted instead of time, so that the
-    same run raises the same alarm on every machine. For trajectories that step together, the
-    limit is the sum of the limits of the single trajectories.
+    stays below. More are needed if it finds no solution either, and sub-steps take over. Gradients
+    are counted instead of time, so that the same run raises the same alarm on every machine. For
+    trajectories that step together, the limit is the sum of the limits of the single trajectories.
 
     Parameters
     ----------
