@@ -61,7 +61,8 @@ _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
 FUNCTIONS = (*(name for name in _SLOPES if name != 'versine'), 'atan2', 'max', 'min', 'piecewise')
 # Kinds of nodes whose values or slopes jump: expressions that change their signs there.
 SWITCHES: dict[str, Callable[..., int]] = {
-    'abs': lambda g, x: x, 'sign': lambda g, x: x, 'where': lambda g, c, a, b: c}
+    'abs': lambda g, x: x, 'atan2': lambda g, y, x: y, 'sign': lambda g, x: x,
+    'where': lambda g, c, a, b: c}
 # 1 - cos x as 2 sin(x / 2)^2 is accurate for small x, as for the heights of pendulums.
 _NUMPY: dict[str, Callable[..., Any]] = {
     'acos': np.arccos, 'acosh': np.arccosh, 'asin': np.arcsin, 'asinh': np.arcsinh,
@@ -347,11 +348,12 @@ class Graph:
 
     def is_smooth(self, root: int, names: Sequence[str], parameters: Mapping[str, float]) -> bool:
         """Return whether a node and its derivatives by names are continuous functions of these."""
-        kinked = [self.nodes[a] for a in sorted(self.depending([root], names))
+        # The gradient contains the kinks of acos(cos(x)) and others.
+        roots = [root, *self.gradient(root, names)]
+        kinked = [self.nodes[a] for a in sorted(self.depending(roots, names))
                   if self.nodes[a][0] in SWITCHES]
         if not kinked:
             return True
-        roots = [root, *self.gradient(root, names)]
         both = roots + [SWITCHES[kind](self, *parts) for kind, *parts in kinked]
 
         def values(z: np.ndarray) -> np.ndarray:
@@ -971,7 +973,7 @@ def _compare(function: Callable[[Any, Any], Any], order: int, graph: Graph, root
     """Raise ValueError unless a formula has the values of its function, with numbers."""
     chance, names = np.random.default_rng(0), [node[1] for node in graph.nodes[:2 * start.size]]
     states = [*chance.normal(size=(_STATES, 2, *start.shape))]
-    first: complex = math.nan
+    first = complex(math.nan)
     # The first one is repeated at the end.
     for k, state in enumerate((*states, states[0])):
         state = state * (0.3, 2.0)[k % 4 // 2]

@@ -249,6 +249,8 @@ def test_contact_with_the_force_of_hertz_opens_and_closes():
 @pytest.mark.parametrize('V, smooth', [
     ('abs(x)', False), ('abs(x)^3', True), ('((abs(x) + x) / 2)^2.5', True), ('x^4', True),
     ('max(x, 0)', False), ('max(x, 0)^2', True), ('sqrt(x^2)', False), ('abs(2 + sin(x))', True),
-    ('piecewise(x > 0, x^3, 0)', True), ('piecewise(x > 0, 1, 0)', False), ('sign(x)*x^2', True)])
+    ('piecewise(x > 0, x^3, 0)', True), ('piecewise(x > 0, 1, 0)', False), ('sign(x)*x^2', True),
+    ('acos(cos(x))', False), ('asin(sin(x))', False), ('acos(cos(x) / 2)', True),
+    ('atan2(x, p_x)', False), ('atan2(x, 1 + p_x^2)', True), ('cos(atan2(x, p_x))', True)])
 def test_formula_is_smooth_if_its_gradient_is_continuous(V, smooth):
     assert Formula(['x'], f'p_x^2 / 2 + {V}').smooth == smooth

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 # p_x = 3 (v - x) / m of H = m p^2 / 6 + p x; at x = 1, v = 2 and m = 1 that is 3.
-FILE = """\
-hamiltonian:
+FILE = """hamiltonian:
   {kind: formula, coordinates: [x], H: 'm*p_x^2/6 + p_x*x', parameters: {m: 1.0}}
 integrator: {kind: gauss4}
 step_size: 0.01
@@ -77,13 +76,13 @@ def test_fitted_scene_has_the_velocities_of_the_fitted_state(file, tmp_path):
 
 @pytest.mark.parametrize('state, changes', [
     ({'q': [1.0]}, {}), ({'q': [1.0], 'p': [1.0], 'v': [1.0]}, {}),
-    ({'q': [1.0], 'v': [1, 2]}, {}),
+    ({'q': [1.0], 'v': [1.0, 2.0]}, {}),
     ({'q': [1.0], 'v': [2.0]}, {'H': 'sqrt(1 + p_x^2)'}),
     ({'q': [1.0, 0.0], 'v': [2.0, 0.0]}, {'coordinates': ['x', 'y'], 'H': 'p_x^2 + p_y^2'})],
     ids=['neither', 'both', 'count', 'light', 'field'])
 def test_velocities_without_momenta_are_refused(state, changes):
-    field = [{'kind': 'magnetic_field', 'field': 1.0, 'plane': ['x', 'y']}] \
-        if 'coordinates' in changes else []
+    field = [{'kind': 'magnetic_field', 'field': 1.0, 'plane': ['x', 'y']}] * (
+        'coordinates' in changes)
     with refused(SceneError):
         Scene.build(hamiltonian={'kind': 'formula', 'coordinates': ['x'], 'H': 'p_x^2'} | changes,
                     integrator='gauss4', step_size=0.1, initial_state=state, effects=field)

@@ -150,7 +150,7 @@ def _neighbours(b: Any, node: Any) -> Any:
 
 # Functions with kinks or jumps: nodes that change their signs there.
 SWITCHES: dict[str, Callable[[Any, Any], Any]] = {
-    **dict.fromkeys(('abs', 'sign', 'relu'), lambda b, node: node.inputs[0]),
+    **dict.fromkeys(('abs', 'atan2', 'sign', 'relu'), lambda b, node: node.inputs[0]),
     **dict.fromkeys(('maximum', 'minimum', 'lt', 'le', 'gt', 'ge', 'eq', 'ne'),
                     lambda b, node: b.sub(*node.inputs)),
     **dict.fromkeys(('floor', 'ceil', 'rint'), lambda b, node: b.unary('sin', b.mul(

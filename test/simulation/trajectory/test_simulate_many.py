@@ -71,8 +71,7 @@ def test_many_trajectories_report_the_failure_of_one():
     scene = scene_of('tao', {'kind': 'variational_euler', 'solver': 'fixed_point'})
     q = np.zeros((20, 1))
     q[17] = 1e3
-    with pytest.warns(
-            AlarmWarning, match='^failed in 1 of 20 trajectories; in trajectory 17, t = '):
+    with pytest.warns(AlarmWarning, match='^failed in 1 of 20 trajectories; in trajectory 17,'):
         found = simulate_many(scene, q, q, 1.0, samples=2)
     assert np.isnan(found.q).any(axis=(0, 2)).nonzero()[0].tolist() == [17]
     assert [k for k, own in enumerate(found.alarms) if 'failed' in {
