@@ -31,8 +31,10 @@ _MAX_ESTIMATE = 0.06
 _FORCED_STEPS, _FORCED_APART, _NEIGHBOUR = 48, 2.5, 1e-6
 # Length of the first of them relative to the others, for the amplitude.
 _FIRST_LOOK = 4
-# Steps over which errors add up where no contraction limits it: about a hundred turns.
-_MEMORY = 1e4
+# Steps over which errors add up where no contraction limits it: about a hundred turns. With forces
+# and order 1 fewer: the displacement of the states (see PathGuard) changes along the path, so that
+# errors of windows are larger than what adds up.
+_MEMORY, _SHORT_MEMORY = 1e4, 240.0
 # Ranges below this share of a coordinate are rounding errors.
 _MIN_RELATIVE_RANGE = 1e-9
 
@@ -312,10 +314,11 @@ class ForcedPathGuard(StateGuard):
         # With order 1, a part is the displacement of the states; see PathGuard. It does not add
         # up.
         early = n // _MAX_TURNS if order == 1 else 0
+        forgotten = np.where((kept >= 1.0) & (order == 1), 1.0 / _SHORT_MEMORY, 0.0)
         self._estimate.add(
             step, np.concatenate([start[0][None], path, finer[0]]), errors.max(axis=0),
             (errors.max(axis=0) - errors[:early].max(axis=0, initial=0.0)) / (n - early),
-            -np.log(np.clip(kept, _NEIGHBOUR, 1.0)) / n, (self._next - step) // 2)
+            -np.log(np.clip(kept, _NEIGHBOUR, 1.0)) / n + forgotten, (self._next - step) // 2)
 
 
 def _largest(values: np.ndarray) -> float:
