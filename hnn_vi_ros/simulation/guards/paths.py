@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.phase_space import column_units
 from hnn_vi_ros.simulation.guards.base import (
     Alarm, BlockGuard, Observed, SampleBlock, StateGuard)
 from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
@@ -61,8 +62,11 @@ class PathEstimate:
 
     """
 
-    def __init__(self, turning: np.ndarray):
-        self.value, self._turning = 0.0, turning
+    def __init__(self, simulation: Simulation):
+        self.value, self._turning = 0.0, simulation.system.turning
+        units = np.array(column_units(simulation.hamiltonian.coordinates)[0])
+        # Ranges in different units cannot be compared.
+        self._alike = units[:, None] == units
         self._low, self._high = np.array(math.inf), np.array(-math.inf)
         self._error, self._last = np.zeros(1), _Window(0, np.zeros(1), np.zeros(1))
 
@@ -92,9 +96,10 @@ class PathEstimate:
         amplitude = 0.5 * (self._high - self._low)
         # A full turn of a periodic angle is as far as its error can go.
         amplitude[..., self._turning] = np.minimum(amplitude[..., self._turning], math.pi)
-        amplitude = np.maximum(amplitude, np.maximum(
-            _MIN_RANGE_SHARE * amplitude.max(axis=-1, keepdims=True),
-            _MIN_RELATIVE_RANGE * np.maximum(np.abs(self._low), np.abs(self._high))))
+        rounding = np.maximum(self._largest(np.maximum(np.abs(self._low), np.abs(self._high))),
+                              amplitude.max(axis=-1, keepdims=True))
+        amplitude = np.maximum(_MIN_RANGE_SHARE * self._largest(amplitude), np.maximum(
+            amplitude, _MIN_RELATIVE_RANGE * rounding))
         now, last = _Window(step, rate, np.asarray(contraction) + 1.0 / _MEMORY), self._last
         mean = _Window(step, 0.5 * (now.rate + last.rate),
                        0.5 * (now.contraction + last.contraction))
@@ -105,6 +110,10 @@ class PathEstimate:
             share = np.where(amplitude > 0.0, estimate / amplitude, 0.0)
         # Not finite: the trial has diverged.
         self.value = max(self.value, float(share.max()) if np.isfinite(share).all() else math.inf)
+
+    def _largest(self, sizes: np.ndarray) -> np.ndarray:
+        """Return for each coordinate the largest of the sizes in its unit, shape (..., d)."""
+        return np.where(self._alike, sizes[..., None, :], 0.0).max(axis=-1)
 
 
 def _after(steps: int, window: _Window, error: np.ndarray) -> np.ndarray:
@@ -146,7 +155,7 @@ class PathGuard(BlockGuard):
 
     def __init__(self, simulation: Simulation):
         self._simulation, self.raised, self._error = simulation, False, 0.0
-        self._estimate, self._next = PathEstimate(simulation.system.turning), math.inf
+        self._estimate, self._next = PathEstimate(simulation), math.inf
         # Largest derivatives so far, and the previous sample.
         self._largest = np.zeros(0)
         self._before: tuple[int, np.ndarray, np.ndarray] | None = None
@@ -263,7 +272,7 @@ class ForcedPathGuard(StateGuard):
     kind, remedy = PathGuard.kind, PathGuard.remedy
 
     def __init__(self, simulation: Simulation):
-        self._simulation, self._estimate = simulation, PathEstimate(simulation.system.turning)
+        self._simulation, self._estimate = simulation, PathEstimate(simulation)
         self._first, self._next, self._raised = -1, 0, False
         # Largest force and velocity so far.
         self._force = self._speed = 0.0
@@ -327,5 +336,6 @@ def _largest(values: np.ndarray) -> float:
 
 
 def _ranges(start: np.ndarray, path: np.ndarray) -> np.ndarray:
-    """Return the range of each column of a path and its start."""
-    return np.maximum(path.max(axis=0), start) - np.minimum(path.min(axis=0), start)
+    """Return the range of each column of a path and its start; 0 for a rounding error."""
+    ranges = np.maximum(path.max(axis=0), start) - np.minimum(path.min(axis=0), start)
+    return np.where(ranges > _MIN_RELATIVE_RANGE * ranges.max(axis=-1, keepdims=True), ranges, 0.0)

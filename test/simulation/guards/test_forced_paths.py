@@ -95,3 +95,28 @@ def test_machine_that_a_servo_holds_at_rest_costs_few_gradients(method):
     live.advance(3000)
     # Alarmed from 100.
     assert live.rescued == 0 and live.costliest[0] < 50
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('effects', [[], [damping([0.0, 0.01])]])
+def test_angle_is_watched_whatever_the_unit_of_a_length(effects):
+    """A cart goes 20 km in mm, beside a pendulum that is wrong by its whole amplitude."""
+    cart, angle = {'name': 'cart', 'q_unit': 'mm'}, {'name': 'angle', 'q_unit': 'rad'}
+    scene = Scene.build(
+        hamiltonian={'kind': 'formula', 'coordinates': [cart, angle],
+                     'H': 'p_cart^2 / 2e6 + p_angle^2 / 2 - 9.81 * cos(angle)'},
+        integrator='implicit_midpoint', step_size=0.3, initial_state=([0.0, 2.0], [5e11, 0.0]),
+        effects=effects)
+    assert 'path not resolved' in [alarm.kind for alarm in simulate(scene, 40.0).alarms]
+
+
+def test_joint_that_a_servo_holds_to_rounding_raises_no_alarm_about_another():
+    """The angle moves by 1e-15; x contracts, so that its errors of 0.3 % do not add up."""
+    servo = {**SERVO, 'stiffness': 1e3, 'damping': 50.0,
+             'position': [0.7 + 9.81 * np.sin(0.7) / 1e3]}
+    scene = Scene.build(
+        hamiltonian={'kind': 'formula', 'coordinates': ['x', 'angle'],
+                     'H': 'p_x^2 / 2 + p_angle^2 / 2 + 2*x^2 + x^4 / 4 - 9.81 * cos(angle)'},
+        integrator='implicit_midpoint', step_size=0.05, initial_state=([0.5, 0.7], [0.0, 0.0]),
+        effects=[damping([1.0, 0.0]), drive('x', 3.0, 0.3), servo])
+    assert simulate(scene, 300.0).alarms == ()
