@@ -381,8 +381,8 @@ class Simulation:
 
         Parameters
         ----------
-        row : np.ndarray, shape (R,)
-            Row of this simulation; see ``row`` and ``rows``.
+        row : np.ndarray, shape (R,) or (m, R)
+            Row of this simulation, or rows that are independent; see ``row`` and ``rows``.
         step_size : float
             Step size of the trial [s].
         samples, every : int, optional
@@ -400,12 +400,19 @@ class Simulation:
 
         """
         # Earlier solutions at another step size do not fit as initial guesses.
-        with self._elsewhere(self.state.without_counts(row)):
+        rows = self.state.without_counts(row)
+        with self._elsewhere(self.row if row.ndim > 1 else rows):
             self.step_size = step_size
-            return self.record(samples, every)
+            if row.ndim == 1:
+                return self.record(samples, every)
+            path = self.follow_on(rows, np.empty((len(rows), samples, 0)), every).swapaxes(0, 1)
+            d = self.hamiltonian.dimension
+            return path[1:, :, :d], path[1:, :, d:d + self._momenta]
 
     def neighbour(self, row: np.ndarray, dq: np.ndarray, dp: np.ndarray) -> np.ndarray:
-        """Return a row moved by (dq, dp); rotations keep their q."""
+        """Return a row moved by (dq, dp), or rows; rotations keep their q."""
+        if row.ndim > 1:
+            return np.array([self.neighbour(*one) for one in zip(row, dq, dp, strict=True)])
         near, n = row.copy(), self._z.q.size
         q, p = (self._state(near[HEAD + k * n:HEAD + (k + 1) * n]) for k in (0, 1))
         if not self.hamiltonian.rotations:

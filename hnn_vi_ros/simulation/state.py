@@ -76,5 +76,5 @@ class State:
     def without_counts(self, row: np.ndarray) -> np.ndarray:
         """Return a copy of a row without earlier solutions for initial guesses."""
         row = row.copy()
-        row[self._counts] = 0.0
+        row[..., self._counts] = 0.0
         return row

@@ -257,22 +257,26 @@ class ForcedPathGuard(StateGuard):
     Path error of runs with forces: it stays below some per cent of the amplitude of the path.
 
     The balance of energy and work does not show it, since the work is that along the wrong path.
-    Trials of 48 steps of h, with the current commands held, are repeated with h / 2: at the first
-    state, whenever the run is 2.5 times as long as at the last trial, and where forces or
-    velocities have doubled. A neighbouring motion shows how fast errors decay; see PathEstimate.
+    Trials of 48 steps of h, with the current commands held, or of fewer if they fail, are repeated
+    with h / 2: at the first state, whenever the run is 2.5 times as long as at the last trial, and
+    where forces or velocities have doubled. A neighbouring motion shows how fast errors decay; see
+    PathEstimate.
 
     Parameters
     ----------
     simulation : Simulation
         Simulation of one trajectory, or of several that step together.
+    rows : np.ndarray, shape (m, R), optional
+        Rows of trajectories with individual commands, kept up to date by the caller.
 
     """
 
     each = True
     kind, remedy = PathGuard.kind, PathGuard.remedy
 
-    def __init__(self, simulation: Simulation):
+    def __init__(self, simulation: Simulation, rows: np.ndarray | None = None):
         self._simulation, self._estimate = simulation, PathEstimate(simulation)
+        self._rows = rows
         self._first, self._next, self._raised = -1, 0, False
         # Largest force and velocity so far.
         self._force = self._speed = 0.0
@@ -287,28 +291,30 @@ class ForcedPathGuard(StateGuard):
             self._first = sample.step
         self._force = max(self._force, _largest(sample.dH_dq))
         self._speed = max(self._speed, _largest(sample.dH_dp))
-        self._try(sample.step)
+        self._try(sample, _FORCED_STEPS)
         self._raised = not self._estimate.value <= _MAX_ESTIMATE
         return self.renew(sample) if self._raised else None
 
     def renew(self, sample: Observed) -> Alarm:
         return _estimate_alarm(sample.step, self._estimate.value)
 
-    def _try(self, step: int) -> None:
-        """Run a trial from the current state."""
-        simulation, h, row = self._simulation, self._simulation.step_size, self._simulation.row
-        elapsed, n = step - self._first, _FORCED_STEPS
+    def _try(self, sample: Observed, n: int) -> None:
+        """Run a trial of n steps from the current state."""
+        simulation, h, step = self._simulation, self._simulation.step_size, sample.step
+        rows, elapsed = simulation.row if self._rows is None else self._rows, step - self._first
         self._next = self._first + max(elapsed + n, int(_FORCED_APART * elapsed))
-        start = simulation.q.copy(), simulation.p.copy()
+        start = sample.q, sample.p
         try:
             # Later amplitudes count: a run that starts at rest has hardly moved after n steps.
-            path = simulation.trial(row, h, n if elapsed else _FIRST_LOOK * n)[0]
-            finer = simulation.trial(row, 0.5 * h, n, 2)
+            path = simulation.trial(rows, h, n if elapsed else _FIRST_LOOK * n)[0]
+            finer = simulation.trial(rows, 0.5 * h, n, 2)
             sizes = [_ranges(one, part) for one, part in zip(start, finer, strict=True)]
             near = simulation.trial(simulation.neighbour(
-                row, *(_NEIGHBOUR * size for size in sizes)), 0.5 * h, n, 2)
+                rows, *(_NEIGHBOUR * size for size in sizes)), 0.5 * h, n, 2)
         except (StepFailure, RescuePending):
-            # A failing step is reported by the run itself.
+            # A failing step is reported by the run itself, unless its commands change before.
+            if n > 1:
+                self._try(sample, n // 2)
             return
         self._speed, self._force = (max(old, 2.0 * _largest(np.diff(part, axis=0)) / h)
                                     for old, part in zip(

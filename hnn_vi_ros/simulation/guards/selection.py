@@ -25,7 +25,8 @@ BAND_LIMIT, CHANGE_LIMIT = 0.05, 0.02
 
 
 def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
-                change_limit: float, barrier: tuple[str, float] | None) -> Iterator[Guard]:
+                change_limit: float, barrier: tuple[str, float] | None,
+                rows: np.ndarray | None = None) -> Iterator[Guard]:
     """
     Yield the guards that apply to a simulation, in a study and in the node alike.
 
@@ -39,6 +40,8 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
         See ResolutionGuard, InvariantGuard and EnergyGuard.
     barrier : tuple of (str, float) or None
         Name and energy [J] of a barrier; see ``Hamiltonian.barrier``.
+    rows : np.ndarray, shape (m, R), optional
+        See ForcedPathGuard.
 
     """
     hamiltonian, method = simulation.hamiltonian, simulation.integrator
@@ -67,7 +70,7 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
     if hamiltonian.scheme is None:
         if not simulation.conservative:
             if not any(effect.random for effect in simulation.effects):
-                yield ForcedPathGuard(simulation)
+                yield ForcedPathGuard(simulation, rows)
         elif simulation.q.size == hamiltonian.dimension:
             yield PathGuard(simulation)
     # Networks and robots have no poles.

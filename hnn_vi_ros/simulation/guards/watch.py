@@ -183,6 +183,8 @@ class Watch:
         See ResolutionGuard and EnergyGuard.
     kinds : tuple of type, optional
         Classes of the guards to use; by default all that apply.
+    rows : np.ndarray, shape (m, R), optional
+        See ForcedPathGuard.
 
     Attributes
     ----------
@@ -193,11 +195,11 @@ class Watch:
 
     def __init__(self, simulation: Simulation, barrier: tuple[str, float] | None,
                  band_limit: float = BAND_LIMIT, change_limit: float = CHANGE_LIMIT,
-                 kinds: tuple[type[Guard], ...] = (Guard,)):
+                 kinds: tuple[type[Guard], ...] = (Guard,), rows: np.ndarray | None = None):
         self.works: dict[int, float] = {}
         guards = [guard for guard in make_guards(
-            simulation, SampledScale(simulation.hamiltonian), band_limit, change_limit, barrier)
-            if isinstance(guard, kinds)]
+            simulation, SampledScale(simulation.hamiltonian), band_limit, change_limit, barrier,
+            rows) if isinstance(guard, kinds)]
         self._of_blocks = [guard for guard in guards if isinstance(guard, BlockGuard)]
         self._of_states = [guard for guard in guards if isinstance(guard, StateGuard)]
         self._kinds = [guard.kind for guard in guards]
@@ -346,8 +348,8 @@ def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
             f't = {alarm.step * step_size:.9g} s: {alarm.message}', AlarmWarning, stacklevel=3)
 
 
-def watch_of_block(simulation: Simulation) -> Watch:
+def watch_of_block(simulation: Simulation, rows: np.ndarray | None = None) -> Watch:
     """Return the guards that apply to a block of trajectories as a whole; see show_many."""
     return Watch(simulation, None, kinds=(
         CostGuard, RescueGuard, SolutionGuard, ForcedPathGuard,
-        *[EnergyGuard] * (not simulation.conservative)))
+        *[EnergyGuard] * (not simulation.conservative)), rows=rows)

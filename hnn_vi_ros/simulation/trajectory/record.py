@@ -249,7 +249,8 @@ def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: in
         begun.append(simulation.row)
         # Loops may have moved it.
         first.append(np.append(simulation.q, simulation.p))
-    rows, watch = np.array(begun), watch_of_block(simulation)
+    rows = np.array(begun)
+    watch = watch_of_block(simulation, rows)
     states, width = [np.array(first)], q.shape[1]
     watch.update(look_at_rows(simulation, rows, states[0][:, :width], states[0][:, width:]))
     for held in commands:

@@ -98,6 +98,33 @@ def test_machine_that_a_servo_holds_at_rest_costs_few_gradients(method):
 
 
 @pytest.mark.filterwarnings('ignore')
+def test_commands_that_cannot_be_held_for_long_do_not_hide_a_wrong_path():
+    """Under a constant force no coarse step can be solved after a second; it changes before."""
+    pole = ('(p_cart^2 - 4 * cos(pole) * p_cart * p_pole + 24 * p_pole^2)'
+            ' / (2 * (1 + sin(pole)^2 / 5)) + 0.981 * (1 - cos(pole))')
+    scene = Scene.build(
+        hamiltonian={'kind': 'formula', 'coordinates': ['cart', 'pole'], 'H': pole},
+        integrator='generalized_leapfrog', step_size=0.16, initial_state=([0.0] * 2, [0.0] * 2),
+        effects=[{'kind': 'external_force', 'coordinates': ['cart'], 'timeout': 100.0}])
+    pushed = simulate(scene, 14.4, commands=lambda t: [
+        0.0 if t < 9.59 else 6.0 * (-1.0) ** int((t + 0.01) / 1.2)])
+    assert [alarm.kind for alarm in pushed.alarms] == ['path not resolved']
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('fast', [0, 1, 2])
+def test_trajectories_with_commands_are_told_of_any_path_that_is_wrong(fast):
+    p, commands = np.zeros((3, 1)), np.full((3, 200, 1), 0.05)
+    p[fast] = 12.0
+    pushed = [{'kind': 'external_force', 'coordinates': ['x'], 'timeout': 100.0}, damping(0.05)]
+    scene = Scene.build(hamiltonian=WELLS, integrator='generalized_leapfrog', step_size=0.1,
+                        initial_state=([1.0], [0.0]), effects=pushed)
+    many = simulate_many(scene, np.full((3, 1), 1.05), p, 20.0, samples=200, commands=commands)
+    # Alarms of steps belong to all trajectories.
+    assert [[alarm.kind for alarm in own] for own in many.alarms] == [['path not resolved']] * 3
+
+
+@pytest.mark.filterwarnings('ignore')
 @pytest.mark.parametrize('effects', [[], [damping([0.0, 0.01])]])
 def test_angle_is_watched_whatever_the_unit_of_a_length(effects):
     """A cart goes 20 km in mm, beside a pendulum that is wrong by its whole amplitude."""
