@@ -255,7 +255,8 @@ class Trajectory:
         first = np.ravel(self.energy[:1])
         balance = self.balance()
         by_effects = ''
-        if balance is not None and change > 0.0:
+        # Smaller changes are rounding errors.
+        if balance is not None and len(balance) > 1 and change > 1e-12 * abs(self.energy[0]):
             share = float(np.abs(balance).max(initial=0.0)) / change
             by_effects = f', of which the work of effects leaves {100.0 * share:.2g} % unexplained'
         return [f'{len(self.t)} samples{many}',

@@ -241,3 +241,12 @@ def test_plot_shows_what_the_work_of_effects_leaves_of_the_energy():
     assert np.abs(run.balance()).max() < 1e-2 < 0.1 * np.abs(energy.get_ydata()).max()
     assert 'of which the work of effects leaves ' in repr(run)
     assert simulate('exact_pendulum', 0.1).work is None
+
+
+@pytest.mark.parametrize('energy, work, told', [
+    (1.0 + 0.01 * T, 0.009 * T, '10 % unexplained'),
+    # Rounding errors, and no sample after the first whose work is known.
+    (1.0 + 1e-16 * T, 0.0 * T, None), (1.0 + 0.01 * T, np.where(T > 0.0, math.nan, 0.0), None)])
+def test_summary_tells_the_share_of_the_change_of_energy_that_work_leaves(energy, work, told):
+    last = replace(PLAIN, energy=energy, work=work).facts()[2]
+    assert last.endswith(told) if told else 'unexplained' not in last
