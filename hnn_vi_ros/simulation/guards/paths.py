@@ -32,10 +32,10 @@ _MAX_ESTIMATE = 0.06
 _FORCED_STEPS, _FORCED_APART, _NEIGHBOUR = 48, 2.5, 1e-6
 # Length of the first of them relative to the others, for the amplitude.
 _FIRST_LOOK = 4
-# Steps over which errors add up where no contraction limits it: about a hundred turns. With forces
-# and order 1 fewer: the displacement of the states (see PathGuard) changes along the path, so that
-# errors of windows are larger than what adds up.
-_MEMORY, _SHORT_MEMORY = 1e4, 240.0
+# Factor of their length for methods whose states are displaced.
+_DISPLACED = 4
+# Steps over which errors add up where no contraction limits it: about a hundred turns.
+_MEMORY = 1e4
 # Ranges below this share of a coordinate are rounding errors.
 _MIN_RELATIVE_RANGE = 1e-9
 
@@ -260,7 +260,7 @@ class ForcedPathGuard(StateGuard):
     Trials of 48 steps of h, with the current commands held, or of fewer if they fail, are repeated
     with h / 2: at the first state, whenever the run is 2.5 times as long as at the last trial, and
     where forces or velocities have doubled. A neighbouring motion shows how fast errors decay; see
-    PathEstimate.
+    PathEstimate. Symplectic methods of order 1 take four times as many.
 
     Parameters
     ----------
@@ -276,7 +276,8 @@ class ForcedPathGuard(StateGuard):
 
     def __init__(self, simulation: Simulation, rows: np.ndarray | None = None):
         self._simulation, self._estimate = simulation, PathEstimate(simulation)
-        self._rows = rows
+        self._rows, method = rows, simulation.integrator
+        self._displaced = method.order == 1 and method.requirements.symplectic
         self._first, self._next, self._raised = -1, 0, False
         # Largest force and velocity so far.
         self._force = self._speed = 0.0
@@ -291,7 +292,7 @@ class ForcedPathGuard(StateGuard):
             self._first = sample.step
         self._force = max(self._force, _largest(sample.dH_dq))
         self._speed = max(self._speed, _largest(sample.dH_dp))
-        self._try(sample, _FORCED_STEPS)
+        self._try(sample, _FORCED_STEPS * (_DISPLACED if self._displaced else 1))
         self._raised = not self._estimate.value <= _MAX_ESTIMATE
         return self.renew(sample) if self._raised else None
 
@@ -323,17 +324,18 @@ class ForcedPathGuard(StateGuard):
             axis=-1, keepdims=True) for one, other, size in zip(near, finer, sizes, strict=True))
         begun = sum((size > 0.0).sum(axis=-1, keepdims=True) for size in sizes)
         kept = np.sqrt(apart / np.maximum(begun, 1)) / _NEIGHBOUR
-        errors, order = np.abs(path[:n] - finer[0]), simulation.integrator.order
-        if order > 1:
-            errors /= 1.0 - 0.5 ** order
-        # With order 1, a part is the displacement of the states; see PathGuard. It does not add
-        # up.
-        early = n // _MAX_TURNS if order == 1 else 0
-        forgotten = np.where((kept >= 1.0) & (order == 1), 1.0 / _SHORT_MEMORY, 0.0)
+        errors = np.abs(path[:n] - finer[0]) / (1.0 - 0.5 ** simulation.integrator.order)
+        worst = grown = errors.max(axis=0)
+        early = n // _MAX_TURNS if self._displaced else 0
+        if early:
+            # A part is the displacement of the states; see PathGuard. It does not add up, and
+            # cannot be told from what does before the motion has turned.
+            turned = np.abs(np.diff(finer[0], axis=0)).sum(axis=0) > _MAX_TURNS * np.ptp(
+                finer[0], axis=0)
+            grown = np.where(turned, worst - errors[:early].max(axis=0), 0.0)
         self._estimate.add(
-            step, np.concatenate([start[0][None], path, finer[0]]), errors.max(axis=0),
-            (errors.max(axis=0) - errors[:early].max(axis=0, initial=0.0)) / (n - early),
-            -np.log(np.clip(kept, _NEIGHBOUR, 1.0)) / n + forgotten, (self._next - step) // 2)
+            step, np.concatenate([start[0][None], path, finer[0]]), worst, grown / (n - early),
+            -np.log(np.clip(kept, _NEIGHBOUR, 1.0)) / n, (self._next - step) // 2)
 
 
 def _largest(values: np.ndarray) -> float:

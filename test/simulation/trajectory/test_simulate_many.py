@@ -169,18 +169,23 @@ def test_simulate_many_warns_once_and_tells_the_alarms_of_each_trajectory():
 
 
 @pytest.mark.parametrize('integrator, said', [
-    ('explicit_euler', ('energy not accounted for',)), ('variational_euler', ())])
+    ('explicit_euler', {'energy not accounted for', 'path not resolved'}),
+    ('variational_euler', set())])
 def test_energy_that_no_work_accounts_for_is_told_by_simulate_and_simulate_many(
         integrator, said):
-    """Explicit Euler multiplies an oscillator's energy by 1 + h^2 in each step, by 7.4 here."""
+    """
+    Explicit Euler multiplies an oscillator's energy by 1 + h^2 in each step, by 7.4 here.
+
+    The path of variational_euler is h / 2 off, 0.5 %, by a displacement that does not add up.
+    """
     drive = {'kind': 'periodic_drive', 'coordinate': 'x', 'amplitude': 0.01, 'frequency': 0.3}
     scene = scene_of('harmonic_oscillator', integrator, 1, 0.01, drive)
     with warnings.catch_warnings():
         warnings.simplefilter('ignore' if said else 'error')
         one = simulate(scene, 200.0)
         many = simulate_many(scene, [[1.0], [0.5]], [[0.0], [0.0]], 200.0, samples=20_000)
-    assert tuple(alarm.kind for alarm in one.alarms) == said
-    assert [tuple(alarm.kind for alarm in own) for own in many.alarms] == [said, said]
+    assert {alarm.kind for alarm in one.alarms} == said
+    assert [{alarm.kind for alarm in own} for own in many.alarms] == [said, said]
 
 
 @pytest.mark.filterwarnings('ignore:t = .* a step took')
