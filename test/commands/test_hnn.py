@@ -255,7 +255,8 @@ def status_at(number, words):
         'import os, signal, sys, time; from hnn_vi_ros import cli; '
         f'sys.argv[1:] = {words.split()!r}; cli.check_names = lambda *_: None; '
         f'cli.import_module = lambda _: (os.kill(os.getpid(), {int(number)}), time.sleep(60)); '
-        'cli.main()').returncode
+        # A run under nohup ignores SIGHUP, and so do its children.
+        'signal.signal(signal.SIGHUP, signal.SIG_DFL); cli.main()').returncode
 
 
 def test_interrupt_says_how_to_go_on(monkeypatch, capsys):

@@ -47,7 +47,7 @@ class Driven:
         node._commands.publish = self.commands.append
         node.get_logger = lambda: SimpleNamespace(**{
             level: lambda text, **more: self.log.append(text)
-            for level in ('info', 'warning', 'error')}, debug=lambda text: None)
+            for level in ('info', 'warning', 'error')}, is_enabled_for=lambda severity: False)
         node._diagnostics._send = lambda payload, stamp: self.told.append(
             deserialize_message(payload, DiagnosticArray).status[0])
         node._sent = 0
