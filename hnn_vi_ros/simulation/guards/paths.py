@@ -333,6 +333,9 @@ class ForcedPathGuard(StateGuard):
             turned = np.abs(np.diff(finer[0], axis=0)).sum(axis=0) > _MAX_TURNS * np.ptp(
                 finer[0], axis=0)
             grown = np.where(turned, worst - errors[:early].max(axis=0), 0.0)
+        # A path that diverges has no amplitude; from rest, it grows as the square of the time.
+        reach = _FIRST_LOOK ** 2 * sizes[0]
+        path = np.clip(path, start[0] - reach, start[0] + reach)
         self._estimate.add(
             step, np.concatenate([start[0][None], path, finer[0]]), worst, grown / (n - early),
             -np.log(np.clip(kept, _NEIGHBOUR, 1.0)) / n, (self._next - step) // 2)

@@ -147,3 +147,14 @@ def test_joint_that_a_servo_holds_to_rounding_raises_no_alarm_about_another():
         integrator='implicit_midpoint', step_size=0.05, initial_state=([0.5, 0.7], [0.0, 0.0]),
         effects=[damping([1.0, 0.0]), drive('x', 3.0, 0.3), servo])
     assert simulate(scene, 300.0).alarms == ()
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('step_size', [1.7, 2.4])
+def test_run_that_diverges_within_a_dozen_steps_raises_an_alarm(step_size):
+    # rk4 multiplies an oscillation by 3.2 and 18 in each step, with half the step by .9 and .5.
+    scene = Scene.build(hamiltonian={'kind': 'harmonic_oscillator', 'stiffness': 4.0},
+                        integrator='rk4', step_size=step_size, initial_state=([1.0], [0.0]),
+                        effects=[damping(0.1)])
+    alarms = simulate(scene, 12 * step_size).alarms
+    assert 'path not resolved' in {alarm.kind for alarm in alarms}
