@@ -20,7 +20,7 @@ from typing import Any
 from hnn_vi_ros.files import Parser
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.intervals import errors_of, estimates_of, quantile
-from hnn_vi_ros.learning import covariances, EvenMotion, fit_numbers, processes, Seen
+from hnn_vi_ros.learning import covariances, EvenMotion, fit_numbers, MeasuredColumns, processes
 from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import simulate
@@ -101,14 +101,14 @@ class Case:
         return scene.with_overrides(0.005, 'implicit_midpoint', effects=[*self.effects]) \
             if self.effects else scene
 
-    def seen(self) -> Seen | None:
+    def seen(self) -> MeasuredColumns | None:
         """Return the measured coordinates; None for all."""
         coordinates = self.load().create_hamiltonian().coordinates
         names, d = [one.name for one in coordinates], len(coordinates)
         rotors = [(i, names.index(one.rotor_of)) for i, one in enumerate(coordinates)
                   if one.rotor_of]
-        return Seen(np.delete(np.arange(d), [i for i, _ in rotors]), np.zeros((2, d)),
-                    np.zeros(d), rotors) if rotors else None
+        return MeasuredColumns(np.delete(np.arange(d), [i for i, _ in rotors]), np.zeros((2, d)),
+                               np.zeros(d), rotors) if rotors else None
 
 
 CASES = (

@@ -71,7 +71,7 @@ class Stepping(StrictModel):
     step_size: float = Field(gt=0.0, le=1e6, description='step size h [s]')
 
 
-class Means:
+class ControlContext:
     """
     Material of controllers and costs, created lazily and cached.
 
@@ -135,10 +135,10 @@ class _Term(StrictModel):
         'saturate the cost as cost / (cost + half), so that distant states do not dominate'))
 
     @abstractmethod
-    def cost(self, means: Means) -> Cost:
+    def cost(self, means: ControlContext) -> Cost:
         """Return the cost without its weight."""
 
-    def make(self, means: Means) -> Cost:
+    def make(self, means: ControlContext) -> Cost:
         """Return the weighted cost."""
         cost = self.cost(means)
         return self.weight * (cost if self.half is None else cost.saturating(self.half))
@@ -154,7 +154,7 @@ class QuadraticChoice(_Term):
         'weights of velocities: one number, or one per coordinate'))
     command: float = Field(0.0, ge=0.0, description='weight of each command relative to its limit')
 
-    def cost(self, means: Means) -> Cost:
+    def cost(self, means: ControlContext) -> Cost:
         """Return the cost."""
         at = means.goal.at
         return Quadratic(means.steps.hamiltonian, at, weights_of(
@@ -168,7 +168,7 @@ class EffortChoice(_Term):
 
     kind: Literal['effort'] = Field(description='squared commands relative to their limits')
 
-    def cost(self, means: Means) -> Cost:
+    def cost(self, means: ControlContext) -> Cost:
         """Return the cost."""
         n, c = 2 * means.steps.dimension, means.steps.commands
         return Quadratic(means.steps.hamiltonian, (np.zeros(n), np.zeros(c)), np.zeros((n, n)),
@@ -181,7 +181,7 @@ class RegulatedChoice(_Term):
     kind: Literal['regulated'] = Field(description=(
         'cost-to-go x^T P x of the linear regulator, for the end of a plan'))
 
-    def cost(self, means: Means) -> Cost:
+    def cost(self, means: ControlContext) -> Cost:
         """Return the cost."""
         c = means.steps.commands
         return Quadratic(means.steps.hamiltonian, means.goal.at, means.goal.value,
@@ -193,7 +193,7 @@ class EnergyCostChoice(_Term):
 
     kind: Literal['energy'] = Field(description='(H - H*)^2 with the energy H* of the goal')
 
-    def cost(self, means: Means) -> Cost:
+    def cost(self, means: ControlContext) -> Cost:
         """Return the cost."""
         return Energy(means.steps.hamiltonian, means.goal.at[0])
 
@@ -203,7 +203,7 @@ class KineticChoice(_Term):
 
     kind: Literal['kinetic'] = Field(description='kinetic energy [J]')
 
-    def cost(self, means: Means) -> Cost:
+    def cost(self, means: ControlContext) -> Cost:
         """Return the cost."""
         return Kinetic(means.steps.hamiltonian)
 
@@ -218,7 +218,7 @@ class PointChoice(_Term):
     offset: Place = Field([0.0, 0.0, 0.0], description='point in the frame of the link [m]')
     length: float = Field(1.0, gt=0.0, description='unit of the distance [m]')
 
-    def cost(self, means: Means) -> Cost:
+    def cost(self, means: ControlContext) -> Cost:
         """Return the cost."""
         return Point(means.steps.hamiltonian, self.link, self.goal, self.offset, self.length)
 
@@ -233,7 +233,7 @@ class TipChoice(_Term):
     goal: Place = Field(description='x, y and height of the tip above the first joint [m]')
     relative: bool = Field(False, description='measure angles from the previous rod')
 
-    def cost(self, means: Means) -> Cost:
+    def cost(self, means: ControlContext) -> Cost:
         """Return the cost."""
         return Point.chain(self.lengths, self.goal, relative=self.relative)
 
@@ -249,7 +249,7 @@ class LqrChoice(StrictModel):
 
     kind: Literal['lqr'] = Field(description='linear regulator of the goal')
 
-    def make(self, means: Means) -> Controller:
+    def make(self, means: ControlContext) -> Controller:
         """Return the controller."""
         return means.goal
 
@@ -264,7 +264,7 @@ class EnergyShapingChoice(StrictModel):
     stiffness: float = Field(0.0, ge=0.0, le=1e9, description=(
         'stiffness of springs that keep the driven coordinates near the goal [N/m] or [N m/rad]'))
 
-    def make(self, means: Means) -> Controller:
+    def make(self, means: ControlContext) -> Controller:
         """Return the controller."""
         return EnergyShaping(means.goal, self.gain, self.stiffness)
 
@@ -275,7 +275,7 @@ class HoverChoice(StrictModel):
     kind: Literal['hover'] = Field(description='a quadrotor flies to a position and hovers there')
     place: Place = Field(description='position x, y and z (upwards) [m]')
 
-    def make(self, means: Means) -> Controller:
+    def make(self, means: ControlContext) -> Controller:
         """Return the controller."""
         body = means.scene.hamiltonian
         if body.kind != 'quadrotor' or [*means.task.inputs] != _ROTORS:
@@ -292,7 +292,7 @@ class _Planning(StrictModel):
     final: Costs = Field(description='costs of the last state; they are added')
     seed: int = Field(0, ge=0, lt=2**63, description='seed of the random commands')
 
-    def parts(self, means: Means) -> tuple[BatchStep, Cost, Cost, int, Any]:
+    def parts(self, means: ControlContext) -> tuple[BatchStep, Cost, Cost, int, Any]:
         """Return the arguments that planners have in common."""
         d, c = means.steps.dimension, means.steps.commands
         # Random plans store states and commands; a plan of iLQR stores derivatives as well.
@@ -318,7 +318,7 @@ class IlqrChoice(_Planning):
         'number of random plans after a disturbance'))
     refined: int = Field(4, ge=1, le=1000, description='number of these plans that are improved')
 
-    def make(self, means: Means) -> Controller:
+    def make(self, means: ControlContext) -> Controller:
         """Return the controller."""
         regulator = None if self.regulate_below is None else Regulator(
             means.goal.at, means.goal.gain, self.regulate_below)
@@ -336,7 +336,7 @@ class MppiChoice(_Planning):
         'temperature of the weights, in units of the cost'))
     samples: int = Field(256, ge=1, le=100_000, description='number of random plans in a period')
 
-    def make(self, means: Means) -> Controller:
+    def make(self, means: ControlContext) -> Controller:
         """Return the controller."""
         return Mppi(*self.parts(means), self.spread * means.limits, self.temperature,
                     self.samples, seed=self.seed)
@@ -531,7 +531,7 @@ def assign(task: str | Path, scene: str | Path | Scene = '', lockstep: bool = Fa
             raise ValueError(f'{hold} model steps of {h:g} s per command, at most {_MAX_STEPS}; '
                              'set a larger step size in stepping')
     with _placed(places, 'controller'):
-        controller = loaded.controller.make(Means(loaded, model, hold))
+        controller = loaded.controller.make(ControlContext(loaded, model, hold))
     with _placed(places, 'delay'):
         delay = loaded.plan_time + loaded.delay
         prediction = CommandPrediction(BatchStep(model) if delay else None, delay)

@@ -24,8 +24,8 @@ from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
 from hnn_vi_ros.learning import (
     ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FitProblem, Fitted,
-    guessed, input_courses, InputCourses, keys_of, MotionSource, Prediction, read_motions, search,
-    Seen, Solution, split_runs, steps_between, Windows)
+    guessed, input_courses, InputCourses, keys_of, MeasuredColumns, MotionSource, Prediction,
+    read_motions, search, Solution, split_runs, steps_between, Windows)
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build, DifferentiableRun, resolve
@@ -248,7 +248,7 @@ def _measured(hamiltonian: Hamiltonian, given: Sequence[str]) -> list[str]:
 
 
 def _seen(scene: Scene, hamiltonian: Hamiltonian, names: Sequence[str],
-          motions: Sequence[EvenMotion]) -> Seen:
+          motions: Sequence[EvenMotion]) -> MeasuredColumns:
     """
     Return the measured coordinates, and where the others begin.
 
@@ -262,10 +262,10 @@ def _seen(scene: Scene, hamiltonian: Hamiltonian, names: Sequence[str],
                        for one in coordinates])
     rotors = [(i, every.index(one.rotor_of)) for i, one in enumerate(coordinates)
               if one.rotor_of and one.name not in names]
-    return Seen(columns, np.stack([q, hamiltonian.gradient(q, p)[1]]), spread, rotors)
+    return MeasuredColumns(columns, np.stack([q, hamiltonian.gradient(q, p)[1]]), spread, rotors)
 
 
-def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace, seen: Seen
+def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace, seen: MeasuredColumns
          ) -> tuple[Fitted, list[str]]:
     """
     Return a fit, and a note on the forces before the first samples if it depends on them.
@@ -304,10 +304,10 @@ def _finer_steps(solution: Solution, problem: FitProblem, estimates: Estimates, 
     named, moved, halved, fitted = '', 0.0, 0, -1
     while fitted != halved:
         fitted = halved
-        now = Prediction(free, solution.values, windows).alone(solution.starts)
+        now = Prediction(free, solution.values, windows).predict(solution.starts)
         while True:
             fine = usual.at_step(step_size / 2**(halved + 1))
-            after = Prediction(fine, solution.values, windows).alone(solution.starts)
+            after = Prediction(fine, solution.values, windows).predict(solution.starts)
             change = np.where(windows.there[..., None], (after - now) / solution.noise, 0.0)
             if not np.isfinite(change).all():
                 raise DataError(

@@ -9,8 +9,8 @@ import math
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.identify.free_numbers import FreeScene, STATES
 from hnn_vi_ros.learning import (
-    covariances, FitProblem, Process, processes, projected, search, Solution, told_directions,
-    units_of)
+    covariances, FitProblem, identifiable_directions, Process, processes, projected, search,
+    Solution, units_of)
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
 import numpy as np
 from scipy.linalg import qr
@@ -134,8 +134,8 @@ def estimates_of(solution: Solution, problem: FitProblem, free: FreeScene,
     found = covariances(influences, noise) / bend**2
     coloured = np.array([np.median([one.samples_as_one for one in own])
                          if all(len(one.reflections) for one in own) else 1.0 for own in noise])
-    return _told(names, np.array(values), found, null * units[:, None], units, solution.freedom,
-                 coloured)
+    return make_estimates(names, np.array(values), found, null * units[:, None], units,
+                          solution.freedom, coloured)
 
 
 def response(solution: Solution, problem: FitProblem, change: np.ndarray
@@ -153,7 +153,7 @@ def response(solution: Solution, problem: FitProblem, change: np.ndarray
     """
     weights = problem.weights(solution.residuals)
     slopes, _ = projected(solution, weights)
-    rest, _ = projected(replace(solution, by_numbers=change[..., None]), weights)
+    rest, _ = projected(replace(solution, parameter_jacobian=change[..., None]), weights)
     taken, factors, _ = _solved(slopes.reshape(-1, slopes.shape[3]), units_of(solution))
     moved = taken.T @ rest.ravel()
     left = rest.ravel() - taken @ moved
@@ -174,7 +174,7 @@ def _solved(slopes: np.ndarray, scale: np.ndarray | None = None
     """
     if scale is None:
         scale = _norms(slopes)
-    sizes, rows, told = told_directions(slopes / scale)
+    sizes, rows, told = identifiable_directions(slopes / scale)
     factors = np.where(told[:, None], rows, 0.0) / (
         np.where(told, sizes, 1.0)[:, None] * scale)
     return slopes @ factors.T, factors, rows[~told].T / scale[:, None]
@@ -208,8 +208,9 @@ def _state_names(coordinates: Sequence[Coordinate], run: str) -> list[tuple[str,
             *((before + momentum_name(one.name), one.p_unit) for one in coordinates)]
 
 
-def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariances: np.ndarray,
-          null: np.ndarray, units: np.ndarray, freedom: int, coloured: np.ndarray) -> Estimates:
+def make_estimates(names: Sequence[tuple[str, str]], values: np.ndarray, covariances: np.ndarray,
+                   null: np.ndarray, units: np.ndarray, freedom: int, coloured: np.ndarray
+                   ) -> Estimates:
     """Return the estimates; numbers in undetermined directions have no interval."""
     blind = np.asarray((_shares(null) > _SHARE).any(axis=1))
     error, factor = errors_of(covariances, freedom), quantile(freedom)

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.fit.input_courses import EVIDENCE, input_courses, InputCourses
     from hnn_vi_ros.learning.fit.noise import covariances, Process, processes
     from hnn_vi_ros.learning.fit.shooting import (
-        FitProblem, projected, search, Solution, told_directions, units_of)
+        FitProblem, identifiable_directions, projected, search, Solution, units_of)
     from hnn_vi_ros.learning.fit.windows import (
-        check_times, DELAY, ModelParts, Number, Prediction, Seen, Windows)
+        check_times, DELAY, MeasuredColumns, ModelParts, Number, Prediction, Windows)
 
 __getattr__, __dir__ = lazy_exports(__name__)

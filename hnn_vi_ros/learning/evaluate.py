@@ -30,9 +30,9 @@ from hnn_vi_ros.learning.fit.growing import first_noise
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.fit.rigid_problem import positions_alone
 from hnn_vi_ros.learning.judging.evaluation import (
-    as_json, Fan, finite, judge, Judging, linear_model, names_of, outside, parts_of, Predict,
-    predicted_by, simulated, simulation_of, table, unaccounted, variance_of, verdict,
-    whole_records)
+    as_json, finite, judge, Judging, linear_model, names_of, outside, parts_of, Predict,
+    predicted_by, simulated, simulation_of, table, TrajectoryBundle, unaccounted, variance_of,
+    verdict, whole_records)
 from hnn_vi_ros.learning.judging.residuals import (
     errors_text, judged_along, judged_model, STEP)
 from hnn_vi_ros.learning.tasks import body
@@ -68,7 +68,7 @@ class _Judgement(NamedTuple):
 
     text: str
     numbers: dict[str, Any]
-    fans: list[Fan]
+    fans: list[TrajectoryBundle]
     coordinates: Sequence[Coordinate]
 
 

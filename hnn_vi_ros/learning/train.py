@@ -23,7 +23,7 @@ from hnn_vi_ros.learning.data.arrays import split_runs
 from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.learning.fit.config import (
     AnyConfig, BodyConfig, FieldConfig, find_config, guess_config, load_config, MachineConfig)
-from hnn_vi_ros.learning.fit.loop import Fit, Keeper, kept, member_files, members_kept
+from hnn_vi_ros.learning.fit.loop import Fit, kept, member_files, members_kept, TrainingCheckpoint
 from hnn_vi_ros.learning.judging.ensemble import check_count, combined
 from hnn_vi_ros.learning.judging.report import Outputs, write_report
 from hnn_vi_ros.learning.tasks import TrainingTask
@@ -63,7 +63,7 @@ def main(argv: Sequence[str]) -> None:
             problem = task.problem(own, arguments.device)
             fit = Fit(problem, name)
             if count == 1:
-                keeper = Keeper(state, config, task.arrays(), arguments.device)
+                keeper = TrainingCheckpoint(state, config, task.arrays(), arguments.device)
                 if arguments.resume:
                     keeper.load(fit)
                 with keeper.watching():

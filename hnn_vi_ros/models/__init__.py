@@ -19,6 +19,8 @@ if TYPE_CHECKING:
         Checkpoint, complete_checkpoint, file_digest, Layers, load_checkpoint, save_checkpoint,
         widths_of)
     from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
+    from hnn_vi_ros.models.domain import (
+        CandidateCard, Domain, domain_of, DomainCard, Errors, force_unit, SelectionCard)
     from hnn_vi_ros.models.ensemble import load_member, MeanHamiltonian
     from hnn_vi_ros.models.exact_prior import exact_system, exact_systems, functions_of
     from hnn_vi_ros.models.families import FAMILIES
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.graphs.hamiltonian import GraphHamiltonian
     from hnn_vi_ros.models.lagrangian import midpoint_action
     from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
-    from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
+    from hnn_vi_ros.models.lie_group_card import LieGroupCard, PoseInput
     from hnn_vi_ros.models.mechanical_card import (
         check_prior, check_row, CoulombTerm, entries_of, FittedNumber, FrictionCard, is_periodic,
         Kind, mean_card, MechanicalCard, MOST_MEMBERS, PriorCard, Quantity, StribeckTerm)
@@ -45,8 +47,6 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.rigid_body_card import (
         BaseParameter, EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, tree_card,
         TreeCard, values_of)
-    from hnn_vi_ros.models.seen import (
-        CandidateCard, Domain, domain_of, DomainCard, Errors, force_unit, SelectionCard)
     from hnn_vi_ros.models.separable import SeparableHamiltonian
     from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
     from hnn_vi_ros.models.torch_module import TorchHamiltonian

@@ -9,7 +9,7 @@ from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.models.families import NetworkShape
 from pydantic import Field, model_validator
 
-Seen = Literal['position', 'attitude']
+PoseInput = Literal['position', 'attitude']
 Positive = Annotated[float, Field(gt=0.0)]
 
 
@@ -22,13 +22,13 @@ class LieGroupCard(StrictModel):
     floor: float = Field(ge=0.0, description='smallest eigenvalue of S^-1 M^-1 S^-1')
     diagonal: Literal['softplus', 'any'] = Field('softplus', description=(
         'diagonal of L: log(1 + exp(y)), or y itself, as in networks of others'))
-    mass_depends_on: list[Seen] = Field(max_length=2, description=(
+    mass_depends_on: list[PoseInput] = Field(max_length=2, description=(
         'inputs of L; none for a constant M'))
     potential_depends_on: list[Literal['position', 'attitude', 'momentum']] = Field(
         min_length=1, max_length=3, description='inputs of V; with the momentum, V is all of H')
-    dissipation_depends_on: list[Seen] | None = Field(None, max_length=2, description=(
+    dissipation_depends_on: list[PoseInput] | None = Field(None, max_length=2, description=(
         'inputs of D of the force -D v; none for a constant D, null for no dissipation'))
-    input_map_depends_on: list[Seen] | None = Field(None, max_length=2, description=(
+    input_map_depends_on: list[PoseInput] | None = Field(None, max_length=2, description=(
         'inputs of B of the force B u; none for a constant B, null for no input map'))
 
     @model_validator(mode='after')

@@ -6,10 +6,10 @@ from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.models.box_error import EnergyError, Interval
+from hnn_vi_ros.models.domain import DomainCard, SelectionCard
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.mechanical_card import check_alike, MechanicalCard, MOST_MEMBERS
-from hnn_vi_ros.models.seen import DomainCard, SelectionCard
 import numpy as np
 from pydantic import Field, model_validator
 

@@ -18,7 +18,7 @@ from hnn_vi_ros.recording import MOMENTUM
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (
-    crowded, freeze_memory, Lasting, nodes_of, wait_for_delivery)
+    freeze_memory, Lasting, nodes_of, publisher_conflicts, wait_for_delivery)
 from hnn_vi_ros.ros.plumbing.managed_node import (
     CLOCK_TOPIC, follows_clock, ManagedNode, steady_timer, SUCCESS)
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
@@ -372,7 +372,7 @@ class ControllerNode(ManagedNode):
         stranger = self._warn_of_stranger(self._stranger)
         # After the first answer, it is known if states come in parts.
         whole = self._answered < math.inf and not self._joiner.joins
-        crowd = self._warn_of_crowd(crowded(self, [
+        crowd = self._warn_of_crowd(publisher_conflicts(self, [
             *[self._states] * whole, self._topic, *[CLOCK_TOPIC] * follows_clock(self)]))
         apart = float(np.median(self._gaps)) if self._gaps else math.nan
         seldom = self._warn_of_gaps('' if not apart > _MAX_INTERVAL * assigned.task.period else (

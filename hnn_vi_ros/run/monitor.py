@@ -10,8 +10,8 @@ import time
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.run.timing import Timing
 from hnn_vi_ros.simulation import (
-    Alarm, BlockGuard, Guard, InitialValueProblem, judge, SampledScale, secular_change, Simulation,
-    StateGuard, time_scale, Tolerance, Waiting)
+    Alarm, BlockGuard, Guard, InitialValueProblem, judge, SampleBuffer, SampledScale,
+    secular_change, Simulation, StateGuard, time_scale, Tolerance)
 import numpy as np
 
 # A drift is a slope over at least this many blocks, and over this many times in which the state
@@ -169,7 +169,7 @@ class Monitor:
         self._scale = scale
         self.guards = list(guards)
         # Samples that the guards have not processed, and alarms that were found in the meantime.
-        self._room = partial(Waiting, _MAX_GUARDED_SAMPLES * simulation.q.size)
+        self._room = partial(SampleBuffer, _MAX_GUARDED_SAMPLES * simulation.q.size)
         self._waiting = self._room()
         self._queued: Sample | None = None
         self._accounted = math.nan

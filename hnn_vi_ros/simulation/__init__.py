@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.gradients.scene_run import check_in_files, Numbers, SceneRun
     from hnn_vi_ros.simulation.guards.bands import BandGuard, EnergyGuard, is_wrong
     from hnn_vi_ros.simulation.guards.base import (
-        Alarm, BlockGuard, Guard, judge, Observed, StateGuard, Waiting)
+        Alarm, BlockGuard, Guard, judge, Observed, SampleBuffer, StateGuard)
     from hnn_vi_ros.simulation.guards.bounds import BoxGuard, SpreadGuard
     from hnn_vi_ros.simulation.guards.poles import PoleGuard
     from hnn_vi_ros.simulation.guards.selection import make_guards

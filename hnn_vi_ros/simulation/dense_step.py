@@ -24,7 +24,7 @@ _FRACTIONS = np.linspace(0.0, 1.0, 9)
 _STEP_TOLERANCE, _COUNT_TOLERANCE = 1e-9, 4.0 * float(np.finfo(np.float64).eps)
 
 
-class _Look(NamedTuple):
+class StepEnd(NamedTuple):
     """State and gradient of H at it, each of shape (d,) or (m, d)."""
 
     q: np.ndarray
@@ -90,7 +90,7 @@ class DenseStep:
         self._simulation.put(self._before)
 
     @cached_property
-    def _knots(self) -> tuple[np.ndarray, list[_Look]]:
+    def _knots(self) -> tuple[np.ndarray, list[StepEnd]]:
         """Return the ends of the parts of the step, as fractions of it, and the states there."""
         if self._takes_state:
             return WHOLE, [self._start, self._end]
@@ -98,7 +98,7 @@ class DenseStep:
         for time, q, p in simulation.own_states(self._before):
             # States at the ends of the step are added separately.
             if (share := time / simulation.step_size) < 1.0:
-                found[share] = _Look(q, p, *simulation.hamiltonian.gradient(q, p))
+                found[share] = StepEnd(q, p, *simulation.hamiltonian.gradient(q, p))
         return np.array([*found, 1.0]), [*found.values(), self._end]
 
     @property
@@ -129,7 +129,7 @@ class DenseStep:
             bends = np.array([self._bend(*line) for line in zip(z, v, strict=True)])
         return hermite_output(h, self._start.q.size, z, v, bends, ends)
 
-    def _line(self, look: _Look) -> tuple[np.ndarray, np.ndarray]:
+    def _line(self, look: StepEnd) -> tuple[np.ndarray, np.ndarray]:
         """Return (q, p) and (q', p') at a state, each of shape (n,)."""
         turning, (q, p, dH_dq, dH_dp) = self._simulation.hamiltonian.rotations, look
         return (np.concatenate([q.ravel(), p.ravel()]),
@@ -202,10 +202,10 @@ class DenseStep:
         return np.array(q), np.array(p)
 
 
-def _look(simulation: 'Simulation') -> _Look:
+def _look(simulation: 'Simulation') -> StepEnd:
     """Return a copy of the current state of a simulation and the gradient of H."""
-    return _Look(simulation.q.copy(), simulation.p.copy(), simulation.dH_dq.copy(),
-                 simulation.dH_dp.copy())
+    return StepEnd(simulation.q.copy(), simulation.p.copy(), simulation.dH_dq.copy(),
+                   simulation.dH_dp.copy())
 
 
 def whole_steps(time: float, step_size: float) -> tuple[int, float]:

@@ -47,7 +47,7 @@ def in_threads(work: Callable[[int], _Result], workers: int) -> list[_Result]:
         pool.shutdown(wait=False)
 
 
-def heed() -> None:
+def check_interrupt() -> None:
     """Raise KeyboardInterrupt if this thread should stop; call periodically in long loops."""
     if hasattr(_own, 'stop') and _own.stop.is_set():
         raise KeyboardInterrupt

@@ -21,7 +21,7 @@ from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
 from hnn_vi_ros.simulation.following import CommandLaw, follow_each
-from hnn_vi_ros.simulation.processors import heed
+from hnn_vi_ros.simulation.processors import check_interrupt
 from hnn_vi_ros.simulation.rescue import Rescue
 from hnn_vi_ros.simulation.state import HEAD, State
 from hnn_vi_ros.simulation.system import System
@@ -345,7 +345,7 @@ class Simulation:
                 seconds = time.perf_counter() - begin
                 self._most_followed = max(1, int(
                     self._most_followed * min(_MAX_GROWTH, _CALL_TIME / seconds)))
-                heed()
+                check_interrupt()
         return path, taken
 
     def follow_on(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,
@@ -619,7 +619,7 @@ class Simulation:
                     q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
             if done >= last or time.perf_counter() >= until:
                 break
-            heed()
+            check_interrupt()
             begun, before, costs = done, self.row, self._costs()
         self._update_gradient()
 

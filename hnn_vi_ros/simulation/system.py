@@ -270,7 +270,7 @@ class System:
                        for index, kind in enumerate(kinds)]
         self.conservative = all(effect.conservative for effect in effects)
         self.single_file = [label for effect, label in zip(effects, self.labels, strict=True)
-                             if not effect.lockstep]
+                            if not effect.lockstep]
         if not integrator.requirements.from_state:
             self.single_file.append(method_name(integrator))
         self.lockstep = not self.single_file

@@ -166,7 +166,7 @@ class Runner:
     """
 
     def __init__(self, plan: SweepPlan):
-        self._plan, self._made = plan, dict[str, _Made]()
+        self._plan, self._made = plan, dict[str, CachedScene]()
         sweep = plan.sweep
         self._of_scene = [k for k, part in enumerate(plan.parts) if part[0] != 'initial_state']
         self._kept = slice(None) if sweep.keep == 'samples' else slice(-1, None)
@@ -189,7 +189,7 @@ class Runner:
             columns = self._plan.values(range(index, index + 1))
             row = tuple(column[0] for column in columns)
             try:
-                _Made(self._plan, row).states([row])
+                CachedScene(self._plan, row).states([row])
                 return
             except FAILURES as problem:
                 problems.append(problem)
@@ -219,7 +219,7 @@ class Runner:
 
     def _group(self, key: str, indices: list[int], rows: list[tuple[Any, ...]]) -> list[Rows]:
         try:
-            made = self._made.pop(key, None) or _Made(self._plan, rows[0])
+            made = self._made.pop(key, None) or CachedScene(self._plan, rows[0])
             self._made[key] = made
             while len(self._made) > _MAX_CACHED_SCENES:
                 del self._made[next(iter(self._made))]
@@ -237,7 +237,7 @@ class Runner:
         return [self._try(made, index, row, partial(made.alone, index, row))
                 for index, row in zip(indices, rows, strict=True)]
 
-    def _on_device(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]]
+    def _on_device(self, made: 'CachedScene', indices: list[int], rows: list[tuple[Any, ...]]
                    ) -> list[Rows]:
         """Return the rows of trajectories simulated on a device; failures are per trajectory."""
         found, failures = made.on_device(rows)
@@ -249,7 +249,7 @@ class Runner:
         return taken + [self._failed(indices[k], rows[k], problem)
                         for k, problem in failures.items()]
 
-    def _kept_rows(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]],
+    def _kept_rows(self, made: 'CachedScene', indices: list[int], rows: list[tuple[Any, ...]],
                    found: Trajectory) -> list[Rows]:
         """Return the rows of trajectories simulated together, measured one by one if requested."""
         if self._measures:
@@ -262,7 +262,7 @@ class Runner:
         return [Rows(indices, rows, len(t), np.tile(t, len(rows)), q, p,
                      found.energy[kept].T.ravel(), [_kinds(own) for own in found.alarms])]
 
-    def _try(self, made: '_Made', index: int, row: tuple[Any, ...],
+    def _try(self, made: 'CachedScene', index: int, row: tuple[Any, ...],
              find: Callable[[], Trajectory]) -> Rows:
         """Return the row of one trajectory with its statistics, or with the reason it failed."""
         sweep, kept = self._plan.sweep, self._kept
@@ -284,7 +284,7 @@ class Runner:
                     failure=one_line(problem) or type(problem).__name__)
 
 
-class _Made:
+class CachedScene:
     """A scene with the values of the axes, and its simulations."""
 
     def __init__(self, plan: SweepPlan, row: tuple[Any, ...]):

@@ -14,7 +14,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import ArraysData, evaluate, EvenMotion, train
 from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.judging.evaluation import (
-    constant_velocity, Fan, linear_model, score, whole_records)
+    constant_velocity, linear_model, score, TrajectoryBundle, whole_records)
 from hnn_vi_ros.learning.judging.report import shown
 from hnn_vi_ros.models import load_checkpoint, save_checkpoint
 from hnn_vi_ros.simulation import Simulation
@@ -201,7 +201,7 @@ def test_shown_predictions_end_where_a_simulation_failed():
     starts = np.arange(0, 300, 5)
     q = constant_velocity(motion, starts, 100)
     q[0, 10:], q[30:, 40:] = np.nan, np.inf
-    (run,) = shown([Fan(motion, starts, q)], 0.5)
+    (run,) = shown([TrajectoryBundle(motion, starts, q)], 0.5)
     assert [len(t) for t, _ in run.predicted[:2]] == [10, 51]
     assert len(run.predicted[-1][0]) == 40
     assert all(np.isfinite(q).all() for _, q in run.predicted)

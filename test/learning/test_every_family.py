@@ -10,7 +10,7 @@ from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.learning import evaluate, train
 from hnn_vi_ros.learning.fit import config as schemas
 from hnn_vi_ros.learning.fit.config import find_config, load_config
-from hnn_vi_ros.learning.fit.loop import Fit, INTERVAL, Keeper
+from hnn_vi_ros.learning.fit.loop import Fit, INTERVAL, TrainingCheckpoint
 from hnn_vi_ros.learning.tasks.field import FieldTask
 from hnn_vi_ros.models import load_checkpoint
 from messages import refused
@@ -80,13 +80,13 @@ def words(files: Path, name: str, model: str, *more: str) -> list[str]:
     long('log', 60), long('machine', 50), ('machine', 90), ('body', 45)])
 def test_every_family_resumes_to_the_same_bits(files: Path, monkeypatch, name: str, stop: int):
     train.main(words(files, name, 'whole'))
-    save = Keeper.__call__
+    save = TrainingCheckpoint.__call__
 
-    def pause(keeper: Keeper, fit: Fit) -> None:
+    def pause(keeper: TrainingCheckpoint, fit: Fit) -> None:
         keeper._stopping = fit.step >= stop
         save(keeper, fit)
     with monkeypatch.context() as context:
-        context.setattr(Keeper, '__call__', pause)
+        context.setattr(TrainingCheckpoint, '__call__', pause)
         with pytest.raises(Interrupted):
             train.main(words(files, name, 'm'))
     train.main(words(files, name, 'm', '--resume'))
@@ -116,8 +116,8 @@ def test_each_family_of_fields_resumes_to_the_same_bits(
     history = Fit(whole)
     history.run()
 
-    def keeper() -> Keeper:
-        return Keeper(tmp_path / 'm.training', config, task.arrays(), 'cpu')
+    def keeper() -> TrainingCheckpoint:
+        return TrainingCheckpoint(tmp_path / 'm.training', config, task.arrays(), 'cpu')
     keep = keeper()
 
     def pause(fit: Fit) -> None:

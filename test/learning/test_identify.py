@@ -26,8 +26,8 @@ from hnn_vi_ros.simulation import build, difference, DifferentiableRun, Trajecto
 from hnn_vi_ros.sweeps import running as sweep
 from messages import refused
 import numpy as np
-from python_process import run_code
 import pytest
+from python_process import run_code
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import lfilter
@@ -118,7 +118,7 @@ def assert_exact_slopes(free: FreeScene, values: np.ndarray, windows: Windows, q
 
     def slopes() -> list[np.ndarray]:
         prediction = Prediction(free, values, windows)
-        return [*prediction.by_starts(starts), prediction.by_numbers(starts)]
+        return [*prediction.by_starts(starts), prediction.parameter_jacobian(starts)]
     exact = slopes()
     assert Prediction(free, values, windows)._run is not None
     monkeypatch.setattr(Prediction, '_run', None)
@@ -173,7 +173,7 @@ def test_number_that_has_all_but_vanished_has_the_slope_of_zero(start, pendulum,
     free = free_scene(scene.parts(), ['joint_friction.friction.angle'], {}, tmp_path, False)
     windows = cut_windows([swing(pendulum, 0.2, 4)], 0.2)
     starts = np.tile([0.5, 0.1], (len(windows.run), 1))
-    tiny, zero = (Prediction(free, np.array([value]), windows).by_numbers(starts)
+    tiny, zero = (Prediction(free, np.array([value]), windows).parameter_jacobian(starts)
                   for value in (1e-21, 0.0))
     np.testing.assert_allclose(tiny, zero, atol=1e-9 * np.abs(zero).max())
 
@@ -200,7 +200,8 @@ def test_slope_beside_values_that_a_model_refuses_is_that_of_the_other_side(
     free = freed(pendulum, tmp_path, length=1.0)
     windows = cut_windows([swing(pendulum, 0.2, 4)], 0.2)
     starts = np.tile([0.5, 0.1], (len(windows.run), 1))
-    whole, usual = Prediction(free, np.ones(1), windows).by_numbers(starts), FreeScene.parts_at
+    whole = Prediction(free, np.ones(1), windows).parameter_jacobian(starts)
+    usual = FreeScene.parts_at
 
     def parts_at(model: FreeScene, values: np.ndarray) -> ModelParts:
         beside = values[0] - 1.0
@@ -211,10 +212,11 @@ def test_slope_beside_values_that_a_model_refuses_is_that_of_the_other_side(
     edge = Prediction(free, np.ones(1), windows)
     if not refuses:
         with refused(CannotFollow):
-            edge.by_numbers(starts)
+            edge.parameter_jacobian(starts)
         return
     # Differences of order 2 with a spacing of 6e-6: 4e-11, and rounding of 1e-16 over it.
-    np.testing.assert_allclose(edge.by_numbers(starts), whole, atol=1e-9 * np.abs(whole).max())
+    np.testing.assert_allclose(edge.parameter_jacobian(starts), whole,
+                               atol=1e-9 * np.abs(whole).max())
 
 
 def test_one_window_that_fails_leaves_the_others(pendulum, tmp_path):
@@ -583,7 +585,7 @@ def test_initial_state_is_as_uncertain_as_correlated_noise_makes_it(pendulum, tm
     solution, problem, stages = found.solution, found.problem, found.stages
     # They are what this noise makes, though neighbouring samples differ by a third of it.
     assert all(0.7 < excess < 1.5 for _, excess in stages)
-    slopes = np.concatenate([solution.by_numbers, solution.by_starts], axis=3)[0, :, 0]
+    slopes = np.concatenate([solution.parameter_jacobian, solution.by_starts], axis=3)[0, :, 0]
     lags = np.arange(len(slopes))
     inverse = np.linalg.inv(slopes.T @ slopes)
     true = inverse @ slopes.T @ share**np.abs(lags[:, None] - lags) @ slopes @ inverse

@@ -15,9 +15,9 @@ from hnn_vi_ros.learning.fit.machine import Fading, scales_of
 from hnn_vi_ros.learning.tasks.machine import as_selected, MachineTask, problem_of
 from hnn_vi_ros.learning.tasks.selection import (
     best_of, held_out, OF_VELOCITIES, RIGID, selected)
+from hnn_vi_ros.models.domain import CandidateCard, Domain, DomainCard
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
-from hnn_vi_ros.models.seen import CandidateCard, Domain, DomainCard
-from hnn_vi_ros.simulation.guards.base import Look
+from hnn_vi_ros.simulation.guards.base import GuardState
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from machines import machine_config
 import numpy as np
@@ -406,9 +406,9 @@ def test_domain_says_what_goes_beyond():
     assert slide.beyond(q[:1, :1], v[:1, :1], np.array([[3.0]])) == ['force 1 = 3 N, trained to 1']
     guard = BoxGuard((q.T, v.T), None, domain)
 
-    def look(step: int, velocity: float) -> Look:
-        return Look(step, inside[0][0], np.zeros(2), np.zeros(2), np.array([0.0, velocity]),
-                    0.0, 0.0)
+    def look(step: int, velocity: float) -> GuardState:
+        return GuardState(step, inside[0][0], np.zeros(2), np.zeros(2), np.array([0.0, velocity]),
+                          0.0, 0.0)
     assert alarm_of(guard, look(0, 3.0)) is None
     alarm = alarm_of(guard, look(1, 30.0))
     assert '(largest: elbow = 30 rad/s, trained to 15), in 50 % of the samples' in alarm.message

@@ -17,7 +17,7 @@ from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.hnn import HNN, HNNChoice
 from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import (
-    Fit, Interrupted, Keeper, LossHistory, Stage, TrainingProblem)
+    Fit, Interrupted, LossHistory, Stage, TrainingCheckpoint, TrainingProblem)
 from hnn_vi_ros.learning.tasks.field import FieldProblem, mean_square, nonlinearity
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models import load_checkpoint, NeuralHamiltonian
@@ -355,7 +355,7 @@ def test_resume_refuses_what_it_cannot_go_on_with_in_one_line(tmp_path):
         main(arguments)
     config, dataset = prepared(path)
     arrays = [part for part in vars(dataset).values() if isinstance(part, np.ndarray)]
-    keeper = Keeper(tmp_path / 'm.training', config, arrays, 'cpu')
+    keeper = TrainingCheckpoint(tmp_path / 'm.training', config, arrays, 'cpu')
     keeper._stopping = True
     with pytest.raises(Interrupted):
         keeper(Fit(FieldProblem(config, dataset)))

@@ -372,5 +372,3 @@ def test_scene_that_cannot_be_built_leaves_the_picture_as_it_is(tmp_path):
         assert found.spin_until(lambda: bridge._hearing.ignored)
         assert bridge._picture is picture and bridge.problem is None
         assert_message(*bridge._hearing.reasons.values())
-
-

@@ -23,7 +23,7 @@ from hnn_vi_ros.integrators.lie.lie_gauss import LieGauss
 from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import (
-    Alarm, BlockGuard, InitialValueProblem, judge, Observed, Simulation, Waiting)
+    Alarm, BlockGuard, InitialValueProblem, judge, Observed, SampleBuffer, Simulation)
 from mpmath import mp, mpf
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,7 +50,7 @@ def mostly_long(values: Iterable[Any], *kept: str) -> list[Any]:
 
 def alarm_of(guard: BlockGuard, sample: Observed) -> Alarm | None:
     """Return the alarm of a guard at the next sample, or None."""
-    waiting = Waiting(1)
+    waiting = SampleBuffer(1)
     waiting.add(sample)
     return next(iter(judge([guard], waiting.block())), None)
 

@@ -437,7 +437,7 @@ def test_derivatives_of_a_fit_keep_loops_closed(tmp_path):
     for k, way in enumerate(directions):
         expected = derivative(lambda e, way=way: prediction.alone(starts + e * way), 0.1)
         np.testing.assert_allclose(slopes[..., k], expected, atol=1e-7 * np.abs(expected).max())
-    for k, found in enumerate(np.moveaxis(prediction.by_numbers(starts), -1, 0)):
+    for k, found in enumerate(np.moveaxis(prediction.parameter_jacobian(starts), -1, 0)):
         expected = prediction._difference(starts, k)
         assert np.abs(expected).max() > 0.0
         np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())

@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.families.base import keep, newton, Perceptron
 from hnn_vi_ros.learning.families.choices import FamilyChoice, ON_THE_CPU
-from hnn_vi_ros.models import Checkpoint, group_of, Layers, LieGroupCard, Seen
+from hnn_vi_ros.models import Checkpoint, group_of, Layers, LieGroupCard, PoseInput
 import numpy as np
 from pydantic import Field, model_validator
 import torch
@@ -31,16 +31,16 @@ class LieGroupChoice(FamilyChoice):
     structured: bool = Field(True, description=(
         'true: H = p . M^-1 p / 2 + V(q); false: the momentum is an input of V too, and M is '
         'constant'))
-    mass_depends_on: list[Seen] = Field([], max_length=2, description=(
+    mass_depends_on: list[PoseInput] = Field([], max_length=2, description=(
         'inputs of M; none: M is constant in the frame of the body'))
-    potential_depends_on: list[Seen] = Field(
+    potential_depends_on: list[PoseInput] = Field(
         ['attitude'], min_length=1, max_length=2, description='inputs of V')
     dissipation: Literal['none', 'constant', 'learned'] = Field('none', description=(
         'positive semidefinite D of the force -D v: constant, or with the inputs of M'))
     input_map: Literal['identity', 'learned'] = Field('learned', description=(
         'identity: the inputs are forces in the frame of the body, one for each velocity; '
         'learned: a matrix from inputs to forces is learned'))
-    input_map_depends_on: list[Seen] = Field([], max_length=2, description=(
+    input_map_depends_on: list[PoseInput] = Field([], max_length=2, description=(
         'inputs of the learned map'))
 
     @model_validator(mode='after')

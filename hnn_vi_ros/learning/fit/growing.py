@@ -13,7 +13,7 @@ from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.noise import covariances, likeliest, Process
 from hnn_vi_ros.learning.fit.shooting import FitProblem, search, Solution, TOLERANCE
 from hnn_vi_ros.learning.fit.windows import (
-    CannotFollow, cut_windows, ParametricModel, Prediction, refined, Seen, Windows)
+    CannotFollow, cut_windows, MeasuredColumns, ParametricModel, Prediction, refined, Windows)
 import numpy as np
 
 # Tolerance of all searches but the last.
@@ -118,7 +118,7 @@ class Fitted(NamedTuple):
 
 
 def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion],
-                horizon: float | None, robust: bool, seen: Seen | None = None,
+                horizon: float | None, robust: bool, seen: MeasuredColumns | None = None,
                 tolerance: float = TOLERANCE) -> Fitted:
     """
     Fit the free numbers in growing windows: short ones first, because they have no false minima.
@@ -135,7 +135,7 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
         residuals do not grow by more than a half.
     robust : bool
         See FitProblem.
-    seen : Seen, optional
+    seen : MeasuredColumns, optional
         The measured coordinates; by default all.
     tolerance : float, optional
         Relative tolerance of the last search.
@@ -148,7 +148,7 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
     """
     longest = max(motion.t[-1] - motion.t[0] for motion in motions)
     wanted = longest if horizon is None else min(horizon, longest)
-    share = 1.0 if seen is None else _hidden(seen)
+    share = 1.0 if seen is None else unmeasured_ratio(seen)
     # Internal variables of effects are zero at the start of a run, and unknown within it.
     whole = any(effect.internal for model in models for effect in model.parts_at(
         np.array([number.start for number in model.numbers])).effects)
@@ -163,7 +163,7 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
         found: list[tuple[Fitted, Fitted | None]] = []
         for model, before in alive:
             try:
-                found.append((longer(
+                found.append((fit_longer_windows(
                     model, motions, length, noise, robust,
                     tolerance if length >= wanted else _ROUGH, before, seen), before))
             except CannotFollow:
@@ -192,13 +192,14 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
         length = min(_LONGER * length, wanted)
 
 
-def _hidden(seen: Seen) -> float:
+def unmeasured_ratio(seen: MeasuredColumns) -> float:
     """Return the number of coordinates per measured one."""
     return len(seen.spread) / len(seen.columns)
 
 
 def _searched(model: ParametricModel, windows: Windows, noise: np.ndarray, starts: np.ndarray,
-              values: np.ndarray, seen: Seen, length: float) -> tuple[np.ndarray, np.ndarray]:
+              values: np.ndarray, seen: MeasuredColumns, length: float
+              ) -> tuple[np.ndarray, np.ndarray]:
     """Return values and initial states, of which unmeasured ones are tried from several places."""
     random, d = np.random.default_rng(0), len(seen.spread)
     hidden = ~np.isin(np.arange(d), seen.columns)
@@ -248,7 +249,7 @@ def fits_by_length(model: ParametricModel, motions: Sequence[EvenMotion], noise:
     length, before = min(first_length(motions), longest), None
     found = list[tuple[float, Solution, np.ndarray]]()
     while True:
-        before = longer(model, motions, length, noise, True, _ROUGH, before)
+        before = fit_longer_windows(model, motions, length, noise, True, _ROUGH, before)
         ratios = noise_of(before.solution, False) / noise
         if not np.isfinite(ratios).all():
             return found
@@ -263,7 +264,8 @@ def with_states_of(model: ParametricModel, motions: Sequence[EvenMotion], fitted
     """Return motions whose smoothed states are those of a model, fitted to every n-th sample."""
     none, windows = np.zeros(0), refined(fitted.windows, motions)
     # From other states, long windows of a chaotic motion would end in a false minimum.
-    solution, _ = _settled(model, windows, fitted.noise, fitted.starts, none, True, _ROUGH, False)
+    solution, _ = fit_with_noise(
+        model, windows, fitted.noise, fitted.starts, none, True, _ROUGH, False)
     prediction = Prediction(model, none, windows)
     states = prediction.states(solution.starts[:, None])[:, 0]
     q, v = states[..., :states.shape[-1] // 2], prediction.velocities(states)
@@ -279,8 +281,8 @@ def refitted(fitted: Fitted, model: ParametricModel, values: np.ndarray, toleran
              ) -> Fitted:
     """Return the fit of another model in the same windows, searched from given values."""
     (length, last, problem), shorter = fitted.fits[-1], fitted.fits[:-1]
-    solution, problem = _settled(model, last.windows, last.noise, last.starts, values,
-                                 problem.robust, tolerance, False)
+    solution, problem = fit_with_noise(model, last.windows, last.noise, last.starts, values,
+                                       problem.robust, tolerance, False)
     return fitted._replace(fits=[*shorter, (length, solution, problem)])
 
 
@@ -297,9 +299,9 @@ def cost_at_start(model: ParametricModel, motions: Sequence[EvenMotion]) -> floa
     return cost if math.isfinite(cost) else math.inf
 
 
-def longer(model: ParametricModel, motions: Sequence[EvenMotion], length: float,
-           noise: np.ndarray, robust: bool, tolerance: float, before: Fitted | None,
-           seen: Seen | None = None) -> Fitted:
+def fit_longer_windows(model: ParametricModel, motions: Sequence[EvenMotion], length: float,
+                       noise: np.ndarray, robust: bool, tolerance: float, before: Fitted | None,
+                       seen: MeasuredColumns | None = None) -> Fitted:
     """Return the fit in windows of this length [s], from that in shorter ones."""
     values = np.array([number.start for number in model.numbers]) if before is None else \
         before.solution.values
@@ -308,7 +310,7 @@ def longer(model: ParametricModel, motions: Sequence[EvenMotion], length: float,
     if before is None and seen is not None and np.delete(
             seen.spread, seen.columns).any():
         values, starts = _searched(model, windows, noise, starts, values, seen, length)
-    solution, problem = _settled(
+    solution, problem = fit_with_noise(
         model, windows, noise if before is None else before.solution.noise, starts, values,
         robust, tolerance, before is None)
     fits, sensor = ([], []) if before is None else (before.fits, before.sensor)
@@ -325,9 +327,9 @@ def _judged(fitted: Fitted) -> Fitted:
         for length, solution, problem in fitted.fits])
 
 
-def _settled(model: ParametricModel, windows: Windows, noise: np.ndarray, starts: np.ndarray,
-             values: np.ndarray, robust: bool, tolerance: float, guessed: bool
-             ) -> tuple[Solution, FitProblem]:
+def fit_with_noise(model: ParametricModel, windows: Windows, noise: np.ndarray, starts: np.ndarray,
+                   values: np.ndarray, robust: bool, tolerance: float, guessed: bool
+                   ) -> tuple[Solution, FitProblem]:
     """Return the fit whose noise agrees with its own residuals, iterated from a first noise."""
     if windows.there.sum() * len(noise) <= starts.size + len(values):
         raise DataError(f'{int(windows.there.sum())} samples of {len(noise)} quantities in '
@@ -351,7 +353,7 @@ def _settled(model: ParametricModel, windows: Windows, noise: np.ndarray, starts
     return replace(
         solution, residuals=solution.residuals / ratio, noise=noise,
         by_starts=solution.by_starts / ratio[:, None],
-        by_numbers=solution.by_numbers / ratio[:, None]), problem
+        parameter_jacobian=solution.parameter_jacobian / ratio[:, None]), problem
 
 
 def noise_of(solution: Solution, robust: bool) -> np.ndarray:

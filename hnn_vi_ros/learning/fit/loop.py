@@ -368,7 +368,7 @@ class Fit:
 PERIOD = 30.0
 
 
-class Keeper:
+class TrainingCheckpoint:
     """
     File with the state of a running training.
 

@@ -21,9 +21,9 @@ from hnn_vi_ros.learning.fit.growing import cost_at_start, excess_of, fit_number
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.noise import covariances
-from hnn_vi_ros.learning.fit.rigid_model import ABOVE, Physical, RigidModel
+from hnn_vi_ros.learning.fit.rigid_model import ABOVE, PriorUnknowns, RigidModel
 from hnn_vi_ros.learning.fit.rigid_problem import (
-    positions_alone, RigidProblem, sensors_of, thinned)
+    downsampled, positions_alone, RigidProblem, sensors_of)
 from hnn_vi_ros.learning.fit.shooting import projected, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.learning.fit.windows import CannotFollow
@@ -97,10 +97,10 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
     samples = [samples_of(states, None) for states in (motions, *(
         [smoothed(motion.name, motion.t, motion.q, motion.v, motion.tau, share * cutoff)
          for motion in motions] for share in _COARSE))]
-    thin, driven = thinned(motions, loss.step_size)[0], any(
+    thin, driven = downsampled(motions, loss.step_size)[0], any(
         motion.tau.any() for motion in motions)
     for network in networks:
-        physical = Physical(network)
+        physical = PriorUnknowns(network)
         models.append(min((
             RigidModel(physical, _first(physical, states)[0], thin[0].spacing, driven)
             for states in samples), key=lambda model: cost_at_start(model, thin)))
@@ -189,14 +189,14 @@ def fit_smoothed(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequ
         Loss after each fit, inf if windows diverge at its initial values.
 
     """
-    samples, physical = samples_of(motions, loss.step_size), Physical(network)
+    samples, physical = samples_of(motions, loss.step_size), PriorUnknowns(network)
     found, first = _first(physical, samples)
     found, losses = _in_windows(physical, found, loss, samples)
     choice = network.friction.choice
     simple = choice.model_copy(update=_PLAIN)
     if simple != choice:
-        plain = Physical(MechanicalNetwork(replace(network.structure, friction=simple), [1],
-                                            network.scales, 0))
+        plain = PriorUnknowns(MechanicalNetwork(replace(network.structure, friction=simple), [1],
+                                                network.scales, 0))
         numbers, least = _in_windows(plain, _first(plain, samples)[0], loss, samples)
         # More friction contains less, so an end above it is a local minimum.
         if _last(least) < _last(losses):
@@ -206,7 +206,7 @@ def fit_smoothed(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequ
     return {'rigid_body_forward': first} | losses
 
 
-def _in_windows(physical: Physical, found: np.ndarray, loss: TrajectoryLoss, samples: Samples
+def _in_windows(physical: PriorUnknowns, found: np.ndarray, loss: TrajectoryLoss, samples: Samples
                 ) -> tuple[np.ndarray, dict[str, float]]:
     """Fit numbers to the windows of each stage; return them and the losses."""
     losses = {}
@@ -215,7 +215,7 @@ def _in_windows(physical: Physical, found: np.ndarray, loss: TrajectoryLoss, sam
     return found, losses
 
 
-def _with_more_friction(physical: Physical, plain: Physical, numbers: np.ndarray
+def _with_more_friction(physical: PriorUnknowns, plain: PriorUnknowns, numbers: np.ndarray
                         ) -> np.ndarray:
     """Return the numbers of plain friction in a model with more: both sides alike, the rest 0."""
     d, sides = physical.network.d, 1 + physical.network.friction.choice.directed
@@ -254,7 +254,7 @@ def fit_records(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Seque
         Root mean square error, in units of the standard deviation of each coordinate.
 
     """
-    physical, (records, size) = Physical(network), thinned(motions, loss.step_size)
+    physical, (records, size) = PriorUnknowns(network), downsampled(motions, loss.step_size)
     scale = physical.scale
 
     def errors(x: np.ndarray) -> np.ndarray:
@@ -323,7 +323,7 @@ def spread(rows: torch.Tensor, most: int) -> torch.Tensor:
     return rows[:: max(1, len(rows) // most)]
 
 
-def _first(physical: Physical, samples: Samples) -> tuple[np.ndarray, float]:
+def _first(physical: PriorUnknowns, samples: Samples) -> tuple[np.ndarray, float]:
     """Return the parameters that best explain the accelerations, and the loss."""
     # For rigid links, the forces are linear in the parameters.
     found = _regression(physical, samples) if physical.prior.linear else physical.now()
@@ -332,7 +332,7 @@ def _first(physical: Physical, samples: Samples) -> tuple[np.ndarray, float]:
         physical.network, samples, rows))
 
 
-def _regression(physical: Physical, samples: Samples) -> np.ndarray:
+def _regression(physical: PriorUnknowns, samples: Samples) -> np.ndarray:
     """Return the parameters that best explain the forces, with the current input map."""
     rows = spread(torch.arange(len(samples.q)), _SAMPLES)
     q, v, a, tau = (part[rows] for part in (samples.q, samples.v, samples.a, samples.tau))
@@ -360,7 +360,7 @@ def _regression(physical: Physical, samples: Samples) -> np.ndarray:
     return np.concatenate([values, found[n:], physical.now()[end:]])
 
 
-def _least_squares(physical: Physical, start: np.ndarray,
+def _least_squares(physical: PriorUnknowns, start: np.ndarray,
                    errors: Callable[[Solutions], torch.Tensor]) -> tuple[np.ndarray, float]:
     """Return the parameters of the smallest soft loss, and that loss."""
     scale = torch.tensor(physical.scale)

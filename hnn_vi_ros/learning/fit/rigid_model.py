@@ -224,7 +224,7 @@ class RigidUnknowns(ABC):
                 self.network.get_parameter(name).copy_(parameter)
 
 
-class Physical(RigidUnknowns):
+class PriorUnknowns(RigidUnknowns):
     """The physical parameters of a prior as unknowns."""
 
     def __init__(self, network: MechanicalNetwork):

@@ -63,8 +63,8 @@ class RigidProblem(TrainingProblem):
         assert self.fitted is not None
         return input_courses(
             self.fitted.solution, self.fitted.problem, motions[0].inputs, stated,
-            lambda other: thinned([replace(motion, inputs=other) for motion in motions],
-                                  loss.step_size)[0])
+            lambda other: downsampled([replace(motion, inputs=other) for motion in motions],
+                                      loss.step_size)[0])
 
     def is_evidence(self, gain: float) -> bool:
         """Return True if residuals that are smaller by this share are three sigma smaller."""
@@ -75,7 +75,7 @@ class RigidProblem(TrainingProblem):
         """Return the residuals with other forces, of a fit to positions."""
         assert self.fitted is not None
         return misfit_with(self.fitted.solution, self.fitted.problem,
-                           thinned(motions, loss.step_size)[0])
+                           downsampled(motions, loss.step_size)[0])
 
     def gain_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
         """Return the share by which other forces reduce the residuals."""
@@ -137,8 +137,8 @@ def positions_alone(motions: Sequence[EvenMotion]) -> bool:
     return any(motion.v is None for motion in motions)
 
 
-def thinned(motions: Sequence[EvenMotion], step_size: float | None
-            ) -> tuple[list[EvenMotion], np.ndarray]:
+def downsampled(motions: Sequence[EvenMotion], step_size: float | None
+                ) -> tuple[list[EvenMotion], np.ndarray]:
     """Downsample motions to this step, with held forces; return them and std(q), shape (d,)."""
     every, found = samples_of(motions, step_size).every, []
     for motion in motions:

@@ -47,7 +47,7 @@ class Solution:
         Initial states of the windows.
     residuals : np.ndarray, shape (W, T, C)
         Prediction minus measurement, in standard deviations; 0 for missing samples.
-    by_starts, by_numbers : np.ndarray, shapes (W, T, C, k) and (W, T, C, n)
+    by_starts, parameter_jacobian : np.ndarray, shapes (W, T, C, k) and (W, T, C, n)
         Derivatives of the residuals along ``Prediction.directions`` of the initial states, all
         2 d unless loops join coordinates, and with respect to the numbers.
     noise : np.ndarray, shape (C,)
@@ -61,7 +61,7 @@ class Solution:
     starts: np.ndarray
     residuals: np.ndarray
     by_starts: np.ndarray
-    by_numbers: np.ndarray
+    parameter_jacobian: np.ndarray
     noise: np.ndarray
     windows: Windows
 
@@ -124,7 +124,7 @@ class FitProblem:
             'kwi,wkn->win', self._prediction.directions(solution.starts), back[1])
         own = back[0].reshape(-1, len(values))
         units = units_of(solution)
-        sizes, rows, told = told_directions(own / units)
+        sizes, rows, told = identifiable_directions(own / units)
         held = np.where(told[:, None], 0.0, rows) * sizes.max(initial=1e-300)
         return np.concatenate([own / units @ rows[told].T @ rows[told], held]) * units
 
@@ -132,8 +132,8 @@ class FitProblem:
         """Return the solution at given values of the numbers."""
         starts, residuals, by_starts = self._at_best(values)
         if self._solved is None or not np.array_equal(self._solved.values, values):
-            by_numbers = np.nan_to_num(self._scaled(self._prediction.by_numbers(starts)))
-            self._solved = Solution(np.array(values), starts, residuals, by_starts, by_numbers,
+            jacobian = np.nan_to_num(self._scaled(self._prediction.parameter_jacobian(starts)))
+            self._solved = Solution(np.array(values), starts, residuals, by_starts, jacobian,
                                     self.noise, self.windows)
         return self._solved
 
@@ -230,7 +230,7 @@ def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.n
         Derivatives of the residuals at the best initial states, and of those states.
 
     """
-    slopes, numbers = solution.by_starts, solution.by_numbers
+    slopes, numbers = solution.by_starts, solution.parameter_jacobian
     # Orthogonal factors keep the precision; normal equations would lose half of the digits.
     w, t, c, n = slopes.shape
     root = np.sqrt(weights).reshape(w, t * c, 1)
@@ -243,12 +243,12 @@ def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.n
 
 def units_of(solution: Solution) -> np.ndarray:
     """Return the effect of each number on the residuals, the norm of its derivatives, (n,)."""
-    raw = np.linalg.norm(solution.by_numbers[solution.windows.there].reshape(
+    raw = np.linalg.norm(solution.parameter_jacobian[solution.windows.there].reshape(
         -1, len(solution.values)), axis=0)
     return np.where(raw > 0.0, raw, 1.0)
 
 
-def told_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def identifiable_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Return the directions of the numbers that the data determine.
 
@@ -286,5 +286,3 @@ def search(problem: FitProblem, values: np.ndarray, tolerance: float = TOLERANCE
         loss='soft_l1' if problem.robust else 'linear', f_scale=_SOFT, ftol=tolerance,
         xtol=tolerance, gtol=tolerance, max_nfev=evaluations)
     return problem.solve(found.x)
-
-

@@ -179,7 +179,7 @@ class Chain(NamedTuple):
         return p - b * total - torch.cat([self.c[None], after[:-1]]), after
 
 
-class Found(NamedTuple):
+class LinearisedChain(NamedTuple):
     """
     First x, shape (N, d), node velocities, (n, N, d), and the equations linearised at these.
 
@@ -203,7 +203,7 @@ class Found(NamedTuple):
         all_z = torch.stack(z)
         return all_z[..., 0], (self.back @ all_z[:-1] - self.inverse @ r[..., None])[..., 0]
 
-    def update(self, rows: torch.Tensor, other: 'Found') -> None:
+    def update(self, rows: torch.Tensor, other: 'LinearisedChain') -> None:
         """Copy the solution of some windows from another."""
         for old, new in zip(self[1:], other[1:], strict=True):
             old[:, rows] = new
@@ -225,7 +225,7 @@ class Solutions:
 
     """
 
-    def __init__(self, found: Sequence[Found] | None = None) -> None:
+    def __init__(self, found: Sequence[LinearisedChain] | None = None) -> None:
         self._found = [] if found is None else [*found]
         self._next = None if found is None else iter(found)
         self.alone = 0
@@ -234,7 +234,7 @@ class Solutions:
         """Return a solver that replays the solutions of this one."""
         return Solutions(self._found)
 
-    def solve(self, machine: MechanicalNetwork, chain: Chain) -> Found:
+    def solve(self, machine: MechanicalNetwork, chain: Chain) -> LinearisedChain:
         """Return the solution of a chain, NaN in windows without one."""
         if self._next is not None:
             return next(self._next)
@@ -300,7 +300,7 @@ def simulated(machine: MechanicalNetwork, method: WindowMethod, q: torch.Tensor,
     return States(q, machine.velocities(q.flatten(0, 1), p.flatten(0, 1)).view_as(q), p)
 
 
-def _recorded(machine: MechanicalNetwork, chain: Chain, found: Found
+def _recorded(machine: MechanicalNetwork, chain: Chain, found: LinearisedChain
               ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return y, w and the next c of all nodes from one recorded Newton step."""
     y = chain._replace(x=found.x).coordinates(found.w)
@@ -313,7 +313,7 @@ def _recorded(machine: MechanicalNetwork, chain: Chain, found: Found
     return (y + z[:-1, :, :d] + chain.numbers[0] * dw, found.w + dw, c_after + z[1:, :, d:])
 
 
-def _solved(machine: MechanicalNetwork, chain: Chain) -> tuple[Found, torch.Tensor]:
+def _solved(machine: MechanicalNetwork, chain: Chain) -> tuple[LinearisedChain, torch.Tensor]:
     """Return the solution of a chain, and the indices of windows that did not converge."""
     w, unit = chain.guess.clone(), torch.tensor(machine.scales.v)
     left, found = torch.arange(len(chain.x)), None
@@ -334,7 +334,7 @@ def _solved(machine: MechanicalNetwork, chain: Chain) -> tuple[Found, torch.Tens
 
 
 def _equations(machine: MechanicalNetwork, chain: Chain, w: torch.Tensor
-               ) -> tuple[Found, torch.Tensor]:
+               ) -> tuple[LinearisedChain, torch.Tensor]:
     """Return the equations of a chain linearised at w, and their residuals, (n, N, d)."""
     y = chain.coordinates(w)
     p, rate, p_v, p_q, rate_q, rate_v = (
@@ -351,7 +351,8 @@ def _equations(machine: MechanicalNetwork, chain: Chain, w: torch.Tensor
     onward = follows @ back
     onward[..., :d, :d] += one
     onward[..., d:, :d] += c_by_x
-    return Found(chain.x, w, inverse, back, onward, follows @ inverse), chain.residuals(p, rate)[0]
+    return (LinearisedChain(chain.x, w, inverse, back, onward, follows @ inverse),
+            chain.residuals(p, rate)[0])
 
 
 def _one_by_one(machine: MechanicalNetwork, chain: Chain) -> torch.Tensor:

@@ -136,7 +136,7 @@ FOREVER = 1e9
 _TOGETHER = 128
 
 
-class Seen(NamedTuple):
+class MeasuredColumns(NamedTuple):
     """
     Coordinates that were measured, and what is known of the others.
 
@@ -175,8 +175,8 @@ class Windows:
     there : np.ndarray of bool, shape (W, T)
         Mask of the samples in each window, since windows differ in length.
     start : np.ndarray, shape (W, 2, d)
-        Smoothed coordinates and velocities at the first samples; those of ``Seen.rest`` if they
-        were not measured.
+        Smoothed coordinates and velocities at the first samples; those of
+        ``MeasuredColumns.rest`` if they were not measured.
     columns : np.ndarray of int, shape (k,)
         Columns of the measured coordinates.
 
@@ -207,7 +207,7 @@ class Windows:
                          for run, first in zip(self.run, self.first, strict=True)])
 
 
-def cut_windows(motions: Sequence[EvenMotion], horizon: float, seen: Seen | None = None
+def cut_windows(motions: Sequence[EvenMotion], horizon: float, seen: MeasuredColumns | None = None
                 ) -> Windows:
     """
     Cut runs into windows whose lengths are as equal as whole samples allow.
@@ -218,7 +218,7 @@ def cut_windows(motions: Sequence[EvenMotion], horizon: float, seen: Seen | None
         Measured motions.
     horizon : float
         Maximum length of a window [s]; each one has at least two samples.
-    seen : Seen, optional
+    seen : MeasuredColumns, optional
         The measured coordinates; by default all.
 
     """
@@ -238,7 +238,7 @@ def refined(windows: Windows, motions: Sequence[EvenMotion]) -> Windows:
 
 
 def _windows_of(motions: Sequence[EvenMotion], pieces: Sequence[tuple[int, np.ndarray]],
-                seen: Seen | None) -> Windows:
+                seen: MeasuredColumns | None) -> Windows:
     """Return windows of given samples of runs."""
     longest = max(len(part) for _, part in pieces)
     channels = [motion.measured for motion in motions]
@@ -425,7 +425,7 @@ class Prediction:
             found.append(np.where(acts[:, None], table[np.clip(row, 0, len(table) - 1)], 0.0))
         return np.array(found)
 
-    def alone(self, starts: np.ndarray) -> np.ndarray:
+    def predict(self, starts: np.ndarray) -> np.ndarray:
         """Return the prediction from initial states, (W, 2 d), without derivatives, (W, T, C)."""
         return self.measured_at(self.states(starts[:, None])[:, 0])
 
@@ -469,7 +469,7 @@ class Prediction:
         slopes = (found[:, 1:n + 1] - found[:, n + 1:]) / (2.0 * spacing)[:, None, None]
         return found[:, 0], np.moveaxis(slopes, 1, -1)
 
-    def by_numbers(self, starts: np.ndarray) -> np.ndarray:
+    def parameter_jacobian(self, starts: np.ndarray) -> np.ndarray:
         """Return the derivatives of the prediction by the numbers, shape (W, T, C, n)."""
         # A delay changes the forces themselves, and points of loops their equations, not the
         # dependence of H' on the state.
@@ -490,7 +490,7 @@ class Prediction:
         """Return the finite difference with respect to one number, within its bounds."""
         total = np.zeros(self._windows.measured.shape)
         for weight, other in self._beside(k):
-            total += weight * other.alone(starts)
+            total += weight * other.predict(starts)
         return total
 
     @cached_property

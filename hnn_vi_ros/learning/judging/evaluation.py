@@ -207,7 +207,7 @@ _FOREVER = 1e9
 Predict = Callable[[EvenMotion, np.ndarray, int], np.ndarray]
 
 
-class Fan(NamedTuple):
+class TrajectoryBundle(NamedTuple):
     """
     Predictions of one motion from many of its states.
 
@@ -410,7 +410,7 @@ def samples_in(time: float, motion: EvenMotion) -> int:
 
 
 def fans_of(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[float],
-            every: float, longest: float) -> list[Fan]:
+            every: float, longest: float) -> list[TrajectoryBundle]:
     """Predict from many measured states, for the durations that ``score`` needs."""
     for horizon in horizons:
         if all(samples_in(horizon, motion) >= len(motion.t) for motion in motions):
@@ -426,7 +426,7 @@ def fans_of(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[
                            max(1, samples_in(every, motion)))
         if len(starts):
             count = min(samples_in(max(longest, *horizons), motion), n - 1)
-            fans.append(Fan(motion, starts, predict(motion, starts, count)))
+            fans.append(TrajectoryBundle(motion, starts, predict(motion, starts, count)))
     return fans
 
 
@@ -458,7 +458,8 @@ def score(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[fl
     return score_fans(fans, horizons, variance_of(motions))
 
 
-def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndarray) -> Scores:
+def score_fans(fans: Sequence[TrajectoryBundle], horizons: Sequence[float], variance: np.ndarray
+               ) -> Scores:
     """Score predictions against measured motions of this variance, shape (d,); see score."""
     errors: dict[float, list[np.ndarray]] = {horizon: [] for horizon in horizons}
     times, ended, failed = [], [], 0
@@ -603,7 +604,8 @@ class Outside(NamedTuple):
             for where, found in self.errors.items()}}
 
 
-def outside(domain: Domain, fans: Sequence[Fan], horizons: Sequence[float]) -> Outside:
+def outside(domain: Domain, fans: Sequence[TrajectoryBundle], horizons: Sequence[float]
+            ) -> Outside:
     """Compare motions, and predictions of them, with a model's training domain."""
     motions = [fan.motion for fan in fans]
     parts = [np.concatenate([getattr(motion, name) for motion in motions])
@@ -690,7 +692,7 @@ def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Seq
 
 def judge(simulation: Simulation, effects: Sequence[Effect], motions: Sequence[EvenMotion],
           horizons: Sequence[float], every: float, longest: float,
-          others: Mapping[str, Predict]) -> tuple[dict[str, Scores], list[Fan]]:
+          others: Mapping[str, Predict]) -> tuple[dict[str, Scores], list[TrajectoryBundle]]:
     """Return the scores of a model, of constant velocity and of `others`; and the model's fans."""
     variance = variance_of(motions)
     predict = simulated(simulation, motions[0].spacing, max(horizons), variance)

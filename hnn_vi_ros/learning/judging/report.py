@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.files import dump_yaml, write_text
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.learning.fit.loop import LossHistory
-from hnn_vi_ros.learning.judging.evaluation import Fan
+from hnn_vi_ros.learning.judging.evaluation import TrajectoryBundle
 from hnn_vi_ros.models import Checkpoint, interval_text, ModelCard
 from hnn_vi_ros.phase_space import Coordinate
 from matplotlib.figure import Figure
@@ -242,8 +242,8 @@ def _draw_residuals(axes: Any, comparison: Comparison, card: ModelCard, i: int) 
     axes.grid(alpha=0.3)
 
 
-def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], horizon: float,
-                     coordinates: Sequence[Coordinate]) -> None:
+def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[TrajectoryBundle],
+                     horizon: float, coordinates: Sequence[Coordinate]) -> None:
     """
     Write the page and the picture of an evaluation.
 
@@ -255,7 +255,7 @@ def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], ho
         Name of the judged model or scene.
     text : str
         Result in Markdown.
-    fans : sequence of Fan
+    fans : sequence of TrajectoryBundle
         Predictions of the model.
     horizon : float
         Displayed duration of each prediction [s].
@@ -269,7 +269,7 @@ def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], ho
         name, text, f'![Predictions over the measurement]({PICTURE})'))
 
 
-def shown(fans: Sequence[Fan], horizon: float) -> list[PredictedRun]:
+def shown(fans: Sequence[TrajectoryBundle], horizon: float) -> list[PredictedRun]:
     """Select distinguishable predictions, each cut to one horizon [s]."""
     runs = []
     for motion, starts, q in fans:

@@ -10,7 +10,7 @@ from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.growing import fits_by_length, with_states_of
-from hnn_vi_ros.learning.fit.rigid_problem import thinned
+from hnn_vi_ros.learning.fit.rigid_problem import downsampled
 from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts, ParametricModel
 import numpy as np
 
@@ -41,7 +41,7 @@ def judged_along(model: ParametricModel, motions: Sequence[EvenMotion], noise: n
         Noise of each measured quantity.
 
     """
-    d, fits = motions[0].q.shape[1], fits_by_length(model, thinned(motions, None)[0], noise)
+    d, fits = motions[0].q.shape[1], fits_by_length(model, downsampled(motions, None)[0], noise)
     residuals = {f'{length:.3g}': ratios[:d].tolist() for length, _, ratios in fits}
     within = followed(residuals)
     longest = [solution for length, solution, _ in fits if float(f'{length:.3g}') <= within]

@@ -12,7 +12,7 @@ from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.loop import Stage
-from hnn_vi_ros.learning.fit.rigid_problem import thinned
+from hnn_vi_ros.learning.fit.rigid_problem import downsampled
 from hnn_vi_ros.learning.judging.ensemble import drafted
 from hnn_vi_ros.models import Checkpoint
 from hnn_vi_ros.scene import Scene
@@ -55,7 +55,7 @@ class Records:
                  penalty: Callable[[], torch.Tensor]):
         self._network, self._method = network, loss.method
         self._draft, self._penalty = draft, penalty
-        self._records, self._size = thinned(motions, loss.step_size)
+        self._records, self._size = downsampled(motions, loss.step_size)
 
     def stages(self) -> list[Stage]:
         """Return stages of increasing windows; each restores the best on whole motions."""

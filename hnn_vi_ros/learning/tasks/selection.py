@@ -235,7 +235,7 @@ def _candidates(config: MachineConfig, trials: _Trials
     return config, found
 
 
-class _Begun(NamedTuple):
+class RigidBodyStage(NamedTuple):
     """A configuration, its trials, a rigid body with the cards of all, and if it explains all."""
 
     config: MachineConfig
@@ -245,7 +245,7 @@ class _Begun(NamedTuple):
     explained: bool
 
 
-def _rigid_bodies(config: MachineConfig, trials: _Trials) -> _Begun:
+def _rigid_bodies(config: MachineConfig, trials: _Trials) -> RigidBodyStage:
     """
     Return the rigid body that predicts held-out motions best, of positions alone or of velocities.
 
@@ -266,16 +266,16 @@ def _rigid_bodies(config: MachineConfig, trials: _Trials) -> _Begun:
 
 
 def _rigid_body(config: MachineConfig, trials: _Trials, first: CandidateCard,
-                rigid: TrainingProblem | None) -> _Begun:
+                rigid: TrainingProblem | None) -> RigidBodyStage:
     """Return a rigid body that was tried, with other inputs and springs if it needs them."""
     if not isinstance(rigid, RigidProblem):
-        return _Begun(config, trials, rigid, [first], False)
+        return RigidBodyStage(config, trials, rigid, [first], False)
     config, trials, first, rigid, others = _with_forces(config, trials, first, rigid)
     before, explained, found = rigid, trials.explained(config, rigid, first), [first]
     if not explained and not getattr(config.family, 'springs', True):
         config, rigid, found = _with_springs(config, trials, first, rigid)
         explained = rigid is not before and trials.explained(config, rigid, found[0])
-    return _Begun(config, trials, rigid, [*found, *others], explained)
+    return RigidBodyStage(config, trials, rigid, [*found, *others], explained)
 
 
 class _Forces(NamedTuple):

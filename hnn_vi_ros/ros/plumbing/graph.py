@@ -70,7 +70,7 @@ def nodes_of(endpoints: Iterable[TopicEndpointInfo]) -> list[str]:
     return sorted(f'{one.node_namespace.rstrip("/")}/{one.node_name}' for one in endpoints)
 
 
-def crowded(node: Node, topics: Iterable[str]) -> str:
+def publisher_conflicts(node: Node, topics: Iterable[str]) -> str:
     """Return a warning that names the topics of a node with several publishers, '' if none has."""
     found = {node.resolve_topic_name(topic): nodes_of(node.get_publishers_info_by_topic(topic))
              for topic in topics}

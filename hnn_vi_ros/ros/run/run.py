@@ -12,7 +12,7 @@ from typing import Any
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.recording import Sample
-from hnn_vi_ros.ros.plumbing.graph import crowded, Lasting
+from hnn_vi_ros.ros.plumbing.graph import Lasting, publisher_conflicts
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, PaceClock
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
@@ -169,7 +169,7 @@ class Run:
         """Publish the status of each component."""
         self._report_alarms(self._monitor.look())
         more = [one.status() for one in (self._spread, self._twin_topic) if one is not None]
-        crowd = crowded(self._node, self._topics.sole(
+        crowd = publisher_conflicts(self._node, self._topics.sole(
             self.pacer.led, self._joiner is not None and self._joiner.joins))
         if self.pacer.led and not self._node.count_publishers(CLOCK_TOPIC):
             crowd = (f'{CLOCK_TOPIC} has no publisher, but use_sim_time is true: publish it, or '

@@ -12,7 +12,7 @@ from hnn_vi_ros.recording import Sample
 import numpy as np
 
 
-class Look(NamedTuple):
+class GuardState(NamedTuple):
     """State and energies of a run after `step` steps; see Sample."""
 
     step: int
@@ -26,7 +26,7 @@ class Look(NamedTuple):
 
 
 # A state that guards check.
-Observed = Sample | Look
+Observed = Sample | GuardState
 
 
 def accounted_energy(sample: Observed) -> float:
@@ -65,7 +65,7 @@ class SampleBlock(NamedTuple):
 _REST = Struct('4d')
 
 
-class Waiting:
+class SampleBuffer:
     """
     Buffer of samples to be checked together as a block.
 

@@ -13,7 +13,7 @@ from hnn_vi_ros.simulation.accuracy.diagnostics import (
     EnergyScale, follow, RECORD, rounding_walk, scales_along)
 from hnn_vi_ros.simulation.guards.bands import EnergyGuard, InvariantGuard, plain_share
 from hnn_vi_ros.simulation.guards.base import (
-    Alarm, BlockGuard, Guard, judge, Look, SampleBlock, StateGuard, Waiting)
+    Alarm, BlockGuard, Guard, GuardState, judge, SampleBlock, SampleBuffer, StateGuard)
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard
 from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
@@ -88,7 +88,7 @@ class SampledScale:
             self._values = np.array([*ahead, *later]) if ahead else later
         return self._values
 
-    def ahead(self, waiting: Waiting) -> float:
+    def ahead(self, waiting: SampleBuffer) -> float:
         """Return the scale [J] at the last buffered sample of the next block."""
         if (new := waiting.block(len(self._ahead))) is not None:
             self._ahead.extend(self._take(new))
@@ -205,18 +205,18 @@ class Watch:
         self._kinds = [guard.kind for guard in guards]
         # Step and first alarm by kind.
         self._found: dict[str, tuple[int, Alarm]] = {}
-        self._waiting = Waiting(_BUFFER_NUMBERS)
+        self._waiting = SampleBuffer(_BUFFER_NUMBERS)
 
     @property
     def alarms(self) -> list[Alarm]:
         """Return the first alarm of each kind by its step, in the order of the guards."""
-        waiting, self._waiting = self._waiting, Waiting(_BUFFER_NUMBERS)
+        waiting, self._waiting = self._waiting, SampleBuffer(_BUFFER_NUMBERS)
         for alarm in judge(self._of_blocks, waiting.block()):
             self._found.setdefault(alarm.kind, (alarm.step, alarm))
         return [alarm for _, alarm in sorted(
             self._found.values(), key=lambda one: (one[0], self._kinds.index(one[1].kind)))]
 
-    def update(self, look: Look) -> None:
+    def update(self, look: GuardState) -> None:
         """Check the next state with all guards."""
         self.works[look.step] = look.work
         for guard in self._of_states:
@@ -256,8 +256,8 @@ class Watch:
         shown = np.array(sorted(chosen))
         slopes = hamiltonian.gradient(q[shown], p[shown])
         for i, H_q, H_p in zip(shown, *slopes, strict=True):
-            self.update(Look(round(steps[i]), q[i], p[i], H_q, H_p, float(energy[i]),
-                             float(modified[i])))
+            self.update(GuardState(round(steps[i]), q[i], p[i], H_q, H_p, float(energy[i]),
+                                   float(modified[i])))
 
 
 def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
@@ -271,27 +271,28 @@ def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
     return energy, np.full(energy.shape, math.nan) if modified is None else modified
 
 
-def look(simulation: Simulation) -> Look:
+def look(simulation: Simulation) -> GuardState:
     """Return the current state for guards; for m trajectories, with shape (m, d)."""
     energy, modified = simulation.energies
-    return Look(simulation.steps, simulation.q.copy(), simulation.p.copy(),
-                simulation.dH_dq.copy(), simulation.dH_dp.copy(), energy,
-                math.nan if modified is None else modified, simulation.work)
+    return GuardState(simulation.steps, simulation.q.copy(), simulation.p.copy(),
+                      simulation.dH_dq.copy(), simulation.dH_dp.copy(), energy,
+                      math.nan if modified is None else modified, simulation.work)
 
 
-def look_at_block(simulation: Simulation) -> Look:
+def look_at_block(simulation: Simulation) -> GuardState:
     """Return the state for the guards of ``watch_of_block``; energies only if work is done."""
     if not simulation.conservative:
         return look(simulation)
-    return Look(simulation.steps, simulation.q, simulation.p, simulation.dH_dq, simulation.dH_dp,
-                math.nan, math.nan)
+    return GuardState(simulation.steps, simulation.q, simulation.p, simulation.dH_dq,
+                      simulation.dH_dp, math.nan, math.nan)
 
 
-def look_at_rows(simulation: Simulation, rows: np.ndarray, q: np.ndarray, p: np.ndarray) -> Look:
+def look_at_rows(simulation: Simulation, rows: np.ndarray, q: np.ndarray, p: np.ndarray
+                 ) -> GuardState:
     """Return the state for ``watch_of_block`` of rows with states q and p, (m, d)."""
     energy, modified = energies_of(simulation, q, p)
-    return Look(int(rows[0, 1]), q, p, *simulation.hamiltonian.gradient(q, p),
-                float(energy.sum()), float(modified.sum()), simulation.work_in(rows))
+    return GuardState(int(rows[0, 1]), q, p, *simulation.hamiltonian.gradient(q, p),
+                      float(energy.sum()), float(modified.sum()), simulation.work_in(rows))
 
 
 def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,

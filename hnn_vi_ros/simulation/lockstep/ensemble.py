@@ -13,7 +13,7 @@ from hnn_vi_ros.integrators import (
 from hnn_vi_ros.simulation.lockstep.gradient import make_gradient
 from hnn_vi_ros.simulation.lockstep.steps import (
     first_state, LockstepState, LockstepSystem, step_of)
-from hnn_vi_ros.simulation.processors import heed
+from hnn_vi_ros.simulation.processors import check_interrupt
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System as CompiledSystem
 import numpy as np
@@ -184,7 +184,7 @@ class LockstepEnsemble:
     def _advanced(self, state: LockstepState, steps: int, rows: np.ndarray, counts: Counts,
                   failures: dict[int, StepFailure]) -> LockstepState:
         """Return the state after step number `steps`, taken by Simulation where necessary."""
-        heed()
+        check_interrupt()
         state, outcome, gradients = self._take_one(state)
         more = gradients > counts.costliest[rows]
         counts.costliest[rows[more]], counts.at[rows[more]] = gradients[more], steps

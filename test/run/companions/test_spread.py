@@ -12,7 +12,7 @@ from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.run import Accompanied, deviation, Members
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build, SpreadGuard
-from hnn_vi_ros.simulation.guards.base import Look
+from hnn_vi_ros.simulation.guards.base import GuardState
 from messages import refused
 import numpy as np
 import pytest
@@ -122,6 +122,6 @@ def test_spread_guard_tells_once_when_its_limit_is_exceeded():
     zero, told = np.zeros(1), []
     for step, value in enumerate(values):
         newest[0] = value
-        alarm = guard.update(Look(step, zero, zero, zero, zero, 0.0, 0.0))
+        alarm = guard.update(GuardState(step, zero, zero, zero, zero, 0.0, 0.0))
         told += [] if alarm is None else [(alarm.step, alarm.value, alarm.limit)]
     assert told == [(2, 0.3, 0.15), (5, 0.2, 0.15)]

@@ -8,7 +8,7 @@ import math
 from helpers import alarm_of
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.recording import Sample
-from hnn_vi_ros.simulation import BlockGuard, BoxGuard, EnergyGuard, judge, Waiting
+from hnn_vi_ros.simulation import BlockGuard, BoxGuard, EnergyGuard, judge, SampleBuffer
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.simulation.guards.base import accounted_energy, SampleBlock
 from hnn_vi_ros.simulation.guards.paths import PathGuard
@@ -33,7 +33,7 @@ def one_joule(block: SampleBlock) -> np.ndarray:
 
 def alarms(guard: BlockGuard, energies: np.ndarray) -> list:
     """Show energies to a guard; return its alarms."""
-    waiting = Waiting(2 * len(energies))
+    waiting = SampleBuffer(2 * len(energies))
     for step, energy in enumerate(energies):
         waiting.add(sample(step, energy=energy))
     return judge([guard], waiting.block())

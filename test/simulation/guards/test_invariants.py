@@ -14,7 +14,7 @@ from hnn_vi_ros.models import load_learned
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.guards.bands import InvariantGuard
-from hnn_vi_ros.simulation.guards.base import Look
+from hnn_vi_ros.simulation.guards.base import GuardState
 from messages import refused
 import numpy as np
 from pydantic import ValidationError
@@ -148,9 +148,10 @@ def test_invariant_guard_does_not_depend_on_constants_nor_on_zeros(constant):
     guard = InvariantGuard('L', lambda q, p: q[0] * p[1] - q[1] * p[0] + constant, 0.05,
                            HAMILTONIANS['kepler']())
 
-    def at(step: int, p_y: float) -> Look:
+    def at(step: int, p_y: float) -> GuardState:
         nothing = np.empty(0)
-        return Look(step, np.array([1.0, 0.0]), np.array([0.5, p_y]), nothing, nothing, 0.0, 0.0)
+        return GuardState(step, np.array([1.0, 0.0]), np.array([0.5, p_y]), nothing, nothing,
+                          0.0, 0.0)
 
     assert [alarm_of(guard, at(k, 1e-13 * (k % 3))) for k in range(10)] == [None] * 10
     assert alarm_of(guard, at(11, 0.2)).value == pytest.approx(0.2)
@@ -159,7 +160,7 @@ def test_invariant_guard_does_not_depend_on_constants_nor_on_zeros(constant):
 def test_invariant_that_is_no_number_is_an_alarm():
     guard = InvariantGuard('L', lambda q, p: q[0], 0.05, HAMILTONIANS['kepler']())
     states = np.array([[1.0, 0.0], [np.nan, 0.0]])
-    looks = [Look(k, q, q, q, q, 0.0, 0.0) for k, q in enumerate(states)]
+    looks = [GuardState(k, q, q, q, q, 0.0, 0.0) for k, q in enumerate(states)]
     assert alarm_of(guard, looks[0]) is None
     assert alarm_of(guard, looks[1]) is not None
 

@@ -16,8 +16,8 @@ from matplotlib.colors import to_rgb
 from messages import refused
 import numpy as np
 import pytest
-from safetensors.numpy import save_file
 from rerun_reader import read
+from safetensors.numpy import save_file
 
 T = np.linspace(0.0, 2.0, 41)
 COORDINATES = (Coordinate('x', 'm', 'kg m/s'), Coordinate('y', 'm', 'kg m/s'),
