@@ -15,8 +15,7 @@ from hnn_vi_ros.exports import lazy_exports
 if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.argument_order import call_order, TIME_DEPENDENT, TIMES
     from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
-    from hnn_vi_ros.hamiltonians.expressions import (
-        GRAMMAR, Graph, Reader, SWITCHES, Symbol, traced)
+    from hnn_vi_ros.hamiltonians.expressions import GRAMMAR, Graph, Reader, SWITCHES
     from hnn_vi_ros.hamiltonians.formula import Formula
     from hnn_vi_ros.hamiltonians.kinks import is_continuous
     from hnn_vi_ros.hamiltonians.mechanisms.parts import (
@@ -40,5 +39,6 @@ if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf, read_urdf
     from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
     from hnn_vi_ros.hamiltonians.straight_code import check_names, Code, constants_of, read_formula
+    from hnn_vi_ros.hamiltonians.tracing import Symbol, traced
 
 __getattr__, __dir__ = lazy_exports(__name__)

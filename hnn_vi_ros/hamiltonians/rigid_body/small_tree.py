@@ -13,10 +13,11 @@ M = L D L^T and y = L^-1 p,
 
 from collections.abc import Callable, Mapping, Sequence
 
-from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
+from hnn_vi_ros.hamiltonians.expressions import Graph
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import body_momentum, hand_down, join, power
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, Following
 from hnn_vi_ros.hamiltonians.straight_code import graph_kernels
+from hnn_vi_ros.hamiltonians.tracing import Symbol
 from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
