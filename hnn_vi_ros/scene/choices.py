@@ -4,14 +4,17 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from inspect import cleandoc, Parameter, signature
 import math
 from typing import Annotated, Any, Literal, Union
 
-from hnn_vi_ros.effects import Effect, Joined
+from hnn_vi_ros.effects import Effect, EFFECTS, Joined
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, listed, SceneError
 from hnn_vi_ros.files import find_beside, import_named, NAMES_CODE, StrictModel
-from hnn_vi_ros.hamiltonians import GRAMMAR, Graph, Hamiltonian, momentum, Reader
+from hnn_vi_ros.hamiltonians import (
+    DESCRIBED, GRAMMAR, Graph, Hamiltonian, HAMILTONIANS, momentum, Reader)
+from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.phase_space import columns
 import numpy as np
 from pydantic import (
@@ -344,6 +347,26 @@ class AutoChoice(StrictModel):
         return self
 
 
+class PartChoice(StrictModel):
+    """Base of the schemas of classes: the kind, and the arguments of the constructor."""
+
+    kind: str
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle by the kind, since no module contains the schema, which is created."""
+        return _unset, (self.kind,), self.__getstate__()
+
+
+# No two registries contain the same kind.
+_CLASSES: dict[str, type] = {**EFFECTS, **HAMILTONIANS, **DESCRIBED, **INTEGRATORS}
+
+
+def _unset(kind: str) -> PartChoice:
+    """Return an instance for pickle, which sets its state."""
+    schema = schema_of(kind, _CLASSES[kind])
+    return schema.__new__(schema)
+
+
 def choices(classes: Mapping[str, type], *more: type[BaseModel]) -> Any:
     """
     Return a discriminated union of one schema per class, selected by ``kind`` or given by it.
@@ -357,7 +380,7 @@ def choices(classes: Mapping[str, type], *more: type[BaseModel]) -> Any:
         Further schemas without such classes.
 
     """
-    schemas = [*more, *(_schema(kind, cls) for kind, cls in classes.items())]
+    schemas = [*more, *(schema_of(kind, cls) for kind, cls in classes.items())]
     # Union of a list, since `|` needs the types one by one.
     chosen: Any = Annotated[Union[tuple(schemas)], Field(discriminator='kind')]  # noqa: UP007
     return Annotated[chosen, BeforeValidator(of_kind, Literal[tuple(classes)] | chosen)]
@@ -368,7 +391,9 @@ def of_kind(choice: Any) -> Any:
     return {'kind': choice} if isinstance(choice, str) else choice
 
 
-def _schema(kind: str, cls: type) -> type[BaseModel]:
+@cache
+def schema_of(kind: str, cls: type) -> type[PartChoice]:
+    """Return the schema of a class: a key for each argument, with the description of numpydoc."""
     texts = parameter_texts(cls)
     fields: dict[str, Any] = {'kind': (Literal[kind], Field(description=summary(cls)))}
     for parameter in signature(cls).parameters.values():
@@ -377,9 +402,7 @@ def _schema(kind: str, cls: type) -> type[BaseModel]:
             # A key that is a keyword of Python, such as from, has the argument from_.
             fields[parameter.name.removesuffix('_')] = (parameter.annotation, Field(
                 default, description=texts.get(parameter.name)))
-    made = create_model(cls.__name__, __base__=StrictModel, __doc__=summary(cls), **fields)
-    # Pickle looks a class up by its module and its name.
-    return globals().setdefault(made.__name__, made)
+    return create_model(cls.__name__, __base__=PartChoice, __doc__=summary(cls), **fields)
 
 
 def summary(cls: type) -> str:

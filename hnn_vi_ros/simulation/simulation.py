@@ -178,9 +178,11 @@ class Simulation:
 
     def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:
         """Replace numbers at the next `restart`; return False if that needs a rebuild."""
-        taken = self.system.take_numbers(hamiltonian, effects)
-        self.hamiltonian, self.motors = self.system.hamiltonian, self.system.motors
-        return taken
+        system = self.system.with_numbers(hamiltonian, effects)
+        if system is None:
+            return False
+        self.system, self.hamiltonian, self.motors = system, system.hamiltonian, system.motors
+        return True
 
     def check_state(self, q: ArrayLike, p: ArrayLike) -> None:
         """Raise StateError for an invalid initial state."""

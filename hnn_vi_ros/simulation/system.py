@@ -3,6 +3,7 @@
 """Combination of a Hamiltonian, the effects of a scene and a method, for compilation."""
 
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 import math
 from operator import attrgetter
@@ -293,9 +294,12 @@ class System:
                 stacklevel=3)
         self._assemble(integrator)
 
-    def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:
+    def with_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]
+                     ) -> 'System | None':
         """
-        Replace the numbers of H and the effects, in the memory that compiled code uses.
+        Return a system with other numbers, in the memory of this one, which it replaces.
+
+        Compiled code that uses this memory sees the new numbers.
 
         Parameters
         ----------
@@ -304,15 +308,17 @@ class System:
 
         Returns
         -------
-        bool
-            False if they do not fit into this memory, so that a new system is needed.
+        System or None
+            None if they do not fit into this memory.
 
         """
         if not self._effects:
             # Without effects, the system is H itself.
-            taken = refill(self.kernel, hamiltonian.kernel)
-            self.hamiltonian = hamiltonian if taken else self.hamiltonian
-            return taken
+            if not refill(self.kernel, hamiltonian.kernel):
+                return None
+            other = copy(self)
+            other.hamiltonian = hamiltonian
+            return other
         # Reset the sum that magnetic fields add to.
         self.effect_state.gauge[...] = 0.0
         other = System(hamiltonian, effects, self.method, self.effect_state)
@@ -320,15 +326,14 @@ class System:
             if place > Place.NODES:
                 # Assign in place, since the method refers to these arrays.
                 if not _assign(self._parameters[i], other._parameters[i]):
-                    return False
+                    return None
                 other._parameters[i] = self._parameters[i]
         if other._places != self._places or not refill(self.kernel, other.kernel):
-            return False
+            return None
         other.kernel, other.integrator = self.kernel, self.integrator
         if isinstance(self.constraints, LoopManifold):
             other.constraints = self.constraints  # whose arrays the method refers to
-        self.__dict__ = other.__dict__
-        return True
+        return other
 
     @cached_property
     def turning(self) -> np.ndarray:

@@ -23,6 +23,7 @@ from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.phase_space import Event
 from hnn_vi_ros.run import simulate_spread
 from hnn_vi_ros.scene import load_code, load_scene, Scene
+from hnn_vi_ros.scene.choices import schema_of
 from hnn_vi_ros.simulation import simulate, simulate_many
 import numpy as np
 import pytest
@@ -34,13 +35,11 @@ def again(value: Any) -> Any:
     return pickle.loads(pickle.dumps(value))
 
 
-def test_schemas_of_scenes_are_found_by_their_names():
+def test_choices_of_every_class_are_pickled():
     for classes in (EFFECTS, HAMILTONIANS, INTEGRATORS, DESCRIBED):
         for kind, cls in classes.items():
-            # Its function of the same name stands in the package.
-            schema = getattr(import_module('hnn_vi_ros.scene.choices'), cls.__name__)
-            assert again(schema) is schema
-            assert schema.model_fields['kind'].annotation.__args__ == (kind,)
+            choice = schema_of(kind, cls).model_construct(kind=kind)
+            assert again(choice) == choice and type(again(choice)) is type(choice)
 
 
 def test_every_shipped_scene_is_pickled_and_copied():

@@ -219,11 +219,12 @@ class DifferentiableRun:
 
         """
         self._h = float(step_size)
-        if not (self._system.take_numbers(hamiltonian, effects) and (
-                self._simulation is None
-                or self._simulation.take_numbers(hamiltonian, effects))):
+        system = self._system.with_numbers(hamiltonian, effects)
+        if system is None or not (self._simulation is None
+                                  or self._simulation.take_numbers(hamiltonian, effects)):
             self._build(hamiltonian, effects)
             return
+        self._system = system
         self._hamiltonian, self._effects = hamiltonian, list(effects)
         self._acting = ActingEffects(self._system, hamiltonian, effects, self._h)
         self._closed = self._closed_steps()

@@ -112,10 +112,11 @@ class SceneRun:
         assert self._held is not None
         links = {key: held for key, held in self._held.values.items() if key.startswith(_URDF)}
         _, hamiltonian, integrator, effects = _changed(self._now, links | {name: value}, model)
-        system = self._beside.get((name, offset))
-        if system is None or not system.take_numbers(hamiltonian, effects):
+        before = self._beside.get((name, offset))
+        system = None if before is None else before.with_numbers(hamiltonian, effects)
+        if system is None:
             system = self.run.beside(hamiltonian, effects)
-            self._beside[name, offset] = system
+        self._beside[name, offset] = system
         return system.kernel, flow_rates(hamiltonian, integrator, effects) \
             if name.startswith(_EFFECTS) else None
 
