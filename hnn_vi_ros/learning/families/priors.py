@@ -3,7 +3,7 @@
 """Priors of a mechanical network in torch: rigid bodies, planar links, and exact systems."""
 
 from collections.abc import Callable, Mapping, Sequence
-from types import FunctionType
+import operator
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -197,7 +197,7 @@ class ExactPrior(PriorModule):
         self.system = exact_system(kind)
         self.names = [*self.system.defaults]
         _, gradient, hessian_vector = functions_of(HAMILTONIANS[kind]().kernel)
-        self._gradient, self._hessian_vector = in_torch(gradient), in_torch(hessian_vector)
+        self._gradient, self._hessian_vector = gradient, hessian_vector
         keep(self, defaults=np.array([*self.system.defaults.values()], dtype=np.float64),
              identity=np.eye(self.system.dimension))
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))
@@ -245,7 +245,7 @@ class ExactPrior(PriorModule):
     def _parameters_of(self, values: torch.Tensor) -> tuple[Any, ...]:
         found = [*self.system.others]
         for place, value in zip(self.system.places, values, strict=True):
-            found[place] = value
+            found[place] = NumpyTensor(value)
         return tuple(found)
 
 
@@ -263,25 +263,50 @@ class _Columns(list[Any]):
         return _Columns(found) if isinstance(place, slice) else found
 
 
+def _tensor(value: Any) -> Any:
+    return value.tensor if isinstance(value, NumpyTensor) else value
+
+
+def _binary(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], 'NumpyTensor']:
+    return lambda one, other: NumpyTensor(operation(_tensor(one), _tensor(other)))
+
+
+def _reflected(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], 'NumpyTensor']:
+    return lambda one, other: NumpyTensor(operation(_tensor(other), _tensor(one)))
+
+
+class NumpyTensor:
+    """A tensor as an argument of functions of numbers that are written with numpy (NEP 13)."""
+
+    __slots__ = ('tensor',)
+
+    def __init__(self, tensor: torch.Tensor):
+        self.tensor = tensor
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any) -> 'NumpyTensor':
+        """Call the function of the same name in torch."""
+        return NumpyTensor(getattr(torch, ufunc.__name__)(*map(_tensor, inputs)))
+
+    def __neg__(self) -> 'NumpyTensor':
+        """Return the negative."""
+        return NumpyTensor(-self.tensor)
+
+    __add__, __radd__ = _binary(operator.add), _reflected(operator.add)
+    __sub__, __rsub__ = _binary(operator.sub), _reflected(operator.sub)
+    __mul__, __rmul__ = _binary(operator.mul), _reflected(operator.mul)
+    __truediv__, __rtruediv__ = _binary(operator.truediv), _reflected(operator.truediv)
+    __pow__, __rpow__ = _binary(operator.pow), _reflected(operator.pow)
+
+
 def columns(x: torch.Tensor) -> _Columns:
-    """Return the columns of states, shape (N, d)."""
-    return _Columns(x.unbind(dim=1))
+    """Return the columns of states, shape (N, d), for functions of kernels."""
+    return _Columns(map(NumpyTensor, x.unbind(dim=1)))
 
 
 def stacked(found: Sequence[Any], like: torch.Tensor) -> torch.Tensor:
     """Return columns as one tensor; a column may be a single number."""
     zero = torch.zeros_like(like[:, 0])
-    return torch.stack([zero + column for column in found], dim=1)
-
-
-def in_torch(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a kernel function that accepts tensors: ``np`` is replaced by torch in it."""
-    assert isinstance(function, FunctionType)
-    names = {name: in_torch(value) if isinstance(value, FunctionType) else value
-             for name, value in function.__globals__.items()
-             if name in function.__code__.co_names}
-    names |= {'np': torch} if 'np' in names else {}
-    return FunctionType(function.__code__, function.__globals__ | names, function.__name__)
+    return torch.stack([zero + _tensor(column) for column in found], dim=1)
 
 
 # Smallest initial mass as a share of the total, and smallest initial radius of gyration [m]:

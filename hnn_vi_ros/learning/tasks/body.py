@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import json
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, cast, NamedTuple
 
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files import write_text
@@ -17,7 +17,7 @@ from hnn_vi_ros.learning.data.sources import one_file
 from hnn_vi_ros.learning.families.base import newton
 from hnn_vi_ros.learning.families.lie_group import (
     BodyScales, BodyStage, HeldBody, LieGroupNetwork, LieMethod, RetractionName)
-from hnn_vi_ros.learning.families.priors import in_torch
+from hnn_vi_ros.learning.families.priors import NumpyTensor
 from hnn_vi_ros.learning.fit.config import BodyConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import Stage, TrainingProblem
 from hnn_vi_ros.learning.judging.report import Judged
@@ -44,6 +44,11 @@ class BodyState(NamedTuple):
     p: torch.Tensor
 
 
+def _cayley(y: torch.Tensor) -> Any:
+    """Return the coefficients of the Cayley map."""
+    return Coefficients(*(part.tensor for part in cast(Any, cayley)(NumpyTensor(y))))
+
+
 def _exponential(y: torch.Tensor) -> Any:
     """Return the coefficients of the exponential map, as in Coefficients."""
     y = y.clamp_min(_LEAST_ANGLE)
@@ -57,7 +62,7 @@ def _exponential(y: torch.Tensor) -> Any:
 
 # Coefficients for vectors of squared length 4 y, shape (N, 1).
 RETRACTIONS: dict[RetractionName, Callable[[torch.Tensor], Any]] = {
-    'cayley': in_torch(cayley), 'exponential': _exponential}
+    'cayley': _cayley, 'exponential': _exponential}
 
 
 def turned(R: torch.Tensor, x: torch.Tensor, tau: Any) -> torch.Tensor:
