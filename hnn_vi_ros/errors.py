@@ -82,14 +82,12 @@ def listed(names: Iterable[object]) -> str:
 
 def reduce_error(error: BaseException) -> tuple[Any, ...]:
     """Make pickle bypass constructors, whose arguments may differ from the message."""
-    return _made_again, (type(error), error.args, vars(error))
+    return _without_constructor, (type(error), error.args), vars(error)
 
 
-def _made_again(cls: type[BaseException], args: tuple[Any, ...], state: dict[str, Any]
-                ) -> BaseException:
-    error = cls.__new__(cls, *args)
-    vars(error).update(state)
-    return error
+def _without_constructor(cls: type[BaseException], args: tuple[Any, ...]) -> BaseException:
+    """Return an error for pickle, which sets its attributes."""
+    return cls.__new__(cls, *args)
 
 
 def _shortened(message: object) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cache
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.effects.commands import Reference
 from hnn_vi_ros.errors import listed, reduce_error
@@ -16,6 +16,9 @@ from hnn_vi_ros.integrators import Integrator, PhasePoint, PointWork, Step
 from hnn_vi_ros.kernels import Energy, Functions, Gradient, HessianVector, Parameters
 from hnn_vi_ros.phase_space import columns, Coordinate, leaders, motor_names, scalar_columns
 import numpy as np
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.models import Checkpoint
 
 
 class Place(IntEnum):
@@ -162,6 +165,8 @@ class Effect(ABC):
         Frequency of a force that oscillates in time [Hz], 0 for none.
     stiff : bool
         True if it has a ``fastest_rate``, which steps should resolve.
+    model : Checkpoint or None
+        Model with its networks, if it is an effect of one.
     excludes : mapping of Place to str
         Places where no other effect may act, each with a clause of the error message that gives
         the reason.
@@ -182,6 +187,7 @@ class Effect(ABC):
     internal: ClassVar[bool] = False
     frequency: float = 0.0
     stiff: ClassVar[bool] = False
+    model: 'Checkpoint | None' = None
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
 
     def place(self, integrator: Integrator) -> Place:

@@ -82,23 +82,22 @@ class ExternalForce(Force, Commanded):
         self.names, self.timeout = tuple(coordinates or ()), float(timeout)
         self.initial = initial
         self.gain, self.offset = gain, offset
-        self._model: Checkpoint | None = None
         if model is not None:
             from hnn_vi_ros.effects.input_map import load_map
-            self._model = load_map(model, member)
+            self.model = load_map(model, member)
         self._describe()
 
     @classmethod
     def of(cls, checkpoint: 'Checkpoint', timeout: float) -> Self:
         """Return the force of a model with an input map that is in no file."""
         own = cls.__new__(cls)
-        own.names, own.timeout, own.initial, own._model = (), timeout, None, checkpoint
+        own.names, own.timeout, own.initial, own.model = (), timeout, None, checkpoint
         own.gain, own.offset = 1.0, 0.0
         own._describe()
         return own
 
     def _describe(self) -> None:
-        mapped = self._model is not None
+        mapped = self.model is not None
         scaled = bool((np.ravel(self.gain) != 1.0).any() or np.any(self.offset))
         self.held, self.feels_command, self.by_motors = not mapped, mapped or scaled, mapped
         self.takes = frozenset({NUMBERS} if mapped else {NUMBERS, EFFORT})
@@ -108,7 +107,7 @@ class ExternalForce(Force, Commanded):
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> 'InputParameters':
         """Return the command, the clock, the columns, and the function that adds forces."""
         from hnn_vi_ros.effects.input_map import by_map, by_name
-        parameters = by_map(state, self._model, coordinates) if self._model is not None else \
+        parameters = by_map(state, self.model, coordinates) if self.model is not None else \
             by_name(state, coordinates, self.names, self.gain, self.offset)
         if self.initial is not None:
             self._checked('initial', np.array(self.initial, dtype=np.float64), parameters.columns)

@@ -54,6 +54,7 @@ class LearnedFriction(Force):
     """
 
     depends_on_momentum = turns = True
+    model: Checkpoint
 
     def __init__(self, model: str, member: int | None = None):
         checkpoint = load_checkpoint(model, ensembles=True).member(member)
@@ -73,7 +74,7 @@ class LearnedFriction(Force):
         return own
 
     def _take(self, checkpoint: Checkpoint) -> None:
-        card, self._model = checkpoint.card, checkpoint
+        card, self.model = checkpoint.card, checkpoint
         self.feels_command = card.mechanical is not None and \
             card.mechanical.friction.load is not None
         if self.feels_command and card.mechanical is not None:
@@ -84,7 +85,7 @@ class LearnedFriction(Force):
         """Return the coefficients, and the function that adds the friction of the network."""
         # Imported lazily: reading a scene needs no compiler.
         from hnn_vi_ros.effects.friction_network import friction_of
-        return friction_of(self._model, coordinates, state)
+        return friction_of(self.model, coordinates, state)
 
     @staticmethod
     @inlined

@@ -3,7 +3,6 @@
 """A robot of rigid bodies from a URDF."""
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from functools import cached_property
 from pathlib import Path
 
@@ -110,8 +109,7 @@ class RigidBodyTree(Hamiltonian):
 
     def with_numbers(self, numbers: Mapping[str, float]) -> 'RigidBodyTree':
         """Return H with other numbers of links; see ``Robot.with_numbers``."""
-        other = copy(self)
-        other.__dict__.pop('kernel', None)
+        other = self.copy()
         other._build(self.robot.with_numbers(numbers))
         return other
 

@@ -107,7 +107,7 @@ class Symbol:
     __lt__, __le__, __gt__, __ge__ = map(_compared, ('<', '<=', '>', '>='))
     __and__, __or__ = _combined('logical_and'), _combined('logical_or')
     # Operations on values: a branch would be taken for all values.
-    __eq__, __ne__ = _refused('=='), _refused('!=')  # type: ignore[assignment]
+    __eq__, __ne__ = _refused('=='), _refused('!=')
     __mod__ = __rmod__ = _refused('%')
     __floordiv__ = __rfloordiv__ = _refused('//')
     __bool__ = _refused('a branch (if, and, or)')

@@ -100,7 +100,7 @@ def _counts(workspace: Any) -> list[int]:
 
 @cache
 def _entry(step: Step, kinds: tuple[types.Type, ...], name: str, own: bool) -> Dispatcher:
-    """Return the compiled entry of a step."""
+    """Return the compiled entry of a step, a copy with global names of its own; see addresses."""
     # The part belongs to this entry only.
     copy = Part(step, targetoptions={'forceinline': True})
     entry = FunctionType(_step_entry.__code__, {

@@ -357,7 +357,12 @@ def _rates(kernel: Kernel) -> tuple[Graph, list[int]]:
 
 def _fill(kernel: Kernel, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
           ) -> None:
-    """Fill the gradient at symbols, for a formula and for potentials added to it."""
+    """
+    Fill the gradient at symbols, for a formula and for potentials added to it.
+
+    The parts of a gradient are found in its closure. A kernel cannot name them: it is an argument
+    of compiled code, which takes numbers and functions, and no classes.
+    """
     kernel = _original(kernel)
     gradient: Any = getattr(kernel.gradient, 'py_func', kernel.gradient)
     inside = getclosurevars(gradient).nonlocals

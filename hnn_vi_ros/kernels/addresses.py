@@ -168,7 +168,12 @@ class _Entry:
 
 @cache
 def _entry(function: Dispatcher, kind: types.Type, name: str, k: int) -> _Entry:
-    """Return the compiled entry of a kernel's function for one type of parameters."""
+    """
+    Return the compiled entry of a kernel's function for one type of parameters.
+
+    It is a copy with global names of its own: a closure would be cached under a pickle of its
+    cells, and the pickle of a compiled function differs between processes.
+    """
     code = (_energy_entry, _gradient_entry, _hessian_vector_entry)[k].__code__
     options = {name: value for name, value in function.targetoptions.items()
                if name in ('fastmath', 'error_model')}

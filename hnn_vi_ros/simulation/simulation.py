@@ -31,6 +31,8 @@ from numpy.typing import ArrayLike
 
 # Relative distance beyond which two solutions of a step count as different.
 _MAX_DISTANCE, _FIRST = 1e-8, itemgetter(0)
+# Gradients, rescued steps, several solutions, residual, costliest; see Simulation.
+_Costs = tuple[int, int, int, float, tuple[int, int]]
 # Target wall time of one call of compiled code [s], and largest growth of its number of steps from
 # call to call. Signals are handled between calls, which cost some microseconds.
 _CALL_TIME, _MAX_GROWTH = 0.02, 16.0
@@ -469,7 +471,7 @@ class Simulation:
     @contextmanager
     def _elsewhere(self, row: np.ndarray) -> Iterator[Any]:
         """Restore a row, and the current state at the end; yield the internal steps' workspace."""
-        h, now, costs = self.step_size, self.row, self._costs()
+        h, now, costs = self.step_size, self.row, self._costs
         attempted = self.system.effect_state.step.copy()
         loops = self.system.constraints
         sine = loops.constraints.sine if isinstance(loops, LoopManifold) else np.empty(0)
@@ -490,7 +492,7 @@ class Simulation:
             self.system.effect_state.step[:] = attempted
             self.put(now)
             sine[:] = watched
-            vars(self).update(costs)
+            self._costs = costs
 
     def advance(self, n: int, until: float = math.inf) -> int:
         """
@@ -597,7 +599,7 @@ class Simulation:
               ) -> None:
         """Take the steps to the last sample, or up to the deadline, or raise StepFailure."""
         done, changed, last = 0, -1, len(q_out) * every
-        begun, before, costs = done, self.row, self._costs()
+        begun, before, costs = done, self.row, self._costs
         while True:
             outcome, done, residual, spent = self._run(done, last, every, q_out, p_out)
             if outcome != OK and not self.rescue_ready:
@@ -612,9 +614,9 @@ class Simulation:
                 if failure is not None:
                     # Discard all traces of the failed step in the arrays for the next steps: a
                     # replay repeats only successful steps.
-                    costs = self._costs()
+                    costs = self._costs
                     self._go_back(before, costs, done - begun)
-                    vars(self).update(costs)
+                    self._costs = costs
                     raise failure
                 done += 1
                 if done % every == 0:
@@ -622,7 +624,7 @@ class Simulation:
             if done >= last or time.perf_counter() >= until:
                 break
             check_interrupt()
-            begun, before, costs = done, self.row, self._costs()
+            begun, before, costs = done, self.row, self._costs
         self._update_gradient()
 
     def _run(self, done: int, last: int, every: int, q_out: np.ndarray, p_out: np.ndarray
@@ -640,15 +642,22 @@ class Simulation:
         self.rescued += (now - done) * (self._active != 0)
         return outcome, now, self.residual, spent
 
-    def _costs(self) -> dict[str, Any]:
-        """Return the cost counters by attribute name."""
-        return {name: getattr(self, name) for name in (
-            'gradients', 'rescued', 'several_solutions', 'residual', 'costliest')}
+    @property
+    def _costs(self) -> _Costs:
+        """Return the counters of costs."""
+        return (self.gradients, self.rescued, self.several_solutions, self.residual,
+                self.costliest)
 
-    def _go_back(self, row: np.ndarray, costs: dict[str, Any], done: int) -> None:
+    @_costs.setter
+    def _costs(self, costs: _Costs) -> None:
+        """Set the counters of costs."""
+        (self.gradients, self.rescued, self.several_solutions, self.residual,
+         self.costliest) = costs
+
+    def _go_back(self, row: np.ndarray, costs: _Costs, done: int) -> None:
         """Repeat the successful steps from a row, to discard all traces of a failed one."""
         self.put(row)
-        vars(self).update(costs)
+        self._costs = costs
         self._take(done, *np.empty((2, 1, self._z.q.size)))
 
     def _change_method(self) -> None:

@@ -181,6 +181,15 @@ def test_copy_has_space_of_its_own(tmp_path):
     assert not any(np.shares_memory(one, two) for one, two in zip(work, other, strict=True))
 
 
+def test_energy_with_other_numbers_is_not_that_of_earlier_calls(tmp_path):
+    robot = tree(tmp_path)
+    q, p = np.full((2, robot.dimension), 0.4)
+    masses = [name for name in robot.robot.numbers() if name.endswith('.mass')]
+    other = robot.with_numbers(dict.fromkeys(masses, 5.0)).energy(q, p)
+    assert robot.energy(q, p) != other
+    assert robot.with_numbers(dict.fromkeys(masses, 5.0)).energy(q, p) == other
+
+
 def test_arm_keeps_its_energy_without_drift():
     scene = load_scene('two_joint_arm')
     hamiltonian, state = scene.create_hamiltonian(), scene.initial_state

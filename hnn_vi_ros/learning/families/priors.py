@@ -196,8 +196,9 @@ class ExactPrior(PriorModule):
         super().__init__()
         self.system = exact_system(kind)
         self.names = [*self.system.defaults]
-        _, gradient, hessian_vector = functions_of(HAMILTONIANS[kind]().kernel)
-        self._gradient, self._hessian_vector = gradient, hessian_vector
+        # Functions of arrays, which take columns of tensors as well.
+        functions: tuple[Any, ...] = functions_of(HAMILTONIANS[kind]().kernel)
+        _, self._gradient, self._hessian_vector = functions
         keep(self, defaults=np.array([*self.system.defaults.values()], dtype=np.float64),
              identity=np.eye(self.system.dimension))
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))

@@ -145,10 +145,9 @@ def _changed(parts: Parts, values: Mapping[str, float], model: Checkpoint | None
     assert isinstance(H, LearnedHamiltonian), 'only a learned H has a model'
     before, effects = H.checkpoint, [copy(effect) for effect in parts.effects]
     for effect in effects:
-        held = getattr(effect, '_model', None)
         # Update friction and input map only in effects that use the same model file.
-        if held is not None and held.sha256 == before.sha256:
-            effect.__dict__['_model'] = model
+        if effect.model is not None and effect.model.sha256 == before.sha256:
+            effect.model = model
     return parts._replace(hamiltonian=type(H)(model), effects=effects)
 
 
