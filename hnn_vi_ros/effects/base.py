@@ -142,7 +142,7 @@ class Effect(ABC):
         True if it leaves the energy H, including its own potential, unchanged.
     single : bool
         True if a scene can list only one effect of its kind.
-    lockstep : bool
+    batched : bool
         True if it can act on several trajectories that step together.
     turns : bool
         True if it can act on systems with rotations.
@@ -176,7 +176,7 @@ class Effect(ABC):
     acts: ClassVar[Place]
     conservative: bool = False
     single: ClassVar[bool] = False
-    lockstep: ClassVar[bool] = True
+    batched: ClassVar[bool] = True
     turns: ClassVar[bool] = False
     random: ClassVar[bool] = False
     limits: ClassVar[bool] = False
@@ -397,7 +397,7 @@ class InternalForce(Force):
 
     """
 
-    depends_on_momentum, lockstep, internal = True, False, True
+    depends_on_momentum, batched, internal = True, False, True
     respond: Callable[..., tuple[float, float]]
     respond_tangent: Callable[..., tuple[float, float]]
 

@@ -68,7 +68,7 @@ class HolonomicConstraint(Effect):
 
     """
 
-    acts, conservative, lockstep = Place.MANIFOLD, True, False
+    acts, conservative, batched = Place.MANIFOLD, True, False
 
     def __init__(self, point: list[str] | None = None, other: list[str] | None = None,
                  anchor: list[float] | None = None, length: float | None = None,

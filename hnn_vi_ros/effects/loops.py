@@ -32,7 +32,7 @@ class ClosedChains(Effect):
 
     """
 
-    acts, conservative, lockstep, label = Place.MANIFOLD, True, False, 'loops'
+    acts, conservative, batched, label = Place.MANIFOLD, True, False, 'loops'
     excludes = MappingProxyType({
         Place.MANIFOLD: 'because loops and other constraints are not solved together'})
 

@@ -159,7 +159,7 @@ class RigidContact(StepEffect):
 
     """
 
-    acts, repeats, lockstep, stops = Place.OUTSIDE, True, False, True
+    acts, repeats, batched, stops = Place.OUTSIDE, True, False, True
     excludes = {Place.MANIFOLD: 'because its impulses would violate the constraints'}
     beyond: ClassVar[str]
 

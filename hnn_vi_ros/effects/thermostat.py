@@ -95,7 +95,7 @@ class Thermostat(StepEffect):
 
     """
 
-    acts, single, lockstep, random = Place.MIDDLE, True, False, True
+    acts, single, batched, random = Place.MIDDLE, True, False, True
     excludes = {Place.MANIFOLD: 'because its impulses would violate the constraints'}
 
     def __init__(self, temperature: float, rate: float | list[float],

@@ -6,7 +6,7 @@ Simulations: compiled loops over the steps of a scene, and computations based on
 
 ``Simulation`` advances a state; ``rescue`` retries failed steps; ``events`` locates events.
 Sub-packages: ``trajectory`` (whole runs), ``accuracy`` (errors, costs, `integrator: auto`),
-``guards`` (alarms), ``lockstep`` (many runs in torch), ``gradients`` (sensitivities, adjoints).
+``guards`` (alarms), ``batches`` (many runs in torch), ``gradients`` (sensitivities, adjoints).
 """
 
 from typing import TYPE_CHECKING
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time, time_between_motions
     from hnn_vi_ros.simulation.accuracy.trials import (
         InitialValueProblem, Method, time_scale, Tolerance)
+    from hnn_vi_ros.simulation.batches.batch_simulation import (
+        BatchSimulation, description, open_device)
     from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
     from hnn_vi_ros.simulation.construction import build, build_at, compile_loop
     from hnn_vi_ros.simulation.dense_step import whole_steps
@@ -40,12 +42,11 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.guards.poles import PoleGuard
     from hnn_vi_ros.simulation.guards.selection import make_guards
     from hnn_vi_ros.simulation.guards.watch import look, SampledScale, show_many, Watch
-    from hnn_vi_ros.simulation.lockstep.ensemble import description, LockstepEnsemble, open_device
     from hnn_vi_ros.simulation.processors import (
         ignore_sigint_in_children, in_threads, usable_processors, worker_processes)
     from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
     from hnn_vi_ros.simulation.system import System
-    from hnn_vi_ros.simulation.trajectory.devices import ensemble_on, one_thread_each, record_on
+    from hnn_vi_ros.simulation.trajectory.devices import batch_on, one_thread_each, record_on
     from hnn_vi_ros.simulation.trajectory.record import BLOCK, check_memory, record_block, Schedule
     from hnn_vi_ros.simulation.trajectory.simulate import (
         changed_parts, record_one, simulate, simulate_many)

@@ -241,9 +241,9 @@ class System:
         State of the effects that persists from step to step.
     labels : list of str
         Name of each effect: its kind, with its index if the kind occurs more than once.
-    conservative, lockstep : bool
+    conservative, batched : bool
         True if no effect does work, and if several trajectories can step together.
-    single_file : list of str
+    unbatched : list of str
         Names of the effects and of the method due to which they cannot.
     motors : Motors
         Effects that take commands.
@@ -270,11 +270,11 @@ class System:
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
                        for index, kind in enumerate(kinds)]
         self.conservative = all(effect.conservative for effect in effects)
-        self.single_file = [label for effect, label in zip(effects, self.labels, strict=True)
-                            if not effect.lockstep]
+        self.unbatched = [label for effect, label in zip(effects, self.labels, strict=True)
+                          if not effect.batched]
         if not integrator.requirements.from_state:
-            self.single_file.append(method_name(integrator))
-        self.lockstep = not self.single_file
+            self.unbatched.append(method_name(integrator))
+        self.batched = not self.unbatched
         if not hamiltonian.canonical or hamiltonian.rotations:
             self._check_coordinates(hamiltonian, integrator)
         self._places = [effect.place(integrator) for effect in effects]
@@ -397,7 +397,7 @@ class System:
 
     def closed(self, z: np.ndarray) -> np.ndarray:
         """Return states, shape (m, 2 d), with loops closed; raise as ``check_state`` does."""
-        if isinstance(self.constraints, LoopManifold) or not self.lockstep:
+        if isinstance(self.constraints, LoopManifold) or not self.batched:
             return np.array([np.concatenate(self.check_state(*np.split(one, 2))) for one in z])
         self.check_state(*np.split(z, 2, axis=1))
         return z
@@ -405,8 +405,8 @@ class System:
     def _checked(self, q: ArrayLike, p: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         states = check_state(q, p, self.hamiltonian.dimension, self.hamiltonian.rotations)
         flat_q, flat_p = (part.ravel() for part in states)
-        if not self.lockstep and flat_q.size > self.hamiltonian.dimension:
-            raise ValueError(f'q and p contain several states, but {", ".join(self.single_file)} '
+        if not self.batched and flat_q.size > self.hamiltonian.dimension:
+            raise ValueError(f'q and p contain several states, but {", ".join(self.unbatched)} '
                              'supports one at a time; use simulate_many')
         for effect, parameters in zip(self._effects, self._parameters, strict=True):
             effect.check_state(self.hamiltonian, parameters, flat_q)

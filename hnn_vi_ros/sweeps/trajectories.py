@@ -20,7 +20,7 @@ from hnn_vi_ros.sweeps.plan import SweepPlan
 import numpy as np
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.simulation import LockstepEnsemble
+    from hnn_vi_ros.simulation import BatchSimulation
 
 
 def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts,
@@ -228,7 +228,7 @@ class Runner:
         except FAILURES as problem:
             return [self._failed(index, row, problem)
                     for index, row in zip(indices, rows, strict=True)]
-        if made.lockstep and len(rows) > 1:
+        if made.batched and len(rows) > 1:
             try:
                 return self._kept_rows(made, indices, rows, made.together(indices, rows))
             except FAILURES:
@@ -297,7 +297,7 @@ class CachedScene:
         with scene.placed('initial_state'):
             system = System(hamiltonian, effects, integrator)
         self.joined = system.hamiltonian
-        self.lockstep = system.lockstep and not scene.events
+        self.batched = system.batched and not scene.events
         self._state = {half: np.array(values) for half, values in (
             ('q', scene.initial_state.q), ('p', scene.initial_state.p))}
         steps, _ = whole_steps(plan.sweep.duration, scene.known_step_size)
@@ -307,7 +307,7 @@ class CachedScene:
                                 'the samples of the unchanged scene, for which memory is reserved')
         self._simulations: dict[str, Any] = {}
         if plan.device is not None:
-            self._ensemble = self._make_ensemble(plan.device)
+            self._batch = self._make_batch(plan.device)
 
     def states(self, rows: list[tuple[Any, ...]]) -> _State:
         """Return q and p, shape (m, d) each, from rows."""
@@ -340,9 +340,9 @@ class CachedScene:
         return Trajectory(t, q, p, energy, self.parts.hamiltonian.coordinates,
                           tuple(map(tuple, alarms)), scene=self.parts.scene)
 
-    def _make_ensemble(self, device: str) -> 'LockstepEnsemble':
-        """Return the ensemble that steps on a device."""
-        from hnn_vi_ros.simulation import ensemble_on
+    def _make_batch(self, device: str) -> 'BatchSimulation':
+        """Return the batch that steps on a device."""
+        from hnn_vi_ros.simulation import batch_on
         scene = self.parts.scene
         if scene.events:
             raise HnnViRosError('events are not supported on a device; remove the events of '
@@ -351,7 +351,7 @@ class CachedScene:
             raise HnnViRosError(
                 f'duration = {self._plan.sweep.duration:g} s is not a whole number of steps of '
                 f'{scene.known_step_size:g} s, which a device needs; change it')
-        return ensemble_on(device, self.parts)
+        return batch_on(device, self.parts)
 
     def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[Trajectory, dict[int, StepFailure]]:
         """Return trajectories computed on a device, and the failures by trajectory number."""
@@ -363,7 +363,7 @@ class CachedScene:
         samples = sorted({*range(0, steps + 1, self._every), steps})
         with one_thread_each(device):
             found, alarms_of = record_on(
-                self._ensemble, self._simulation('first', q[:1], p[:1]), q, p, samples)
+                self._batch, self._simulation('first', q[:1], p[:1]), q, p, samples)
         return (self._several(np.array(samples) * h, found.q, found.p,
                               [alarms_of.get(k, []) for k in range(len(rows))]), found.failures)
 

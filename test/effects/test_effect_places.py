@@ -61,7 +61,7 @@ class Within(Kick):
 class Outermost(Kick):
     """The same around all else."""
 
-    acts, single, lockstep = Place.OUTSIDE, True, False
+    acts, single, batched = Place.OUTSIDE, True, False
 
 
 class Push(Force):
@@ -133,4 +133,4 @@ def test_effect_in_the_middle_is_taken_by_methods_with_halves():
 def test_effect_that_takes_one_state_at_a_time_is_named():
     with refused(ValueError):
         system(Kick(), Outermost()).check_state(np.zeros((2, 1)), np.zeros((2, 1)))
-    assert system(Kick()).lockstep
+    assert system(Kick()).batched

@@ -11,8 +11,8 @@ from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.integrators import check_method, Integrator, INTEGRATORS, Requirements
 from hnn_vi_ros.simulation import System
+from hnn_vi_ros.simulation.batches.steps import step_of
 from hnn_vi_ros.simulation.gradients.derivatives import differentiable_tableau
-from hnn_vi_ros.simulation.lockstep.steps import step_of
 import pytest
 
 

@@ -129,7 +129,7 @@ def test_ensemble_of_ensembles_is_refused():
 
 def test_what_takes_the_networks_of_one_model_refuses_a_mean_and_names_members(model: Path):
     torch = pytest.importorskip('torch', reason='torch is not installed')
-    from hnn_vi_ros.simulation.lockstep.gradient import make_gradient
+    from hnn_vi_ros.simulation.batches.gradient import make_gradient
     from hnn_vi_ros.torch import with_weights
     mean = load_learned(model)
     with refused(UnsupportedSystem):

@@ -39,7 +39,7 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 HOMES = {
     'launch': r'ros/launching\.py', 'launch_ros': r'ros/launching\.py',
     'torch': r'(learning|identify)/(\w+/)?\w+\.py|models/torch_\w+\.py|torch\.py'
-             r'|simulation/(lockstep|trajectory)/\w+\.py',
+             r'|simulation/(batches|trajectory)/\w+\.py',
     'mcap': r'recording/bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
     'zstandard': r'recording/bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'recording/bags/(mcap|bag|sqlite)_\w+\.py',

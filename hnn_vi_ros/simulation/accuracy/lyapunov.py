@@ -113,7 +113,7 @@ class _Pair:
     def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
                  integrator: Integrator, h: float, q: np.ndarray, p: np.ndarray,
                  on_failure: str):
-        if alone := System(hamiltonian, effects, integrator).single_file:
+        if alone := System(hamiltonian, effects, integrator).unbatched:
             raise ValueError(f'{listed(alone)}: supported for one motion at a time; the Lyapunov '
                              'time cannot be measured')
         self.growth, self._scale = 0.0, state_scales(hamiltonian, q, p)

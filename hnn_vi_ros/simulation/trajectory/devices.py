@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from hnn_vi_ros.scene import Parts
+from hnn_vi_ros.simulation.batches.batch_simulation import (
+    BatchRecord, BatchSimulation, Counts, open_device)
 from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.guards.watch import look_at_block, watch_of_block
-from hnn_vi_ros.simulation.lockstep.ensemble import (
-    Counts, EnsembleRecord, LockstepEnsemble, open_device)
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 import torch
@@ -19,22 +19,22 @@ import torch
 TOGETHER = 3840
 
 
-def ensemble_on(device: str, parts: Parts) -> LockstepEnsemble:
-    """Return an ensemble of a scene on a device, with its own copy of H."""
+def batch_on(device: str, parts: Parts) -> BatchSimulation:
+    """Return a batch of a scene on a device, with its own copy of H."""
     scene, hamiltonian, integrator, effects = parts.copy()
-    return LockstepEnsemble(hamiltonian, integrator, scene.known_step_size, effects,
-                            scene.on_failure, device)
+    return BatchSimulation(hamiltonian, integrator, scene.known_step_size, effects,
+                           scene.on_failure, device)
 
 
-def record_on(ensemble: LockstepEnsemble, one: Simulation, q: np.ndarray, p: np.ndarray,
-              samples: Sequence[int]) -> tuple[EnsembleRecord, dict[int, list[Alarm]]]:
+def record_on(batch: BatchSimulation, one: Simulation, q: np.ndarray, p: np.ndarray,
+              samples: Sequence[int]) -> tuple[BatchRecord, dict[int, list[Alarm]]]:
     """
     Simulate many trajectories in torch, and return their samples and alarms.
 
     Parameters
     ----------
-    ensemble : LockstepEnsemble
-        Ensemble that takes the steps.
+    batch : BatchSimulation
+        Batch that takes the steps.
     one : Simulation
         Simulation of any one trajectory, shape (1, d).
     q, p : np.ndarray, shape (m, d)
@@ -44,11 +44,11 @@ def record_on(ensemble: LockstepEnsemble, one: Simulation, q: np.ndarray, p: np.
 
     Returns
     -------
-    tuple of (Recorded, dict of int to list of Alarm)
+    tuple of (BatchRecord, dict of int to list of Alarm)
         The samples, and the alarms about steps by number of trajectory.
 
     """
-    found = ensemble.record(q, p, samples)
+    found = batch.record(q, p, samples)
     return found, {k: _alarms_of(one, found.counts, k, samples[-1])
                    for k in _noteworthy(one, found.counts)}
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation of a scene without ROS: one trajectory, or many in lockstep blocks on threads."""
+"""Simulation of a scene without ROS: one trajectory, or many in blocks on threads."""
 
 from __future__ import annotations
 
@@ -463,9 +463,9 @@ class _Many:
         return build_at(self.parts, self.q[0, block], self.p[0, block])
 
     def step(self, threads: int | None) -> None:
-        """Take the steps in compiled loops, in lockstep blocks if the system supports it."""
+        """Take the steps in compiled loops, of blocks if the system supports batches."""
         _, hamiltonian, integrator, effects = self.parts
-        size = BLOCK if System(hamiltonian, effects, integrator).lockstep else 1
+        size = BLOCK if System(hamiltonian, effects, integrator).batched else 1
 
         def take(simulation: Simulation, block: slice, samples: int) -> Recorded:
             return record_block(
@@ -510,14 +510,14 @@ class _Many:
                              f'{self._interval / self.step_size:g} steps; a device needs whole '
                              'steps between samples; change duration or samples')
         with optional('torch', f'device = {device}'):
-            from hnn_vi_ros.simulation.lockstep.ensemble import open_device
+            from hnn_vi_ros.simulation.batches.batch_simulation import open_device
             from hnn_vi_ros.simulation.trajectory.devices import (
-                ensemble_on, one_thread_each, record_on, TOGETHER)
+                batch_on, one_thread_each, record_on, TOGETHER)
         size = TOGETHER if open_device(device).type == 'cpu' else self.count
         samples = [k * self._every for k in range(self.t.size)]
 
         def start(first: slice) -> Callable[[slice], None]:
-            ensemble, one = ensemble_on(device, self.parts), self.simulation(_FIRST)
+            ensemble, one = batch_on(device, self.parts), self.simulation(_FIRST)
 
             def take(block: slice) -> None:
                 found, alarms = record_on(

@@ -10,9 +10,9 @@ from hnn_vi_ros.errors import ParameterError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import (
     ImplicitIntegrator, Integrator, NOT_FINITE, OK, SolverOptions, Tableau)
-from hnn_vi_ros.simulation.lockstep.gradient import make_gradient
-from hnn_vi_ros.simulation.lockstep.steps import (
-    first_state, LockstepState, LockstepSystem, step_of)
+from hnn_vi_ros.simulation.batches.gradient import make_gradient
+from hnn_vi_ros.simulation.batches.steps import (
+    BatchState, BatchSystem, first_state, step_of)
 from hnn_vi_ros.simulation.processors import check_interrupt
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System as CompiledSystem
@@ -80,7 +80,7 @@ class Counts(NamedTuple):
     at: np.ndarray
 
 
-class EnsembleRecord(NamedTuple):
+class BatchRecord(NamedTuple):
     """
     Results of m trajectories.
 
@@ -101,7 +101,7 @@ class EnsembleRecord(NamedTuple):
     counts: Counts
 
 
-class LockstepEnsemble:
+class BatchSimulation:
     """
     Many trajectories of one scene, each solved separately.
 
@@ -139,17 +139,17 @@ class LockstepEnsemble:
         self._on_failure, self._alone = on_failure, None
         options: SolverOptions | Tableau = integrator.options(dimension=hamiltonian.dimension)
         options = options.solver if isinstance(options, Tableau) else options
-        self._system = LockstepSystem(
+        self._system = BatchSystem(
             make_gradient(hamiltonian, self._device), hamiltonian.dimension,
             hamiltonian.kernel.gradient_scale, step_size, options)
 
     def __reduce__(self) -> NoReturn:
-        """Raise TypeError: the ensemble cannot be copied or pickled."""
-        raise TypeError('an ensemble on a device cannot be copied; build a new one')
+        """Raise TypeError: the batch cannot be copied or pickled."""
+        raise TypeError('a batch on a device cannot be copied; build a new one')
 
     _alone: Simulation | None
 
-    def record(self, q: np.ndarray, p: np.ndarray, samples: Sequence[int]) -> EnsembleRecord:
+    def record(self, q: np.ndarray, p: np.ndarray, samples: Sequence[int]) -> BatchRecord:
         """
         Simulate from initial states, and return samples.
 
@@ -178,11 +178,11 @@ class LockstepEnsemble:
                 out[samples.index(steps)][:, rows] = state.z.cpu().numpy()
         out[[k for k, steps in enumerate(samples) if steps == 0]] = z.cpu().numpy()
         q_out, p_out = out.transpose(0, 2, 1)[..., :d], out.transpose(0, 2, 1)[..., d:]
-        return EnsembleRecord(
+        return BatchRecord(
             np.ascontiguousarray(q_out), np.ascontiguousarray(p_out), failures, counts)
 
-    def _advanced(self, state: LockstepState, steps: int, rows: np.ndarray, counts: Counts,
-                  failures: dict[int, StepFailure]) -> LockstepState:
+    def _advanced(self, state: BatchState, steps: int, rows: np.ndarray, counts: Counts,
+                  failures: dict[int, StepFailure]) -> BatchState:
         """Return the state after step number `steps`, taken by Simulation where necessary."""
         check_interrupt()
         state, outcome, gradients = self._take_one(state)
@@ -201,7 +201,7 @@ class LockstepEnsemble:
             state.carry[:, k], state.counts[:, k] = 0.0, 0
         return state
 
-    def _take_one(self, state: LockstepState) -> tuple[LockstepState, torch.Tensor, np.ndarray]:
+    def _take_one(self, state: BatchState) -> tuple[BatchState, torch.Tensor, np.ndarray]:
         """Return states after a step, or before it if it failed; outcomes; gradient counts."""
         after, outcome, gradients = self._step(self._system, state)
         finite = (after.z.isfinite() & after.slope.isfinite()).all(dim=0)

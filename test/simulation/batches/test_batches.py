@@ -4,13 +4,13 @@
 
 from pathlib import Path
 
+from batch_scenes import random_network
 from helpers import EPS
 from hnn_vi_ros.errors import ParameterError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.models import Checkpoint, ConfinedHamiltonian, load_checkpoint, NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import LockstepEnsemble, open_device, simulate_many, Simulation
-from hnn_vi_ros.simulation.lockstep.gradient import captured, make_gradient
-from lockstep_scenes import random_network
+from hnn_vi_ros.simulation import BatchSimulation, open_device, simulate_many, Simulation
+from hnn_vi_ros.simulation.batches.gradient import captured, make_gradient
 from messages import refused
 import numpy as np
 import pytest
@@ -21,9 +21,9 @@ METHODS = ['variational_euler', 'generalized_leapfrog', 'implicit_midpoint', 'ga
            'gauss8']
 
 
-def ensemble_of(scene: Scene) -> LockstepEnsemble:
-    return LockstepEnsemble(scene.create_hamiltonian(), scene.create_integrator(),
-                            scene.known_step_size, [], scene.on_failure, 'cpu')
+def ensemble_of(scene: Scene) -> BatchSimulation:
+    return BatchSimulation(scene.create_hamiltonian(), scene.create_integrator(),
+                           scene.known_step_size, [], scene.on_failure, 'cpu')
 
 
 def states_of(scene: Scene, m: int, share: float = 0.6) -> np.ndarray:

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Thousands of trajectories in lockstep, in torch, on the CPU or on a GPU.
+Batches of thousands of trajectories in torch, on the CPU or on a GPU.
 
 The equations of each trajectory are solved separately to round-off, by the criteria of
 ``integrators.solvers``; gradients of all unsolved trajectories are evaluated together, as matrix

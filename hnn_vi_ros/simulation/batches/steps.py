@@ -18,7 +18,7 @@ from hnn_vi_ros.integrators import (
     BACK, COMMON, DEPTH, FAST_MATRIX, fixed_point, Gauss, gauss_tableau, GO_ON, ImplicitIntegrator,
     IN_DOUBT, Integrator, LEAST_SCALE, method_name, methods_that, NO_CONVERGENCE, Node, NOT_FINITE,
     OK, OWN, QUICK, SolverOptions)
-from hnn_vi_ros.simulation.lockstep.gradient import Gradient, row_dot
+from hnn_vi_ros.simulation.batches.gradient import Gradient, row_dot
 import numpy as np
 import torch
 
@@ -262,7 +262,7 @@ def _judge(value: torch.Tensor, x: torch.Tensor, scales: ResidualScales, previou
 _Pair = tuple[torch.Tensor, torch.Tensor]
 
 
-class LockstepState(NamedTuple):
+class BatchState(NamedTuple):
     """
     States of m trajectories, and data for their next steps.
 
@@ -284,10 +284,10 @@ class LockstepState(NamedTuple):
     counts: torch.Tensor
     earlier: tuple[torch.Tensor, ...]
 
-    def of(self, chosen: torch.Tensor) -> 'LockstepState':
+    def of(self, chosen: torch.Tensor) -> 'BatchState':
         """Return the states of the chosen trajectories."""
-        return LockstepState(self.z[:, chosen], self.carry[:, chosen], self.slope[:, chosen],
-                             self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
+        return BatchState(self.z[:, chosen], self.carry[:, chosen], self.slope[:, chosen],
+                          self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
 
 
 class Stepped(NamedTuple):
@@ -305,12 +305,12 @@ class Stepped(NamedTuple):
 
     """
 
-    state: LockstepState
+    state: BatchState
     outcome: torch.Tensor
     gradients: torch.Tensor
 
 
-class LockstepSystem(NamedTuple):
+class BatchSystem(NamedTuple):
     """
     Simulated system and its method.
 
@@ -356,7 +356,7 @@ class LockstepSystem(NamedTuple):
         return ResidualScales(own.amax(dim=0).expand_as(own), own)
 
 
-Step = Callable[[LockstepSystem, LockstepState], Stepped]
+Step = Callable[[BatchSystem, BatchState], Stepped]
 
 
 def plus(x: torch.Tensor, carry: torch.Tensor, increment: torch.Tensor) -> _Pair:
@@ -392,7 +392,7 @@ def _halves(z: torch.Tensor, own: Sequence[int]) -> torch.Tensor:
     return torch.cat([z.chunk(2)[half] for half in own])
 
 
-def _scales(system: LockstepSystem, h: float, state: LockstepState, own: Sequence[int]
+def _scales(system: BatchSystem, h: float, state: BatchState, own: Sequence[int]
             ) -> ResidualScales:
     rates = _turned(state.slope)
     found = (system.scales(_halves(state.z, [half]), _halves(rates, [half]), h, 1 - half)
@@ -400,7 +400,7 @@ def _scales(system: LockstepSystem, h: float, state: LockstepState, own: Sequenc
     return ResidualScales(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
 
-def _solve_node(system: LockstepSystem, h: float, own: Sequence[int], state: LockstepState,
+def _solve_node(system: BatchSystem, h: float, own: Sequence[int], state: BatchState,
                 history: _Pair) -> tuple[Solved, torch.Tensor, _Pair]:
     """
     Solve p1 = p - h H_q(q, p1), q1 = q + h H_p(q1, p), or both at once; own as in ``_halves``.
@@ -433,7 +433,7 @@ def _with_halves(z: torch.Tensor, own: Sequence[int], x: torch.Tensor) -> torch.
     return torch.cat([halves.get(half, part) for half, part in enumerate(z.chunk(2))])
 
 
-def _one_by_one(system: LockstepSystem, state: LockstepState, nodes: Sequence[Node]) -> Stepped:
+def _one_by_one(system: BatchSystem, state: BatchState, nodes: Sequence[Node]) -> Stepped:
     """Take a step of a method whose nodes are solved sequentially."""
     now, kept = state, list[_Pair]()
     outcome, iterations = torch.full_like(state.counts[0], OK), torch.zeros_like(state.counts[0])
@@ -457,7 +457,7 @@ def _one_by_one(system: LockstepSystem, state: LockstepState, nodes: Sequence[No
     return Stepped(now._replace(counts=torch.stack(counts), earlier=earlier), outcome, iterations)
 
 
-def _gauss(system: LockstepSystem, state: LockstepState, stages: int) -> Stepped:
+def _gauss(system: BatchSystem, state: BatchState, stages: int) -> Stepped:
     """Take a Gauss step; the unknowns are the concatenated stages z, shape (s 2 d, m)."""
     h, n, m = system.h, 2 * system.d, state.z.shape[1]
     matrix, weights, start = (torch.from_numpy(a.T.copy()).to(state.z.device)[..., None, None]
@@ -480,8 +480,8 @@ def _gauss(system: LockstepSystem, state: LockstepState, stages: int) -> Stepped
     flow = row_dot(weights, solved.found)
     z1, carry = plus(state.z, state.carry, h * flow)
     d_flow, e_flow = flow.chunk(2)
-    return Stepped(LockstepState(z1, carry, torch.cat([-e_flow, d_flow]),
-                                 torch.ones_like(state.counts), (solved.found,)),
+    return Stepped(BatchState(z1, carry, torch.cat([-e_flow, d_flow]),
+                              torch.ones_like(state.counts), (solved.found,)),
                    solved.outcome, stages * solved.iterations)
 
 
@@ -512,8 +512,8 @@ def step_of(integrator: Integrator, hamiltonian: Hamiltonian) -> Step:
     return lambda system, state: _one_by_one(system, state, nodes)
 
 
-def first_state(system: LockstepSystem, integrator: ImplicitIntegrator, z: torch.Tensor
-                ) -> LockstepState:
+def first_state(system: BatchSystem, integrator: ImplicitIntegrator, z: torch.Tensor
+                ) -> BatchState:
     """Return the State before the first step for z of shape (2 d, m)."""
     m, d = z.shape[1], system.d
 
@@ -522,4 +522,4 @@ def first_state(system: LockstepSystem, integrator: ImplicitIntegrator, z: torch
     earlier = [zeros(integrator.stages, 2 * d)] if isinstance(integrator, Gauss) else [
         zeros(3, n) for n in integrator.unknowns(d)]
     counts = torch.zeros((len(earlier), m), dtype=torch.int64, device=z.device)
-    return LockstepState(z, zeros(2 * d), system.gradient(z), counts, tuple(earlier))
+    return BatchState(z, zeros(2 * d), system.gradient(z), counts, tuple(earlier))
