@@ -140,22 +140,6 @@ def test_log_tells_lifecycle_changes_pauses_and_where_the_bag_is(tmp_path):
     assert [line for line in lines if line in told] == told
 
 
-def test_run_folders_of_two_processes_in_one_second_differ(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    code = ('import sys; from hnn_vi_ros.run.run_folder import create_run_folder as create, Path\n'
-            'print("ready", flush=True); sys.stdin.readline()\n'
-            'print(*[create("a", Path()) for _ in range(50)])')
-    processes = [subprocess.Popen([sys.executable, '-c', code], stdin=subprocess.PIPE,
-                                  stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    for process in processes:
-        assert process.stdout.readline() == 'ready\n'
-    for process in processes:
-        process.stdin.write('\n')
-        process.stdin.flush()
-    folders = [folder for process in processes for folder in process.communicate()[0].split()]
-    assert len(set(folders)) == 100 and all(Path(folder).is_dir() for folder in folders)
-
-
 def test_run_folder_is_named_for_the_scene_and_the_second_and_that_of_another_is_left_to_it(
         tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -28,6 +28,7 @@ from hnn_vi_ros.run import scene_report
 from hnn_vi_ros.simulation import build
 from lifecycle_msgs.srv import ChangeState
 from messages import assert_message
+import numpy as np
 from peer import nodes_of, ros
 from processes import to_file
 import pytest
@@ -137,7 +138,11 @@ class Storm:
             assert self.spin_until(publisher.get_subscription_count)
             for _ in range(count):
                 before = self.handled[name]
-                publisher.publish(random_message(self._chance, subscription.msg_type))
+                # One of ten is no message at all, where the node decodes it itself.
+                publisher.publish(
+                    self._chance.randbytes(self._chance.choice((0, 3, 8, 1000)))
+                    if subscription.raw and self._chance.random() < 0.1
+                    else random_message(self._chance, subscription.msg_type))
                 self.sent[name] += 1
                 # A best-effort message can be lost.
                 self.spin_until(lambda: self.handled[name] > before, 0.5)
@@ -247,6 +252,7 @@ def assert_goes_on(found: Storm) -> None:
         node.control.set_paused(False)
         assert node.control.reset(True).success
         assert found.spin_until(lambda: node.run.simulation.steps > 5)
+        assert np.isfinite([*node.run.simulation.q, *node.run.simulation.p]).all()
 
 
 def batter(name: str, folder: Path, count: int) -> None:

@@ -1,32 +1,21 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Services and topics that others act on a simulator with, and nonsense at every one of them."""
+"""Services and topics that others act on a simulator with."""
 
-import array
 from pathlib import Path
-import random
-import time
 
-from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros.initial_state import initial_state
-from hnn_vi_ros.ros.topics.hearing import LARGEST_MESSAGE
-from lifecycle_msgs.srv import ChangeState
 from messages import refused
 import numpy as np
 from peer import Peer, simulating, SIMULATOR, stamp, state_of, values_of, wait_for_way_back
 from processes import finish, read_bag, standard_error
 import pytest
-from rcl_interfaces.srv import (
-    DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically)
-from rclpy.parameter import Parameter
 from scene_files import write_scene
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 import yaml
 
 FORCE = '{kind: external_force, coordinates: [angle1], timeout: 0.1}'
@@ -184,121 +173,3 @@ def test_initial_state_takes_any_effort_no_other_names_and_no_infinite_energy(fo
     for name, velocity in (('other', 3.0), ('x', 1e200)):
         with refused(ValueError):
             state(name, velocity, [])
-
-
-NUMBERS = (0.0, -1.0, 1e3, 1e308, -1e308, 5e-324, float('nan'), float('inf'), -float('inf'))
-
-
-def numbers(chance: random.Random) -> array.array:
-    size = chance.choice((0, 1, 2, 2, 2, 2, 3, 100, 10_000, 200_000))
-    return array.array('d', [chance.choice((*NUMBERS, chance.gauss(0.0, 3.0)))
-                             for _ in range(min(size, 100))] * max(1, size // 100))
-
-
-def text(chance: random.Random) -> str:
-    return ''.join(chance.choice('aZ0~/:{}%\\é\n\t') for _ in range(chance.choice(
-        (0, 1, 5, 200)))) * chance.choice((1, 1, 1, 3000))
-
-
-def nonsense(chance: random.Random, kind: type, names: list[str]):
-    if chance.random() < 0.2:
-        return chance.randbytes(chance.choice((0, 3, 4, 8, 40, 1000, LARGEST_MESSAGE + 1)))
-    if kind is Float64MultiArray:
-        return Float64MultiArray(data=numbers(chance))
-    given = chance.choice((names, names[::-1], [text(chance) for _ in range(3)]))
-    if kind is JointTrajectory:
-        return JointTrajectory(joint_names=given, points=[
-            JointTrajectoryPoint(
-                positions=numbers(chance), velocities=chance.choice(([], numbers(chance))),
-                time_from_start=Duration(sec=chance.choice((0, i, -1)), nanosec=10**8 * i))
-            for i in range(chance.choice((0, 1, 3)))])
-    return JointState(name=given, position=numbers(chance), velocity=numbers(chance),
-                      effort=numbers(chance))
-
-
-def value(chance: random.Random) -> object:
-    return chance.choice((
-        None, True, -1, 2 ** 62, chance.choice(NUMBERS), text(chance), [1, 2], [1.0, 2.0],
-        ['a'], [b'\x00']))
-
-
-def request(chance: random.Random, kind: type):
-    asked = kind.Request()
-    names = ['scene', 'step_count', 'real_time_factor', 'energy_band_limit', 'autostart',
-             'use_sim_time', 'reset_time', text(chance)]
-    if kind is ChangeState:
-        # Not those that end the process.
-        asked.transition.id = chance.choice([0, 1, 3, 4, 8, 9, *range(10, 256)])
-        asked.transition.label = chance.choice(('', '', text(chance)))
-    elif kind is SetBool:
-        asked.data = chance.random() < 0.5
-    elif kind in (SetParameters, SetParametersAtomically):
-        asked.parameters = [
-            Parameter(chance.choice(names), value=value(chance)).to_parameter_msg()
-            for _ in range(chance.choice((0, 1, 3)))]
-    elif kind in (GetParameters, DescribeParameters):
-        asked.names = [chance.choice(names) for _ in range(chance.choice((0, 1, 500)))]
-    elif kind is ListParameters:
-        asked.prefixes, asked.depth = [text(chance)], chance.choice((0, 1, 2 ** 63))
-    return asked
-
-
-def works_again(other: Peer) -> bool:
-    """Activate, reset and go on; return whether 50 states follow."""
-    # Answered after every transition that was asked for before; refused where it is active.
-    other.change_state(3)
-    assert other.state == 'active'
-    # Nobody publishes /clock.
-    assert other.set_parameters(real_time_factor=1.0, use_sim_time=False).successful
-    answer = other.trigger('reset')
-    assert answer.success, answer.message
-    other.pause(False)
-    count, until = len(other.states), time.monotonic() + 12.0
-    other.spin_until(lambda: len(other.states) > count + 50 or time.monotonic() > until)
-    return len(other.states) > count + 50
-
-
-@pytest.mark.parametrize('seconds', [2.0, pytest.param(30.0, marks=pytest.mark.long)])
-def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_finite(
-        folder, seconds):
-    chance, names = random.Random(8), ['angle1', 'angle2']
-    services = {'set_pause': SetBool, 'reset': Trigger, 'step': Trigger,
-                'start_recording': Trigger, 'stop_recording': Trigger,
-                'change_state': ChangeState, 'set_parameters': SetParameters,
-                'set_parameters_atomically': SetParametersAtomically,
-                'get_parameters': GetParameters, 'describe_parameters': DescribeParameters,
-                'list_parameters': ListParameters}
-    with simulating(folder, scene='arms.yaml', real_time_factor=2) as (other, process):
-        kinds = {'commands': Float64MultiArray, 'initial_state': JointState,
-                 'joint_commands': JointState, 'joint_trajectory': JointTrajectory}
-        publishers = {name: other.publisher(kind, f'~/{name}') for name, kind in kinds.items()}
-        other.spin_until(lambda: other.states and all(
-            publisher.get_subscription_count() for publisher in publishers.values()))
-        clients = {name: other.client(kind, name) for name, kind in services.items()}
-        # There is nothing else to send nonsense to.
-        heard = other.topics_of()[1] - {'/parameter_events'}
-        assert heard <= {f'{SIMULATOR}/{name}' for name in kinds} | {'/clock'}
-        sent, until = 0, time.monotonic() + seconds
-        while time.monotonic() < until:
-            assert process.poll() is None, finish(process)
-            for name, publisher in publishers.items():
-                publisher.publish(nonsense(chance, kinds[name], names))
-            for name in chance.sample(list(services), 3):
-                clients[name].call_async(request(chance, services[name]))
-            sent += 7
-            other.spin(0.005)
-        # It can still be brought to do what it is for.
-        publishers['initial_state'].publish(JointState(
-            name=names, position=[0.1] * len(names), velocity=[0.0] * len(names)))
-        other.spin(1.0)
-        assert process.poll() is None, finish(process)
-        # A busy node still has nonsense to work off, which may stop it once more: any of it.
-        for _ in range(10):
-            if works_again(other):
-                break
-        else:
-            raise AssertionError(standard_error(process)[-3000:])
-        assert np.isfinite([state_of(message) for message in other.states]).all()
-        print(f'{sent} messages and requests in {seconds:g} s')
-    # One a second at most is told, of whichever topic.
-    assert ': message ignored' in standard_error(process)

@@ -7,9 +7,6 @@ import signal
 
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.ros.topics.outputs import LATCHED
-from mcap.exceptions import EndOfFile
-from mcap.records import Message
-from mcap.stream_reader import StreamReader
 from messages import assert_message
 import numpy as np
 from peer import Listener, peer, stamp, TICK_TYPES
@@ -145,22 +142,6 @@ def test_simulator_signal_closes_the_files_and_exits_0(folder, number):
     assert_verified(folder / 'picture.rrd')
 
 
-def test_simulator_killed_loses_at_most_the_last_second(folder):
-    process = start(folder, record_path='bag')
-    mcap = folder / 'bag' / 'bag_0.mcap'
-    with peer() as other:
-        other.spin_until(lambda: other.states and stamp(other.states[-1]) > 2.5e9)
-    process.kill()
-    process.wait()
-    stamps = []
-    # The file has no end record: its records are read until there are no more.
-    with mcap.open('rb') as stream, pytest.raises(EndOfFile):
-        for record in StreamReader(stream).records:
-            if isinstance(record, Message):
-                stamps.append(record.log_time)  # noqa: PERF401  what was read before is kept
-    assert max(stamps) >= stamp(other.states[-1]) - 1e9
-
-
 def test_simulator_rounds_the_publish_rate_to_whole_steps_and_says_so(folder):
     status, _, error = finish(start(folder, duration=3, publish_rate=30, real_time_factor=0,
                                     record_path='bag'))
@@ -188,9 +169,8 @@ def test_simulator_mistake_is_one_line(folder, monkeypatch):
     assert not list((folder / 'taken').iterdir())
 
 
-@pytest.mark.parametrize('parameters', [{'scene': 'nothing'}, {'publish_rate': 'fast'}])
-def test_simulator_mistake_is_one_line_on_stderr_and_status_1(folder, parameters):
-    status, out, error = finish(start(folder, **parameters))
+def test_simulator_mistake_is_one_line_on_stderr_and_status_1(folder):
+    status, out, error = finish(start(folder, publish_rate='fast'))
     assert (status, out) == (1, '')
     (line,) = [line for line in error.splitlines() if '[INFO]' not in line]
     assert line.startswith('hnn simulator: ')

@@ -20,7 +20,7 @@ from hnn_vi_ros.run import Report
 from messages import refused
 import numpy as np
 from peer import simulating, SIMULATOR, stamp
-from processes import finish, read_bag, standard_error, start
+from processes import read_bag, standard_error
 import pytest
 from rclpy.qos import qos_profile_sensor_data
 from recorded import assert_agrees
@@ -166,12 +166,6 @@ def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observat
     check_bag(tmp_path / 'bag')
 
 
-def write_arm(folder: Path, gain: float) -> None:
-    write_scene(folder / 'scene.yaml', 'double_pendulum', (
-        f'{{kind: observer, coordinates: [angle1, angle2], gain: {gain}, damping: 20, '
-        'velocity_limit: 20}'), 'implicit_midpoint', 0.005, [0.3, -0.2], [0.0, 0.0])
-
-
 def absurd(rng: np.random.Generator) -> Iterator[JointState]:
     """Yield what no machine sends: far away, fast, of other joints, at other times."""
     names = ('angle1', 'angle2')
@@ -185,7 +179,9 @@ def absurd(rng: np.random.Generator) -> Iterator[JointState]:
 
 
 def test_twin_goes_on_after_absurd_observations_and_its_bag_is_verified(tmp_path: Path):
-    write_arm(tmp_path, 300.0)
+    write_scene(tmp_path / 'scene.yaml', 'double_pendulum', (
+        '{kind: observer, coordinates: [angle1, angle2], gain: 300, damping: 20, '
+        'velocity_limit: 20}'), 'implicit_midpoint', 0.005, [0.3, -0.2], [0.0, 0.0])
     right, rng = observation([0.3, -0.2], ('angle1', 'angle2')), np.random.default_rng(2)
     with simulating(tmp_path, scene='scene.yaml', record_path='bag') as (other, process):
         machine = other.publisher(JointState, '~/observations', qos_profile_sensor_data)
@@ -218,12 +214,6 @@ def test_twin_goes_on_after_absurd_observations_and_its_bag_is_verified(tmp_path
         other.spin_until(is_told)
     assert 'at the last good state' not in standard_error(process)
     assert_agrees(tmp_path / 'bag')
-
-
-def test_gain_that_is_not_stable_is_one_line(tmp_path: Path):
-    write_arm(tmp_path, 1e9)
-    status, _, error = finish(start(tmp_path, scene='scene.yaml', record_path='bag'))
-    assert status == 1 and 'effects.0.gain: observer: gain = 1e+09 is not stable' in error
 
 
 def check_bag(bag: Path) -> None:
