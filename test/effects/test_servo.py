@@ -13,7 +13,6 @@ from messages import refused
 import numpy as np
 from numpy.polynomial import Polynomial
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
@@ -59,23 +58,6 @@ def test_servo_answers_a_step_as_a_damped_oscillator(integrator, tolerance):
         < 5.0 * tolerance
     # All energy is its work; the rest of the method's error is of its order as well.
     assert simulation.works == {'servo': pytest.approx(simulation.energy, abs=tolerance)}
-
-
-@pytest.mark.parametrize('limit, tolerance', [
-    # Order 8 at w h = 0.1 or, where the force has kinks inside of steps, 2: h^2 of 50 rad/s^2.
-    (None, 1e-10), (4.0, 1e-2)])
-def test_servo_of_a_pendulum_answers_a_step_as_dop853_does(limit, tolerance):
-    def slope(t: float, z: np.ndarray) -> list[float]:
-        force = STIFFNESS * (-0.8 - z[0]) - DAMPING * z[1]
-        return [z[1], -9.81 * np.sin(z[0]) + np.clip(force, -(limit or INF), limit or INF)]
-
-    exact = solve_ivp(slope, (0.0, 2.0), [0.7, 0.0], 'DOP853', rtol=1e-12, atol=1e-12,
-                      max_step=0.005)
-    simulation = servo('angle', system='pendulum', q=0.7, effort_limit=limit)
-    simulation.set_command(command(['angle'], position=-0.8))
-    simulation.advance(100)
-    assert [*simulation.q, *simulation.p] == pytest.approx(exact.y[:, -1], abs=tolerance)
-    assert simulation.energy_balance == pytest.approx(0.0, abs=tolerance)
 
 
 def test_servo_without_a_position_brings_the_velocity_to_what_is_commanded():

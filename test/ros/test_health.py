@@ -18,9 +18,9 @@ from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.run.health import Health
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, Status, WARN
-from hnn_vi_ros.run import Monitor, OverrunGuard, Pacer, Sampler
+from hnn_vi_ros.run import OverrunGuard, Pacer, Sampler
 from hnn_vi_ros.simulation import (
-    Alarm, BoxGuard, build, EnergyGuard, Guard, make_guards, PoleGuard, SampledScale, Simulation)
+    Alarm, BoxGuard, build, EnergyGuard, Guard, make_guards, PoleGuard, Simulation)
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.simulation.guards.base import SampleBlock
 from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard
@@ -181,52 +181,11 @@ def test_guards_are_those_that_the_scene_calls_for(simulation, expected):
     assert [type(guard) for guard in guards] == expected
 
 
-@pytest.mark.parametrize('hamiltonian, q', [('pendulum', [np.pi]), ('henon_heiles', [0.0, 1.0])])
-def test_barrier_has_the_energy_of_its_saddle(hamiltonian, q):
-    H = HAMILTONIANS[hamiltonian]()
-    q, p = np.array(q), np.zeros(len(q))
-    assert np.abs(H.gradient(q, p)).max() < 1e-14
-    assert H.barrier[1] == pytest.approx(float(H.energy(q, p)), rel=1e-15)
-
-
 def test_guards_of_the_node_have_the_limits_of_the_study():
     defaults = Settings()
     limits = load_plan().guards
     assert (defaults.energy_band_limit, defaults.energy_change_limit) == (
         limits.under_resolved, limits.drift) == (BAND_LIMIT, CHANGE_LIMIT)
-
-
-ACCOUNTED = {'damped': EFFECTS['damping'](0.5),
-             'driven': EFFECTS['periodic_drive']('x', 1.0, 0.2, 0.0),
-             'in resonance': EFFECTS['periodic_drive']('x', 1.0, 1.0 / (2.0 * np.pi), 0.0)}
-
-
-@pytest.mark.parametrize('name, method, q', [
-    pytest.param(name, method, q, marks=[pytest.mark.long] * ((name, method, q) not in (
-        ('damped', 'variational_euler', 1.0), ('in resonance', 'generalized_leapfrog', 0.0))))
-    for name in ACCOUNTED for method in ('variational_euler', 'generalized_leapfrog')
-    for q in (1.0, 0.0)])
-def test_energy_that_work_accounts_for_raises_no_alarm(name, method, q):
-    simulation = simulation_of(method=method, q=(q,), effects=[ACCOUNTED[name]])
-    sampler = Sampler(simulation, 100.0)
-    monitor = Monitor(simulation, 1, 0.01, None, pytest.fail,
-                      make_guards(simulation, SampledScale(simulation.hamiltonian), 0.05, 0.02,
-                                  None))
-    for _ in range(6000):
-        assert monitor.watch(sampler.sample()) == []
-        monitor.advance(1)
-
-
-def test_energy_guard_measures_a_loss_by_the_work_that_was_turned_over():
-    simulation = simulation_of()
-    sample = Sampler(simulation, 100.0).sample()
-    guard, found = EnergyGuard(0.02, fixed(1.0)), []
-    for n in range(10_000):
-        # 100 J go in and out; the account is short of 1 J, a hundredth of that.
-        work = 50.0 if n % 2 else 0.0
-        found.append(alarm_of(guard, replace(
-            sample, modified_energy=0.5 + work - min(1.0, 1e-3 * n), work=work)))
-    assert found == [None] * 10_000
 
 
 class Parts:

@@ -162,3 +162,12 @@ def test_energy_guard_leaves_out_the_work_that_was_done():
     guard = EnergyGuard(0.02, one_joule)
     assert all(alarm_of(guard, sample(i, energy=1.0 + 0.1 * i, work=0.1 * i)) is None
                for i in range(3000))
+
+
+def test_energy_guard_measures_a_loss_by_the_work_that_was_turned_over():
+    guard = EnergyGuard(0.02, one_joule)
+    for i in range(10_000):
+        # 100 J go in and out; the account is short of 1 J, a hundredth of that.
+        work = 50.0 if i % 2 else 0.0
+        assert alarm_of(guard, sample(
+            i, energy=0.5 + work - min(1.0, 1e-3 * i), work=work)) is None
