@@ -69,6 +69,11 @@ def test_messages_equal_the_sample_bit_for_bit(samples):
             assert field.tobytes() == values.tobytes()
         assert np.float64(energy.data).tobytes() == np.float64(sample.energy).tobytes()
         assert joints.name == names
+        for message in (q, p):
+            dimension, = message.layout.dim
+            assert (dimension.label, dimension.size, dimension.stride) == (
+                ','.join(names), len(names), len(names))
+            assert message.layout.data_offset == 0
 
 
 def test_joint_states_have_all_joints_and_efforts_are_those_of_the_leaders():
@@ -91,16 +96,6 @@ def test_initial_state_may_name_joints_that_follow_others():
         places_of(joint, ['tip', 'wrist'], 'name')
 
 
-@pytest.mark.parametrize('motors, effort', [(None, 0.0), (np.array([8.0]), 8.0)])
-def test_effort_is_what_motors_apply_and_not_the_generalised_force(motors, effort):
-    sample = Sample(0, 0, np.array([1.0]), np.array([2.0]), np.array([3.0]), np.array([4.0]),
-                    5.0, 6.0, 7.0, motors=motors)
-    joints = decode(encoder_of(['x'])(sample))[-1]
-    assert list(joints.position) == [1.0]
-    assert list(joints.velocity) == [4.0]
-    assert list(joints.effort) == [effort]
-
-
 @pytest.mark.parametrize('stamp', [0, 999_999_999, 1_000_000_000, 123_456_789_012_345_678])
 def test_stamp_is_the_samples_time_in_nanoseconds(stamp):
     one = np.ones(1)
@@ -109,15 +104,6 @@ def test_stamp_is_the_samples_time_in_nanoseconds(stamp):
     for header in (decoded[0].header, decoded[-1].header):
         assert header.stamp.sec * 10**9 + header.stamp.nanosec == stamp
         assert 0 <= header.stamp.nanosec < 10**9
-
-
-@pytest.mark.parametrize(('names', 'label'), [(['x'], 'x'), (['a', 'b', 'c'], 'a,b,c')])
-def test_layout_names_the_coordinates(names, label):
-    for message in decode(encoder_of(names)(sample_of(len(names), 1)))[1:3]:
-        dimension, = message.layout.dim
-        assert (dimension.label, dimension.size, dimension.stride) == (
-            label, len(names), len(names))
-        assert message.layout.data_offset == 0
 
 
 @pytest.mark.parametrize('message_type', [*PUBLISHED_TYPES, Imu])

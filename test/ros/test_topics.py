@@ -188,50 +188,6 @@ def test_forces_in_loops_are_those_of_the_last_step(nodes):
     assert np.array_equal(message.position, simulation.loop_forces.ravel())
 
 
-@pytest.fixture
-def commanded(tmp_path, nodes):
-    """Give a simulation that hears commands, and a function that sends one."""
-    node, other, executor = nodes
-    simulation = simulation_of(tmp_path, COMMANDED)
-    topics = Topics(node, Settings())
-    open_topics(topics, simulation)
-    heard = []
-    take = simulation.set_command
-
-    def set_command(values: list[float]) -> None:
-        heard.append(values)
-        take(values)
-    simulation.set_command = set_command
-    publisher = other.create_publisher(Float64MultiArray, '/simulator/commands', 1)
-    spin_until(executor, publisher.get_subscription_count)
-
-    def send(values: list[float]) -> None:
-        count = len(heard)
-        publisher.publish(Float64MultiArray(data=values))
-        spin_until(executor, lambda: len(heard) > count)
-    return simulation, send
-
-
-def test_command_accelerates_by_force_over_mass_until_its_time_out_and_a_bad_one_is_ignored_whole(
-        commanded):
-    simulation, send = commanded
-    send([3.0])
-    for bad in ([], [1.0, 2.0], [float('nan')], [float('inf')]):
-        send(bad)
-    simulation.advance(40)
-    t = 0.4
-    # Both are exact for a constant force, up to 40 roundings.
-    assert simulation.dH_dp[0] == pytest.approx(3.0 / MASS * t, rel=1e-13)
-    assert simulation.q[0] == pytest.approx(0.5 * 3.0 / MASS * t * t, rel=1e-13)
-    simulation.advance(60)
-    # Held for as many whole steps as begin before the time-out.
-    p = simulation.p[0]
-    assert p == pytest.approx(3.0 * TIMEOUT, abs=3.0 * 0.01 * 1.001)
-    send([-3.0])
-    simulation.advance(10)
-    assert simulation.p[0] == pytest.approx(p - 0.3, rel=1e-13)
-
-
 def test_wrench_in_the_frame_of_a_body_is_the_command_that_is_recorded(tmp_path, nodes):
     node, other, executor = nodes
     simulation, recorded = simulation_of(tmp_path, QUADROTOR), []
