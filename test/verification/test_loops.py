@@ -435,7 +435,7 @@ def test_derivatives_of_a_fit_keep_loops_closed(tmp_path):
     # One degree of freedom: an angle and a momentum.
     assert usable.all() and len(directions) == 2 == slopes.shape[3]
     for k, way in enumerate(directions):
-        expected = derivative(lambda e, way=way: prediction.alone(starts + e * way), 0.1)
+        expected = derivative(lambda e, way=way: prediction.predict(starts + e * way), 0.1)
         np.testing.assert_allclose(slopes[..., k], expected, atol=1e-7 * np.abs(expected).max())
     for k, found in enumerate(np.moveaxis(prediction.parameter_jacobian(starts), -1, 0)):
         expected = prediction._difference(starts, k)
