@@ -19,9 +19,8 @@ from hnn_vi_ros.commands import (
     ALIASES, check_names, COMMANDS, EXECUTABLES, module_of, parser_of, refuse)
 from hnn_vi_ros.errors import HnnViRosError, pip_command
 from hnn_vi_ros.files import (
-    ENDING, guard_streams, lost_output, private_folder, usual_folder,
-    write_problem)
-from hnn_vi_ros.ros import settle_ros_environment
+    ENDING, harden_streams, lost_output, private_folder, usual_folder, write_problem)
+from hnn_vi_ros.ros import prepare_ros_environment
 
 # Import names of ROS 2, and the wheels that contain them.
 _ROS = ('ament_index_python', 'rclpy', 'builtin_interfaces')
@@ -47,7 +46,7 @@ def main() -> NoReturn:
     name = word.replace('-', '_')
     if name in COMMANDS or name in ALIASES:
         _run(name, argv)
-    guard_streams()
+    harden_streams()
     status: str | int | None
     try:
         status = refuse(word)
@@ -117,7 +116,7 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     name, *meant = ALIASES.get(name, (name,))
     argv, shown = [*meant, *argv], f'hnn {name}'
     _end_at_signals(_is_node(module_of(name), argv))
-    guard_streams()
+    harden_streams()
     # Otherwise the viewer's library would write to standard error.
     os.environ.setdefault('RUST_LOG', 'off')
     try:
@@ -178,7 +177,7 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
     try:
         if module.startswith('hnn_vi_ros.ros.'):
             # Before any ROS library is loaded, because some terminate the process.
-            settle_ros_environment()
+            prepare_ros_environment()
         _end_at_signals(_is_node(module, argv))
         _warn_in_lines(shown)
         loaded = import_module(module)

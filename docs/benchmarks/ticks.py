@@ -5,9 +5,9 @@
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.ros.recording import RunRecording
-from hnn_vi_ros.ros.topics.outputs import Material
+from hnn_vi_ros.ros.topics.outputs import ConfiguredRun
 from hnn_vi_ros.ros.topics.topics import Topics
-from hnn_vi_ros.run import look_ahead, Monitor, Sampler, scene_report
+from hnn_vi_ros.run import Monitor, preview_bounds, Sampler, scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import make_guards, SampledScale, Simulation
 from rclpy.node import Node
@@ -38,12 +38,12 @@ class Ticks:
 
     def __init__(self, node: Node, scene: Scene, simulation: Simulation, sampler: Sampler,
                  recording: dict[str, str], watched: bool):
-        box, scale = look_ahead(simulation, 1.0), SampledScale(simulation.hamiltonian)
+        box, scale = preview_bounds(simulation, 1.0), SampledScale(simulation.hamiltonian)
         self.sampler, self.topics = sampler, Topics(node, parameters.Settings())
         guards = make_guards(simulation, scale, *_LIMITS, simulation.hamiltonian.barrier)
         self.monitor = Monitor(simulation, sampler.every, sampler.tick, None,
                                lambda text, first: None, guards if watched else (), scale)
-        self.topics.open(Material(simulation, self.monitor, box, scene.mechanism), lambda: 0,
+        self.topics.open(ConfiguredRun(simulation, self.monitor, box, scene.mechanism), lambda: 0,
                          lambda topic, stamp, payload: None)
         self.recording = RunRecording(
             node.get_logger(), scene, simulation, parameters.Settings(**recording),

@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.data.motions import train_and_test
 from hnn_vi_ros.learning.fit.config import find_config
 from hnn_vi_ros.learning.judging.evaluation import (
     parts_of, score, simulated, simulation_of, variance_of)
-from hnn_vi_ros.run import Accompanied, Twin
+from hnn_vi_ros.run import AccompaniedSimulation, Twin
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build
 import numpy as np
@@ -37,8 +37,8 @@ def observing(scene: Scene, names: Sequence[str], spacing: float, variance: np.n
         *(effect.model_dump() for effect in scene.effects), observer]})
 
 
-def replay(twin: Twin, simulation: Accompanied, motion: EvenMotion, q: np.ndarray, v: np.ndarray
-           ) -> list[float]:
+def replay(twin: Twin, simulation: AccompaniedSimulation, motion: EvenMotion, q: np.ndarray,
+           v: np.ndarray) -> list[float]:
     """Return the valid prediction times [s] of a twin that observes q and v along a motion."""
     steps = round(motion.spacing / simulation.step_size)
     simulation.restart(simulation.q.copy(), simulation.p.copy())
@@ -67,7 +67,7 @@ def main(argv: Sequence[str]) -> None:
     for what, of_q, of_v in (('as measured', 'q', 'v'), ('smoothed', 'q_smooth', 'v_smooth')):
         simulation = build(scene)
         twin = Twin(scene, simulation)
-        accompanied, times = Accompanied(simulation, [twin]), []
+        accompanied, times = AccompaniedSimulation(simulation, [twin]), []
         for motion in test:
             times += replay(twin, accompanied, motion, getattr(motion, of_q),
                             getattr(motion, of_v))

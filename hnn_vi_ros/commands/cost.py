@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
     scene = load_scene(options.scene)
     duration = scene.duration if options.duration is None else options.duration
     base = None if options.rate is None else 1.0 / options.rate
-    study = _measured(scene, duration, options.seconds, options.error, base)
+    study = _measure(scene, duration, options.seconds, options.error, base)
     for line in _lines(scene, study, options.error):
         print(line)
     write_outputs(paths, {'--csv': partial(_write_csv, study)} | (
@@ -48,8 +48,8 @@ def main(argv: list[str]) -> int:
     return 0 if options.error is None else _recommend(study, options.error)
 
 
-def _measured(scene: Scene, duration: float, seconds: float, error: float | None,
-              base: float | None) -> CostStudy:
+def _measure(scene: Scene, duration: float, seconds: float, error: float | None,
+             base: float | None) -> CostStudy:
     own, problem = None, problem_of(scene)
     if not isinstance(scene.integrator, AutoChoice):
         # Errors in the scene itself are reported with their place in the file.

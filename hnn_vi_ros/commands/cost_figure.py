@@ -115,7 +115,7 @@ def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
     kinds = dict.fromkeys(cost.method.kind for cost in good)
     lines = [_draw_line(ax, study, _front(
         study, [cost for cost in good if cost.method.kind == kind])) for kind in kinds]
-    _dress(ax, study, good)
+    _format_axes(ax, study, good)
     handles = [*lines, *_draw_levels(ax, study, error)]
     figure.text(0.08, 0.955, f'{name}: cost of accuracy over {study.reference.horizon:g} s',
                 fontsize=14, color=INK, va='center', parse_math=False)
@@ -140,7 +140,7 @@ def _draw_line(ax: Axes, study: CostStudy, costs: list[MethodCost]) -> Line2D:
     return line
 
 
-def _dress(ax: Axes, study: CostStudy, good: list[MethodCost]) -> None:
+def _format_axes(ax: Axes, study: CostStudy, good: list[MethodCost]) -> None:
     """Set scales, limits and labels of the axes."""
     ax.set(xscale='log', yscale='log')
     if good:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError, pip_command
 from hnn_vi_ros.files import cache_folder, can_be_written, share_folder, shipped_names
-from hnn_vi_ros.ros import distribution, settle_ros_environment
+from hnn_vi_ros.ros import distribution, prepare_ros_environment
 from hnn_vi_ros.simulation import usable_processors
 from hnn_vi_ros.version import __version__
 
@@ -39,13 +39,13 @@ class Finding(NamedTuple):
 def main(argv: list[str]) -> int:
     """Print a line for each finding; return 1 if one is wrong."""
     arguments.doctor().parse_args(argv)
-    findings = [*_here(), *_packages(), _kernels(), *_ros(), _viewer()]
+    findings = [*_machine_findings(), *_packages(), _kernels(), *_ros(), _viewer()]
     for finding in findings:
         print(f'{finding.state:6}  {finding.what:12}  {finding.text}')
     return int(any(finding.state == 'wrong' for finding in findings))
 
 
-def _here() -> Iterator[Finding]:
+def _machine_findings() -> Iterator[Finding]:
     package = Path(__file__).resolve().parents[1]
     yield Finding('hnn_vi_ros', 'ok', f'{__version__} in {package}')
     try:
@@ -97,7 +97,7 @@ def _ros() -> Iterator[Finding]:
         return
     named = os.environ.get('AMENT_PREFIX_PATH', '')
     try:
-        settle_ros_environment()
+        prepare_ros_environment()
     except ParameterError as problem:
         yield Finding('ROS 2', 'wrong', str(problem))
         return

@@ -301,19 +301,19 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
     return _template('robot').format(
         robot=one_line(Path(file).name), scene=one_line(out), file=_quoted(file),
         description=_quoted(f'{Path(file).stem}, from its URDF'), rotors=_rotors(rotors, names[0]),
-        names=', '.join(names), locked=_locked(tree.robot, locked),
+        names=', '.join(names), locked=_locked_text(tree.robot, locked),
         loops='' if tree.loops is None else
         '  # Move the initial state onto the closed chains of the URDF, which joint_limits do\n'
         '  # not support; loops: [] opens them.\n  assemble: true\n',
         followers=''.join(f'  # Follows another: {line}\n' for line in followers_of(tree)),
         rotor_units=_units(joint.units.rotor for joint in joints),
-        force_units=_each(joint.units.force for joint in joints),
+        force_units=_units_text(joint.units.force for joint in joints),
         joints='\n'.join(f'    - {name:{wide}}   # {_comment(joint)}'
                          for name, joint in zip(names, joints, strict=True)),
         effects=''.join(f'\n  {line}' for line in effects) or ' []', step_size=f'{step_size:g}',
         q=q.tolist(), start=start, p=[0.0] * q.size,
-        units=_each(coordinate.q_unit for coordinate in tree.coordinates),
-        p_units=_each(coordinate.p_unit for coordinate in tree.coordinates))
+        units=_units_text(coordinate.q_unit for coordinate in tree.coordinates),
+        p_units=_units_text(coordinate.p_unit for coordinate in tree.coordinates))
 
 
 def _template(name: str) -> str:
@@ -322,7 +322,7 @@ def _template(name: str) -> str:
     return path.read_text(encoding='utf-8')
 
 
-def _locked(robot: Robot, locked: dict[str, float]) -> str:
+def _locked_text(robot: Robot, locked: dict[str, float]) -> str:
     if not locked:
         return ''
     lines = ''.join(f'    {_quoted(name)}: {value}   # [{robot.joints[name].units.q}]\n'
@@ -346,7 +346,7 @@ def _units(units: Iterable[str]) -> str:
     return ', '.join(f'[{unit}]' for unit in dict.fromkeys(units))
 
 
-def _each(units: Iterable[str]) -> str:
+def _units_text(units: Iterable[str]) -> str:
     """Return the unit of each number in brackets, or that of all."""
     every = [f'[{unit}]' for unit in units]
     return every[0] if len(set(every)) == 1 else ', '.join(every)
@@ -428,7 +428,7 @@ def write_new(options: Namespace, parser: Parser) -> int:
     path = options.file if options.file is None or options.file.suffix in ('.yaml', '.yml') else \
         options.file.with_name(f'{options.file.name}.yaml')
     if options.robot is not None:
-        return _written(write_scene(options.robot, path, options.force))
+        return _print_next_steps(write_scene(options.robot, path, options.force))
     schema = f'# yaml-language-server: $schema={share_folder() / "config" / "scene.schema.json"}'
     if options.formula is not None:
         text = formula_text(options.formula, schema)
@@ -440,10 +440,10 @@ def write_new(options: Namespace, parser: Parser) -> int:
             if '/' in name and '://' not in name:
                 text = text.replace(name, str(file.resolve()))
     write_new_scene(path, text, options.force)
-    return _written(path)
+    return _print_next_steps(path)
 
 
-def _written(path: Path) -> int:
+def _print_next_steps(path: Path) -> int:
     """Print the next steps with a scene."""
     print(path)
     print(f'  edit it; check it with: hnn scene --check {path}')

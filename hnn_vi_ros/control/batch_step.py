@@ -141,10 +141,10 @@ class BatchStep:
             np.broadcast_to(check_numbers('z', z), (rows, 2 * self.dimension)), commands[:, 0])
         law = CommandLaw.none(self.commands)
         if gains is not None and about is not None:
-            law = law._replace(gains=_filled(gains, (*commands.shape, 2 * self.dimension)),
-                               about=_filled(about, (rows, count, 2 * self.dimension)))
+            law = law._replace(gains=_broadcast_copy(gains, (*commands.shape, 2 * self.dimension)),
+                               about=_broadcast_copy(about, (rows, count, 2 * self.dimension)))
         if limits is not None:
-            low, high = (_filled(limit, (self.commands,)) for limit in limits)
+            low, high = (_broadcast_copy(limit, (self.commands,)) for limit in limits)
             if not (low <= high).all():
                 raise ValueError(f'limits {low.tolist()} and {high.tolist()}: the lower limits '
                                  'must not exceed the upper ones')
@@ -291,7 +291,7 @@ class BatchStep:
                 raise
 
 
-def _filled(values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+def _broadcast_copy(values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """Return a new array of this shape, filled with values that broadcast to it."""
     array = np.empty(shape)
     array[:] = values

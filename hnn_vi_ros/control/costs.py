@@ -142,7 +142,7 @@ class Quadratic(Cost):
                  r: ArrayLike):
         self._hamiltonian = hamiltonian
         self._z, self._u = (np.array(part, dtype=np.float64) for part in at)
-        self._q, self._r = (checked_weights(name, matrix, at.size) for name, matrix, at in (
+        self._q, self._r = (weight_matrix(name, matrix, at.size) for name, matrix, at in (
             ('q', q, self._z), ('r', r, self._u)))
         self._of_state = bool(self._q.any())
 
@@ -158,10 +158,10 @@ class Quadratic(Cost):
         x, effort = self._away(z), u - self._u
         by_x, by_u = x @ self._q, effort @ self._r
         return Expansion((by_x * x).sum(axis=-1) + (by_u * effort).sum(axis=-1), 2.0 * by_x,
-                         2.0 * by_u, _each(2.0 * self._q, z), _each(2.0 * self._r, z))
+                         2.0 * by_u, _per_state(2.0 * self._q, z), _per_state(2.0 * self._r, z))
 
 
-def checked_weights(name: str, matrix: ArrayLike, n: int, positive: bool = False) -> np.ndarray:
+def weight_matrix(name: str, matrix: ArrayLike, n: int, positive: bool = False) -> np.ndarray:
     """Return a symmetric positive semidefinite matrix of weights, or raise ValueError."""
     found = np.array(matrix, dtype=np.float64)
     rounding = 1e-9 * np.abs(found).max(initial=0.0)
@@ -175,7 +175,7 @@ def checked_weights(name: str, matrix: ArrayLike, n: int, positive: bool = False
     return found
 
 
-def _each(matrix: np.ndarray, z: np.ndarray) -> np.ndarray:
+def _per_state(matrix: np.ndarray, z: np.ndarray) -> np.ndarray:
     return np.broadcast_to(matrix, (len(z), *matrix.shape))
 
 
@@ -235,12 +235,12 @@ class Kinetic(_OfState):
         self._hamiltonian = hamiltonian
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        moving, rest = self._hamiltonian.energy(*_and_at_rest(*np.split(z, 2, axis=-1)))
+        moving, rest = self._hamiltonian.energy(*_with_states_at_rest(*np.split(z, 2, axis=-1)))
         return moving - rest
 
     def _expand(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         model, (n, d) = self._hamiltonian, q.shape
-        both = _and_at_rest(q, p)
+        both = _with_states_at_rest(q, p)
         by_zz = np.zeros((n, 2 * d, 2 * d))
         by_zz[:, d:, d:] = model.inverse_mass(q, p)
         moving, rest = model.energy(*both)
@@ -248,7 +248,7 @@ class Kinetic(_OfState):
         return moving - rest, np.concatenate(list(slopes), axis=-1), by_zz
 
 
-def _and_at_rest(q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _with_states_at_rest(q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return states, followed by the same states at rest."""
     return np.stack([q, q]), np.stack([p, np.zeros_like(p)])
 
@@ -284,7 +284,8 @@ class _Path(NamedTuple):
 
 
 @kept(error_model='numpy')
-def _place(path: _Path, angles: np.ndarray, places: np.ndarray, slopes: np.ndarray) -> None:
+def _fill_positions(path: _Path, angles: np.ndarray, places: np.ndarray, slopes: np.ndarray
+                    ) -> None:
     """
     Fill the position of the point, (n, 3), for joint coordinates (n, k).
 
@@ -423,7 +424,7 @@ class Point(_OfState):
         angles = (q[..., :moves] @ self._path.by_q.T + self._path.fixed).reshape(-1, joints)
         places = np.empty((len(angles), 3))
         slopes = np.empty((derivatives * len(angles), 3, joints))
-        _place(self._path, angles, places, slopes)
+        _fill_positions(self._path, angles, places, slopes)
         return places.reshape(*q.shape[:-1], 3), slopes
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:

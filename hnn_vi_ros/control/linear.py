@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.control.batch_step import BatchStep
-from hnn_vi_ros.control.costs import checked_weights
+from hnn_vi_ros.control.costs import weight_matrix
 from hnn_vi_ros.errors import listed, optional, StateError
 from hnn_vi_ros.hamiltonians import momenta
 from hnn_vi_ros.phase_space import angle_columns, columns, momentum_name
@@ -236,7 +236,7 @@ def lqr(a: np.ndarray, b: np.ndarray, q: ArrayLike, r: ArrayLike, discrete: bool
 
     """
     states, inputs = b.shape
-    weights = checked_weights('q', q, states), checked_weights('r', r, inputs, positive=True)
+    weights = weight_matrix('q', q, states), weight_matrix('r', r, inputs, positive=True)
     solve = linalg.solve_discrete_are if discrete else linalg.solve_continuous_are
     try:
         cost = solve(a, b, *weights)

@@ -96,11 +96,11 @@ def riccati_sweep(stages: Stages, changes: np.ndarray, gains: np.ndarray, gained
         for i in range(count - 1, -1, -1):
             _fill(stages, m, i, work)
             k, k_z = changes[m, i], gains[m, i]
-            if not _box(stages.low[m, i], stages.high[m, i], k, work):
+            if not _solve_in_box(stages.low[m, i], stages.high[m, i], k, work):
                 gained[m] = np.nan
                 break
-            _feed_back(stages.low[m, i], stages.high[m, i], k, k_z, work)
-            _pass(k, k_z, gained[m], work)
+            _fill_gains(stages.low[m, i], stages.high[m, i], k, k_z, work)
+            _fill_cost_to_go(k, k_z, gained[m], work)
 
 
 @inlined
@@ -143,8 +143,8 @@ def _fill(stages: Stages, m: int, i: int, work: _Work) -> None:
 
 
 @inlined
-def _feed_back(low: np.ndarray, high: np.ndarray, k: np.ndarray, k_z: np.ndarray, work: _Work
-               ) -> None:
+def _fill_gains(low: np.ndarray, high: np.ndarray, k: np.ndarray, k_z: np.ndarray, work: _Work
+                ) -> None:
     """Fill the gains of a stage, given the Cholesky factor for its free commands."""
     c, n = k_z.shape
     for b in range(n):
@@ -152,11 +152,11 @@ def _feed_back(low: np.ndarray, high: np.ndarray, k: np.ndarray, k_z: np.ndarray
             work.step[a] = -work.q_uz[a, b]
         solve_cholesky(work.factor, work.step)
         for a in range(c):
-            k_z[a, b] = 0.0 if _held(low, high, k, a, work) else work.step[a]
+            k_z[a, b] = 0.0 if _is_at_limit(low, high, k, a, work) else work.step[a]
 
 
 @inlined
-def _pass(k: np.ndarray, k_z: np.ndarray, gained: np.ndarray, work: _Work) -> None:
+def _fill_cost_to_go(k: np.ndarray, k_z: np.ndarray, gained: np.ndarray, work: _Work) -> None:
     """Fill V of a stage, and add its share to the predicted change of the cost."""
     c, n = k_z.shape
     for a in range(c):
@@ -182,7 +182,7 @@ def _pass(k: np.ndarray, k_z: np.ndarray, gained: np.ndarray, work: _Work) -> No
 
 
 @inlined
-def _held(low: np.ndarray, high: np.ndarray, k: np.ndarray, a: int, work: _Work) -> bool:
+def _is_at_limit(low: np.ndarray, high: np.ndarray, k: np.ndarray, a: int, work: _Work) -> bool:
     """Return whether a command is at a limit beyond which the cost would fall."""
     slope = work.q_u[a]
     for b in range(k.size):
@@ -194,10 +194,10 @@ def _held(low: np.ndarray, high: np.ndarray, k: np.ndarray, a: int, work: _Work)
 def _factorise(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) -> bool:
     """Fill the Cholesky factor of Q_uu, with unit rows for commands at their limits."""
     for a in range(k.size):
-        held = _held(low, high, k, a, work)
+        held = _is_at_limit(low, high, k, a, work)
         for b in range(a + 1):
             work.factor[a, b] = 1.0 if a == b else 0.0
-            if not (held or _held(low, high, k, b, work)):
+            if not (held or _is_at_limit(low, high, k, b, work)):
                 work.factor[a, b] = work.damped[a, b]
     return factorise(work.factor)
 
@@ -214,7 +214,7 @@ def _value(k: np.ndarray, work: _Work) -> float:
 
 
 @inlined
-def _box(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) -> bool:
+def _solve_in_box(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) -> bool:
     """Fill the optimal change in a box and its factor; return False if Q_uu is not positive."""
     step, moved = work.step, work.moved
     for a in range(k.size):
@@ -224,7 +224,7 @@ def _box(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) -> bool:
             return False
         for a in range(k.size):
             step[a] = 0.0
-            if not _held(low, high, k, a, work):
+            if not _is_at_limit(low, high, k, a, work):
                 step[a] = -work.q_u[a]
                 for b in range(k.size):
                     step[a] -= work.damped[a, b] * k[b]

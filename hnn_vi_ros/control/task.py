@@ -113,11 +113,12 @@ class ControlContext:
                                  f'coordinates: {listed(names)}')
             near[names.index(name)] = value
         at = find_equilibrium(steps, near, [] if goal.held else None, goal.held)
-        return Balance(steps, at, self.limits, spread_over(steps, 'goal.position', goal.position),
-                       spread_over(steps, 'goal.velocity', goal.velocity))
+        return Balance(steps, at, self.limits,
+                       coordinate_weights(steps, 'goal.position', goal.position),
+                       coordinate_weights(steps, 'goal.velocity', goal.velocity))
 
 
-def spread_over(steps: BatchStep, key: str, weights: float | Sequence[float]) -> np.ndarray:
+def coordinate_weights(steps: BatchStep, key: str, weights: float | Sequence[float]) -> np.ndarray:
     """Return a weight for each coordinate, shape (d,), or raise ValueError."""
     found = np.array(weights, dtype=np.float64)
     if found.shape not in ((), (steps.dimension,)):
@@ -158,8 +159,8 @@ class QuadraticChoice(_Term):
         """Return the cost."""
         at = means.goal.at
         return Quadratic(means.steps.hamiltonian, at, weights_of(
-            means.steps, at, spread_over(means.steps, 'position', self.position),
-            spread_over(means.steps, 'velocity', self.velocity)),
+            means.steps, at, coordinate_weights(means.steps, 'position', self.position),
+            coordinate_weights(means.steps, 'velocity', self.velocity)),
             self.command * np.diag(means.limits**-2.0))
 
 
@@ -516,23 +517,23 @@ def assign(task: str | Path, scene: str | Path | Scene = '', lockstep: bool = Fa
             if scene:
                 raise
             raise DataError(f'{places.place("scene")}: {problem}') from problem
-    with _placed(places, 'stepping'):
-        model, _ = resolve(_driven(scene, loaded))
-    with _placed(places, 'inputs'):
+    with _place_of_errors(places, 'stepping'):
+        model, _ = resolve(_scene_of_task(scene, loaded))
+    with _place_of_errors(places, 'inputs'):
         parts = model.parts()
         System(parts.hamiltonian, parts.effects, parts.integrator)
     h = model.known_step_size
     hold = round(loaded.period / h)
-    with _placed(places, 'period'):
+    with _place_of_errors(places, 'period'):
         if hold < 1 or abs(hold * h - loaded.period) > _HOLD_TOLERANCE * loaded.period:
             raise ValueError(f"{loaded.period:g} s must be a multiple of the model's step size, "
                              f'{h:g} s; change it in stepping')
         if hold > _MAX_STEPS:
             raise ValueError(f'{hold} model steps of {h:g} s per command, at most {_MAX_STEPS}; '
                              'set a larger step size in stepping')
-    with _placed(places, 'controller'):
+    with _place_of_errors(places, 'controller'):
         controller = loaded.controller.make(ControlContext(loaded, model, hold))
-    with _placed(places, 'delay'):
+    with _place_of_errors(places, 'delay'):
         delay = loaded.plan_time + loaded.delay
         prediction = CommandPrediction(BatchStep(model) if delay else None, delay)
     own = next((effect.coordinates for effect in scene.effects
@@ -541,7 +542,7 @@ def assign(task: str | Path, scene: str | Path | Scene = '', lockstep: bool = Fa
     return Assignment(loaded, model, parts.hamiltonian, controller, prediction, numbers)
 
 
-def _driven(scene: Scene, task: Task) -> Scene:
+def _scene_of_task(scene: Scene, task: Task) -> Scene:
     """Return the scene with a task's inputs as commands, and with the task's step size."""
     others = [effect.model_dump(by_alias=True) for effect in scene.effects
               if effect.kind != 'external_force']
@@ -552,7 +553,7 @@ def _driven(scene: Scene, task: Task) -> Scene:
 
 
 @contextmanager
-def _placed(places: KeyPlaces, key: str) -> Iterator[None]:
+def _place_of_errors(places: KeyPlaces, key: str) -> Iterator[None]:
     """Add the place in the task to errors of one of its parts."""
     try:
         yield

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.effects.elastic_gears import gear_effects
     from hnn_vi_ros.effects.external_force import ExternalForce
     from hnn_vi_ros.effects.input_map import has_map
-    from hnn_vi_ros.effects.kernels import add_forces, join
+    from hnn_vi_ros.effects.kernels import add_effect, add_forces
     from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
     from hnn_vi_ros.effects.learned_friction import LearnedFriction
     from hnn_vi_ros.effects.loops import ClosedChains, LoopManifold

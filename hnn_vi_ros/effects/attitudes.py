@@ -26,14 +26,14 @@ def dot(a: Vector, b: Vector) -> float:
 
 
 @inlined
-def turned(q: np.ndarray, at: int, m: Vector) -> Vector:
+def rotate(q: np.ndarray, at: int, m: Vector) -> Vector:
     """Return R m, the vector m of the body in space, for the quaternion at column ``at``."""
-    half = turned_change(q, q, at, m)
+    half = rotate_tangent(q, q, at, m)
     return 0.5 * half[0], 0.5 * half[1], 0.5 * half[2]
 
 
 @inlined
-def turned_change(q: np.ndarray, v: np.ndarray, at: int, m: Vector) -> Vector:
+def rotate_tangent(q: np.ndarray, v: np.ndarray, at: int, m: Vector) -> Vector:
     """Return the directional derivative of R m with respect to q, along v."""
     u, w = (q[at], q[at + 1], q[at + 2]), q[at + 3]
     du, dw = (v[at], v[at + 1], v[at + 2]), v[at + 3]
@@ -45,7 +45,7 @@ def turned_change(q: np.ndarray, v: np.ndarray, at: int, m: Vector) -> Vector:
 
 
 @inlined
-def add_turned_slope(q: np.ndarray, at: int, m: Vector, f: Vector, target: np.ndarray) -> None:
+def add_rotation_slope(q: np.ndarray, at: int, m: Vector, f: Vector, target: np.ndarray) -> None:
     """Add the derivative of f . R m with respect to the quaternion."""
     u, w = (q[at], q[at + 1], q[at + 2]), q[at + 3]
     both, along_f, along_m, lever = dot(m, f), dot(u, f), dot(u, m), cross(m, f)

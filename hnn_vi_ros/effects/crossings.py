@@ -57,7 +57,7 @@ class Search(NamedTuple):
 
 
 @called
-def begin(search: Search, distance: float, slope: float, bend: float) -> None:
+def begin_search(search: Search, distance: float, slope: float, bend: float) -> None:
     """Begin a search at t = 0."""
     nodes = search.nodes
     nodes[0, 0], nodes[0, 1], nodes[0, 2], nodes[0, 3] = 0.0, distance, slope, bend
@@ -67,8 +67,8 @@ def begin(search: Search, distance: float, slope: float, bend: float) -> None:
 
 
 @called
-def add(search: Search, t: float, distance: float, slope: float, bend: float, rounding: float,
-        high: bool) -> None:
+def add_trial(search: Search, t: float, distance: float, slope: float, bend: float,
+              rounding: float, high: bool) -> None:
     """
     Add the result of a trial, first at the end of the step, then at the times of TRY.
 
@@ -112,7 +112,7 @@ def add(search: Search, t: float, distance: float, slope: float, bend: float, ro
 
 
 @called
-def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, float]:
+def next_trial(search: Search, h: float, rounding: float, high: bool) -> tuple[int, float]:
     """
     Return the next action and its time.
 
@@ -128,7 +128,7 @@ def seek(search: Search, h: float, rounding: float, high: bool) -> tuple[int, fl
         start, end = nodes[0, 0], nodes[top, 0]
         if counts[1] > _MAX_TRIALS or top >= _MAX_INTERVALS:
             return LOST, end
-        theta = _look(search, high)
+        theta = _first_crossing(search, high)
         if nodes[top, 1] < 0.0:
             if (-nodes[top, 1] <= rounding and nodes[top, 2] < 0.0) or end - start <= _EPS * h:
                 return LAND, end
@@ -168,7 +168,7 @@ def _coefficients(search: Search, high: bool) -> tuple[float, ...]:
 
 
 @called
-def _look(search: Search, high: bool) -> float:
+def _first_crossing(search: Search, high: bool) -> float:
     """
     Return the fraction of the first interval where g first crosses zero, or is nearest to it.
 

@@ -65,7 +65,7 @@ class ElasticGears(_Gears, Potential):
         """Return the sum of U [J]."""
         total = 0.0
         for i in range(own.rotor.size):
-            total += _twisted(own, i, q)[0]
+            total += _twist_energy(own, i, q)[0]
         return total
 
     @staticmethod
@@ -73,7 +73,7 @@ class ElasticGears(_Gears, Potential):
     def add_gradient(own: GearParameters, q: np.ndarray, dH_dq: np.ndarray) -> None:
         """Add U' to the rotors, and -U' to the joints."""
         for i in range(own.rotor.size):
-            torque = _twisted(own, i, q)[1]
+            torque = _twist_energy(own, i, q)[1]
             dH_dq[own.rotor[i]] += torque
             dH_dq[own.joint[i]] -= torque
 
@@ -83,7 +83,7 @@ class ElasticGears(_Gears, Potential):
                            ) -> None:
         """Add U'' v."""
         for i in range(own.rotor.size):
-            change = _twisted(own, i, q)[2] * (v[own.rotor[i]] - v[own.joint[i]])
+            change = _twist_energy(own, i, q)[2] * (v[own.rotor[i]] - v[own.joint[i]])
             product[own.rotor[i]] += change
             product[own.joint[i]] -= change
 
@@ -111,7 +111,7 @@ def gear_effects(drives: Mapping[str, ElasticDrive]) -> list[Effect]:
 
 
 @inlined
-def _twisted(own: GearParameters, i: int, q: np.ndarray) -> tuple[float, float, float]:
+def _twist_energy(own: GearParameters, i: int, q: np.ndarray) -> tuple[float, float, float]:
     """Return U of a gear and its first two derivatives by the twist."""
     s, k, b = q[own.rotor[i]] - q[own.joint[i]], own.stiffness[i], own.half[i]
     if b == 0.0:

@@ -107,14 +107,14 @@ def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork 
     if card.friction_features is None:
         return add_none, (0,)
     d, members = len(card.kinds), model.members or (model,)
-    layers = _together([member.networks['friction'] for member in members])
+    layers = _combine_networks([member.networks['friction'] for member in members])
     own = FrictionNetwork(
         pack_layers(even_layers(layers), model.card.activation),
         pack_features(card, card.friction_features), np.zeros(layers.biases[-1].size), np.zeros(d))
     return add_by_network, own
 
 
-def _together(networks: Sequence[Layers]) -> Layers:
+def _combine_networks(networks: Sequence[Layers]) -> Layers:
     """Return N networks of the same inputs as one, with their outputs divided by sqrt(N)."""
     first, *others = zip(*(layers.weights for layers in networks), strict=True)
     share = 1.0 / np.sqrt(len(networks))

@@ -5,7 +5,7 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.attitudes import turned
+from hnn_vi_ros.effects.attitudes import rotate
 from hnn_vi_ros.effects.base import EffectState, motor_index
 from hnn_vi_ros.effects.body_forces import add_body_map, body_network, BodyNetwork
 from hnn_vi_ros.effects.commands import plus_motors
@@ -218,7 +218,7 @@ def add_by_axis(own: Axes, command: np.ndarray, q: np.ndarray, p: np.ndarray,
         if axis < 0:
             f_p[at] += value
         else:
-            force = turned(q, quaternions[k], (value if axis == 0 else 0.0,
+            force = rotate(q, quaternions[k], (value if axis == 0 else 0.0,
                                                value if axis == 1 else 0.0,
                                                value if axis == 2 else 0.0))
             for i in range(3):

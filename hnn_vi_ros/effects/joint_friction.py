@@ -7,7 +7,7 @@ import math
 from typing import Literal, NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, Force, motor_index
-from hnn_vi_ros.effects.joints import check_given, joint_numbers
+from hnn_vi_ros.effects.joints import check_joint_numbers, joint_numbers
 from hnn_vi_ros.hamiltonians import check_not_negative, check_positive
 from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -69,7 +69,8 @@ class JointFriction(Force):
                  damping: dict[str, float] | None = None,
                  friction: dict[str, float] | None = None, speed: float = 0.01,
                  load: dict[str, float] | None = None):
-        check_given(from_, check_not_negative, damping=damping, friction=friction, load=load)
+        check_joint_numbers(from_, check_not_negative, damping=damping, friction=friction,
+                            load=load)
         check_positive(speed=speed)
         self.source, self.speed = from_, float(speed)
         self.damping, self.friction, self.load = damping, friction, load

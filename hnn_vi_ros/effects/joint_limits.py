@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from hnn_vi_ros.effects.base import EffectState
-from hnn_vi_ros.effects.joints import check_given, joint_numbers
+from hnn_vi_ros.effects.joints import check_joint_numbers, joint_numbers
 from hnn_vi_ros.effects.stops import RigidContact, Stops
 from hnn_vi_ros.hamiltonians import check_finite
 from hnn_vi_ros.phase_space import Coordinate
@@ -49,7 +49,7 @@ class JointLimits(RigidContact):
     def __init__(self, from_: Literal['urdf'] | None = None,
                  lower: dict[str, float] | None = None, upper: dict[str, float] | None = None,
                  restitution: float = 0.0):
-        check_given(from_, check_finite, lower=lower, upper=upper)
+        check_joint_numbers(from_, check_finite, lower=lower, upper=upper)
         super().__init__(restitution)
         self.source, self.lower, self.upper = from_, lower, upper
 

@@ -10,8 +10,8 @@ from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
-def check_given(source: str | None, check: Callable[..., None],
-                **given: Mapping[str, float] | None) -> None:
+def check_joint_numbers(source: str | None, check: Callable[..., None],
+                        **given: Mapping[str, float] | None) -> None:
     """Raise ValueError unless there is a source or a number, and all numbers pass a check."""
     if source is None and not any(given.values()):
         raise ValueError(f'give from: urdf, or {" or ".join(given)}')

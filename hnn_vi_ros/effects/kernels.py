@@ -23,7 +23,7 @@ import numpy as np
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 
 
-def join(kernel: Kernel, effect: Joined, parameters: Parameters) -> Kernel:
+def add_effect(kernel: Kernel, effect: Joined, parameters: Parameters) -> Kernel:
     """Return the kernel of H with an effect added to it, resolved to parameters."""
     kernel, kind = by_address(kernel), effect.formulas(parameters)
     return composed(kernel, kind.compose(*functions_of(kernel)), (kind,),
@@ -140,7 +140,7 @@ def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool) -> Ca
     if not kinds:
         return _add_none
     if issubclass(kinds[0], InternalForce):
-        return _internal_chain(kinds, k, j) if internal else _skipped(
+        return _internal_chain(kinds, k, j) if internal else _without_first(
             _chain(kinds[1:], k + 1, j + 1, False))
     add_force, rest = kinds[0].add_force, _chain(kinds[1:], k + 1, j, internal)
 
@@ -180,7 +180,7 @@ def _internal_chain(kinds: tuple[type[Force], ...], k: int, j: int) -> Callable[
     return add_all
 
 
-def _skipped(rest: Callable[..., None]) -> Callable[..., None]:
+def _without_first(rest: Callable[..., None]) -> Callable[..., None]:
     @inlined
     def add_all(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
                 p: np.ndarray, H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray,

@@ -155,7 +155,7 @@ class Manifold:
 
 
 @cache
-def _compiles(function: object) -> str:
+def _compile_problem(function: object) -> str:
     """Return the reason numba cannot compile a user's function, '' if it can."""
     try:
         numba.njit(function).compile((numba.float64[::1], numba.float64[::1]))
@@ -165,7 +165,7 @@ def _compiles(function: object) -> str:
 
 
 def _check_compiles(function: object, index: int) -> None:
-    problem = _compiles(function)
+    problem = _compile_problem(function)
     if problem:
         raise EffectError(index, f'factory: numba cannot compile the function: {problem}; use '
                                  'only plain Python and numpy in it')

@@ -58,7 +58,7 @@ class FormulaPotential(Potential):
             **{name: f'q[{columns[name]}]' for name in moving},
             **{changes[name]: f'v[{columns[name]}]' for name in moving}})
         places = [columns[name] for name in moving]
-        self._formulas = _bound(
+        self._formulas = _formulas_class(
             code.function('energy', 'q', [], [root]),
             code.function('add_gradient', 'q, dH_dq', [f'dH_dq[{i}]' for i in places], slopes,
                           add=True),
@@ -73,7 +73,7 @@ class FormulaPotential(Potential):
 
 
 @cache
-def _bound(*functions: Callable[..., Any]) -> type[Joined]:
+def _formulas_class(*functions: Callable[..., Any]) -> type[Joined]:
     """Return a class of three functions, under a name that is unique to their sources."""
     names = ('energy', 'add_gradient', 'add_hessian_vector')
     digests = '_'.join(function.__qualname__.rpartition('_')[2] for function in functions)

@@ -14,8 +14,8 @@ from hnn_vi_ros.effects.base import StepLayer
 from hnn_vi_ros.effects.points import add_along, distance, separation
 from hnn_vi_ros.hamiltonians import fill_loops, Loops
 from hnn_vi_ros.integrators import (
-    copy_array, copy_point, forget, Integrator, largest, NOT_HELD, OK, PhasePoint, plus, REDUNDANT,
-    Step)
+    copy_array, copy_point, discard_history, Integrator, largest, NOT_HELD, OK, PhasePoint, plus,
+    REDUNDANT, Step)
 from hnn_vi_ros.kernels import (
     called, DEPENDENT, inlined, is_own, Kernel, Parameters, solve_in_order)
 import numpy as np
@@ -334,7 +334,7 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = (), looped:
     E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VII.1.
 
     """
-    evaluate, keep_means = evaluator(functions, looped), _keep_means if looped else _keep_nothing
+    evaluate, keep_means = evaluator(functions, looped), _store_means if looped else _keep_nothing
 
     @inlined
     def constrained(kernel: Kernel, h: float, options: Parameters, z: PhasePoint, z1: PhasePoint,
@@ -353,14 +353,14 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = (), looped:
             copy_array(constraints.pending, state.pending)
             _kick(constraints.old, multipliers, 0.5 * h, start)
             # Solutions for other impulses are bad initial guesses for the method's equations.
-            forget(inside)
+            discard_history(inside)
             outcome, residual, gradients = step(kernel, h, inner, start, z1, inside)
             spent += gradients
             if outcome != OK:
                 break
             error = evaluate(constraints, z1.q, constraints.new) / size
             if iteration == 0 or error > _SLOW_RATIO * previous:
-                spent += _respond(kernel, h, constraints, start, z1)
+                spent += _fill_response(kernel, h, constraints, start, z1)
             outcome = _solve_for_impulses(constraints, h, iteration == 0, state.clock[0])
             if outcome != OK:
                 break
@@ -368,7 +368,7 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = (), looped:
             if not error < np.inf:
                 break
             if error <= _EPS or (error >= previous and error <= _ROUNDINGS * _EPS):
-                more = _end(kernel, h, constraints, z1)
+                more = _remove_normal_velocity(kernel, h, constraints, z1)
                 if more < 0:
                     break
                 keep_means(work.kept, constraints.impulse, h)
@@ -382,7 +382,7 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = (), looped:
 
 
 @inlined
-def _keep_means(kept: LoopMultipliers, impulse: np.ndarray, h: float) -> None:
+def _store_means(kept: LoopMultipliers, impulse: np.ndarray, h: float) -> None:
     for k in range(impulse.size):
         kept.means[k] = 0.5 * kept.multipliers[k] + impulse[k] / h
 
@@ -416,7 +416,8 @@ def _solve_for_impulses(constraints: Constraints, h: float, first: bool, time: f
 
 
 @called
-def _end(kernel: Kernel, h: float, constraints: Constraints, z: PhasePoint) -> int:
+def _remove_normal_velocity(kernel: Kernel, h: float, constraints: Constraints, z: PhasePoint
+                            ) -> int:
     """Remove the velocity normal to the constraints; return the gradients, -1 on failure."""
     count, previous, spent = constraints.defect.size, np.inf, 0
     constraints.impulse[:] = 0.0
@@ -450,8 +451,8 @@ def _end(kernel: Kernel, h: float, constraints: Constraints, z: PhasePoint) -> i
 
 
 @called
-def _respond(kernel: Kernel, h: float, constraints: Constraints, z: PhasePoint, z1: PhasePoint
-             ) -> int:
+def _fill_response(kernel: Kernel, h: float, constraints: Constraints, z: PhasePoint,
+                   z1: PhasePoint) -> int:
     """Fill the derivative of the final q by an impulse along each initial G; return its cost."""
     q, p = constraints.middle
     for i in range(q.size):

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.attitudes import add_turned_slope, dot, turned, turned_change, Vector
+from hnn_vi_ros.effects.attitudes import add_rotation_slope, dot, rotate, rotate_tangent, Vector
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, Joined, Potential
 from hnn_vi_ros.effects.points import add_along, check_pair, distance, resolve_pair, separation
 from hnn_vi_ros.errors import listed
@@ -233,7 +233,7 @@ def _end(parameters: BodyElastic, end: int, q: np.ndarray, v: np.ndarray, change
     at, arms = parameters.columns, parameters.arms
     arm = (arms[end, 0], arms[end, 1], arms[end, 2])
     if at[end, 3] >= 0:
-        arm = turned_change(q, v, at[end, 3], arm) if changes else turned(q, at[end, 3], arm)
+        arm = rotate_tangent(q, v, at[end, 3], arm) if changes else rotate(q, at[end, 3], arm)
     elif changes:
         arm = (0.0, 0.0, 0.0)
     return (arm[0] + (v[at[end, 0]] if at[end, 0] >= 0 else 0.0),
@@ -259,5 +259,5 @@ def _add_pull(parameters: BodyElastic, q: np.ndarray, f: Vector, moves: bool,
             if moves and at[end, k] >= 0:
                 target[at[end, k]] += pull[k]
         if at[end, 3] >= 0:
-            add_turned_slope(q, at[end, 3], (arms[end, 0], arms[end, 1], arms[end, 2]), pull,
-                             target)
+            add_rotation_slope(q, at[end, 3], (arms[end, 0], arms[end, 1], arms[end, 2]), pull,
+                               target)

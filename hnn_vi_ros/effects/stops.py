@@ -13,10 +13,12 @@ from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
 from hnn_vi_ros.effects.base import EffectState, Place, StepEffect
-from hnn_vi_ros.effects.crossings import add, begin, FREE, LAND, LOST, Search, seek, TRY
+from hnn_vi_ros.effects.crossings import (
+    add_trial, begin_search, FREE, LAND, LOST, next_trial, Search, TRY)
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.hamiltonians import check_between, Hamiltonian
-from hnn_vi_ros.integrators import copy_point, forget, Integrator, NO_IMPACT, OK, PhasePoint, Step
+from hnn_vi_ros.integrators import (
+    copy_point, discard_history, Integrator, NO_IMPACT, OK, PhasePoint, Step)
 from hnn_vi_ros.kernels import called, inlined, Kernel, Parameters, solve_linear
 import numpy as np
 
@@ -224,7 +226,7 @@ def stop(step: Step, high: bool) -> Step:
         _, stops, state, effect = options
         work, inside = memory[-1], memory[:-1]
         copy_point(z, work.start)
-        first = draws = _save(state, stops.kept, 2)
+        first = draws = _save_account(state, stops.kept, 2)
         rest, rounding, impacts, total, met = h, 0.0, 0, 0, -1
         while True:
             _begin(kernel, stops, state.resting[effect], work, met, high)
@@ -238,12 +240,12 @@ def stop(step: Step, high: bool) -> Step:
                 if met >= 0:
                     ends = (impacts > _MAX_FOLLOWED * stops.columns.size
                             and part <= _SHORTEST_FLIGHT * h)
-                    done, resting = _meet(
+                    done, resting = _bounce(
                         kernel, z1, stops, work, met, done, resting, ends, rest, h, rounding)
             if np.isnan(done) or impacts > MOST_IMPACTS:
                 outcome = NO_IMPACT
             if outcome != OK:
-                _undo(state, stops.kept, 2, first)
+                _restore_account(state, stops.kept, 2, first)
                 return outcome, residual, total
             state.pending[effect] += done
             state.resting[effect] = resting
@@ -254,8 +256,8 @@ def stop(step: Step, high: bool) -> Step:
                 return OK, residual, total
             impacts += 1
             copy_point(z1, work.start)
-            draws = _save(state, stops.kept, 0)
-            forget(inside)
+            draws = _save_account(state, stops.kept, 0)
+            discard_history(inside)
     return stopping
 
 
@@ -295,7 +297,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
                 _fill_held_rates(kernel, z1, stops, work, high)
                 total += 1
                 have = wanted
-                action, wanted, until, met, at, rounding = _look(
+                action, wanted, until, met, at, rounding = _find_impact(
                     stops, state.resting[effect], z1, work.rates, have, until, met, at, h,
                     rounding, high)
                 if action == LOST:
@@ -304,22 +306,22 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
                 if action == FREE and (wanted == have or not wanted > 0.0):
                     break
                 tries = 0
-                _take_back(kernel, work)
-            _undo(state, stops.kept, 0, draws)
+                _remove_impulses(kernel, work)
+            _restore_account(state, stops.kept, 0, draws)
             # Solutions of trials of another length are bad initial guesses for the next one.
-            forget(inside)
+            discard_history(inside)
         if outcome == OK and not until > 0.0:
-            _take_back(kernel, work)
+            _remove_impulses(kernel, work)
             copy_point(work.start, z1)
-            _undo(state, stops.kept, 0, draws)
+            _restore_account(state, stops.kept, 0, draws)
             for k in range(stops.columns.size):
-                work.touch[k] = _ON if _is_in(state.resting[effect], k) else _OFF
+                work.touch[k] = _ON if _is_resting(state.resting[effect], k) else _OFF
         return outcome, met, until, rounding, residual, total
     return fly
 
 
 @inlined
-def _is_in(resting: float, k: int) -> bool:
+def _is_resting(resting: float, k: int) -> bool:
     """Return True if stop k belongs to a set encoded as a sum of 2^k."""
     return (int(resting) >> k) & 1 == 1
 
@@ -327,13 +329,13 @@ def _is_in(resting: float, k: int) -> bool:
 @inlined
 def _next_free(resting: float, k: int, count: int) -> int:
     """Return the first stop from k on that nothing rests on; ``count`` if there is none."""
-    while k < count and _is_in(resting, k):
+    while k < count and _is_resting(resting, k):
         k += 1
     return k
 
 
 @called
-def _save(state: EffectState, kept: np.ndarray, last: int) -> int:
+def _save_account(state: EffectState, kept: np.ndarray, last: int) -> int:
     """Copy the account of the effects to rows 0 to ``last``; return the random numbers drawn."""
     # Copied element by element: for slices, numba also compiles error messages.
     for row in range(0, last + 1, 2):
@@ -343,7 +345,7 @@ def _save(state: EffectState, kept: np.ndarray, last: int) -> int:
 
 
 @called
-def _undo(state: EffectState, kept: np.ndarray, row: int, draws: int) -> None:
+def _restore_account(state: EffectState, kept: np.ndarray, row: int, draws: int) -> None:
     """Restore the account of the effects before a part of the step (row 0) or the step (2)."""
     for k in range(state.pending.size):
         state.pending[k], state.resting[k] = kept[row, k], kept[row + 1, k]
@@ -393,7 +395,7 @@ def _begin(kernel: Kernel, stops: Stops, resting: float, work: StopsWork, met: i
     for k in range(count):
         c, sign = stops.columns[k], stops.signs[k]
         work.touch[k], work.impulse[k] = _OFF, 0.0
-        if _is_in(resting, k):
+        if _is_resting(resting, k):
             continue
         distance, slope = sign * (start.q[c] - stops.positions[k]), sign * rates.dH_dp[c]
         bend = sign * rates.product_p[c] if high else 0.0
@@ -401,21 +403,22 @@ def _begin(kernel: Kernel, stops: Stops, resting: float, work: StopsWork, met: i
             # The impact put the coordinate on the stop, up to a rounding error that must not count
             # as another crossing.
             distance, slope = 0.0, max(0.0, slope)
-        begin(Search(stops.nodes[k], stops.counts[k], stops.widths[k]), distance, slope, bend)
+        begin_search(Search(stops.nodes[k], stops.counts[k], stops.widths[k]), distance, slope,
+                     bend)
 
 
 @called
-def _look(stops: Stops, resting: float, z: PhasePoint, rates: Rates, have: float, until: float,
-          met: int, at: int, h: float, rounding: float, high: bool
-          ) -> tuple[int, float, float, int, int, float]:
+def _find_impact(stops: Stops, resting: float, z: PhasePoint, rates: Rates, have: float,
+                 until: float, met: int, at: int, h: float, rounding: float, high: bool
+                 ) -> tuple[int, float, float, int, int, float]:
     """
     Search the stops from ``at`` on for impacts, given the state after a time ``have``.
 
-    Return the next action and its time as ``seek`` does, the time and the stop of the earliest
-    impact so far, the stop to continue with, and the rounding of a distance.
+    Return the next action and its time as ``next_trial`` does, the time and the stop of the
+    earliest impact so far, the stop to continue with, and the rounding of a distance.
     """
     while at < stops.columns.size:
-        if _is_in(resting, at):
+        if _is_resting(resting, at):
             at += 1
             continue
         c, sign = stops.columns[at], stops.signs[at]
@@ -426,8 +429,9 @@ def _look(stops: Stops, resting: float, z: PhasePoint, rates: Rates, have: float
         position, reached = stops.positions[at], z.q[c]
         rounding = max(rounding, 4.0 * _EPS * max(abs(position), abs(reached)))
         bend = sign * rates.product_p[c] if high else 0.0
-        add(search, have, sign * (reached - position), sign * rates.dH_dp[c], bend, rounding, high)
-        action, time = seek(search, h, rounding, high)
+        add_trial(search, have, sign * (reached - position), sign * rates.dH_dp[c], bend, rounding,
+                  high)
+        action, time = next_trial(search, h, rounding, high)
         if action in (TRY, LOST):
             return action, time, until, met, at, rounding
         if action == LAND:
@@ -439,9 +443,9 @@ def _look(stops: Stops, resting: float, z: PhasePoint, rates: Rates, have: float
 
 
 @called
-def _meet(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: int, done: float,
-          resting: float, ends: bool, rest: float, h: float, rounding: float
-          ) -> tuple[float, float]:
+def _bounce(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: int, done: float,
+            resting: float, ends: bool, rest: float, h: float, rounding: float
+            ) -> tuple[float, float]:
     """
     Reverse the velocity at the stop that was met; return the work so far [J] and resting stops.
 
@@ -458,11 +462,11 @@ def _meet(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: int
     speed = abs(z.dH_dp[c])
     work.touch[met], work.target[met] = _ON, -stops.restitution * z.dH_dp[c]
     for _ in range(n + 1):
-        if not _match(kernel, z, stops, work):
+        if not _project_to_stops(kernel, z, stops, work):
             return np.nan, resting
         driven = False
         for k in range(n):
-            if _is_in(resting, k) and work.touch[k] == _OFF \
+            if _is_resting(resting, k) and work.touch[k] == _OFF \
                     and stops.signs[k] * z.dH_dp[stops.columns[k]] < -_MIN_DRIVEN_SHARE * speed:
                 work.touch[k], driven = _ON, True
         if not driven:
@@ -472,12 +476,12 @@ def _meet(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: int
     for k in range(n):
         i = stops.columns[k]
         pull, leaving = -stops.signs[k] * work.rates.product_p[i], stops.signs[k] * z.dH_dp[i]
-        if _is_in(resting, k) and leaving > _MIN_DRIVEN_SHARE * speed:
+        if _is_resting(resting, k) and leaving > _MIN_DRIVEN_SHARE * speed:
             if _is_short(leaving, pull, rest, h, rounding):
                 work.touch[k], kept = _ON, True
             else:
                 resting -= 2.0 ** k
-    if kept and not _match(kernel, z, stops, work):
+    if kept and not _project_to_stops(kernel, z, stops, work):
         return np.nan, resting
     stays = stops.restitution == 0.0 or (
         ends and (stops.restitution < 1.0 or speed * h <= rounding)) or _is_short(
@@ -486,7 +490,7 @@ def _meet(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: int
     if stays:
         work.target[met] = 0.0
         resting += 2.0 ** met
-        if not _match(kernel, z, stops, work):
+        if not _project_to_stops(kernel, z, stops, work):
             return np.nan, resting
     return done + energy_of(kernel, z) - before, resting
 
@@ -502,7 +506,7 @@ def _fill_pressed_rates(kernel: Kernel, z: PhasePoint, stops: Stops, work: Stops
     """
     n = work.touch.size
     for k in range(n):
-        if _is_in(resting, k) and stops.signs[k] * z.dH_dp[stops.columns[k]] <= least:
+        if _is_resting(resting, k) and stops.signs[k] * z.dH_dp[stops.columns[k]] <= least:
             work.touch[k] = _ON
     while True:
         _fill_masses(kernel, z, stops, work)
@@ -533,7 +537,7 @@ def _is_short(speed: float, pull: float, left: float, h: float, rounding: float)
 
 
 @called
-def _take_back(kernel: Kernel, work: StopsWork) -> None:
+def _remove_impulses(kernel: Kernel, work: StopsWork) -> None:
     """Remove the impulses of all stops from the beginning of this part of the step."""
     start, pushed = work.start, False
     for k in range(work.touch.size):
@@ -561,7 +565,7 @@ def _push(kernel: Kernel, h: float, z: PhasePoint, stops: Stops, resting: float,
     grown = False
     for k in range(touch.size):
         gap[0, k] = stops.signs[k] * (z.q[stops.columns[k]] - stops.positions[k])
-        if _is_in(resting, k) and touch[k] == _OFF and gap[0, k] <= 0.0:
+        if _is_resting(resting, k) and touch[k] == _OFF and gap[0, k] <= 0.0:
             touch[k], gap[2, k], grown = _ON, -gap[0, k], True
     enough, any_on, shift = True, False, 0.0
     for i in range(kernel.dimension - kernel.channels):
@@ -688,13 +692,13 @@ def _hold(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork) -> tuple
         for i in range(work.p.size):
             work.start.p[i], work.p[i] = work.p[i], work.start.p[i]
         done -= energy_of(kernel, work.start)
-    if not _match(kernel, z, stops, work):
+    if not _project_to_stops(kernel, z, stops, work):
         return np.nan, resting
     return done + energy_of(kernel, z), resting
 
 
 @called
-def _match(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork) -> bool:
+def _project_to_stops(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork) -> bool:
     """
     Put touched coordinates on their stops, with momenta that give them the target velocities.
 

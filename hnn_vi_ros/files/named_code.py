@@ -20,7 +20,7 @@ _TRUST = 'trust_code'
 CODE_REFUSED = 'is code, which is run only for scene files that you name'
 
 
-def trusting(trust_code: bool) -> dict[str, bool]:
+def trust_context(trust_code: bool) -> dict[str, bool]:
     """Return a validation context that permits or forbids code in the data."""
     return {_TRUST: trust_code}
 

@@ -160,7 +160,7 @@ def write_new_scene(path: Path, text: str, force: bool = False) -> None:
                          ) from problem
 
 
-def numbered(path: Path, suffix: str = '') -> Iterator[Path]:
+def numbered_paths(path: Path, suffix: str = '') -> Iterator[Path]:
     """Yield a path, then variants with -2, -3 and so on before the suffix."""
     yield path
     for number in count(2):
@@ -174,7 +174,7 @@ def no_file(path: Path, missing: str = 'no such file') -> str:
     return 'is not a regular file' if os.path.exists(path) else missing
 
 
-def regular(path: Path) -> BufferedReader:
+def open_regular(path: Path) -> BufferedReader:
     """Open a file for reading; raise OSError for a FIFO, which may block, or a device."""
     try:
         if stat.S_ISREG(os.stat(path).st_mode):
@@ -199,7 +199,7 @@ def limited(path: Path, most: int) -> Iterator[BufferedReader]:
         It is not a regular file, cannot be read, or is larger than `most` bytes.
 
     """
-    with regular(path) as stream:
+    with open_regular(path) as stream:
         if os.fstat(stream.fileno()).st_size > most:
             raise OSError(errno.EFBIG, f'larger than {in_bytes(most)}')
         yield stream

@@ -87,7 +87,7 @@ def rewrite_line(stream: TextIO, text: str) -> None:
     stream.flush()
 
 
-def guard_streams() -> None:
+def harden_streams() -> None:
     """
     Make writes to standard output and error never raise, and escape control characters.
 
@@ -100,7 +100,7 @@ def guard_streams() -> None:
             # Otherwise the next opened file, such as a bag, would receive the output. This file is
             # opened such that writing fails, as with a closed stream.
             os.open(os.devnull, os.O_WRONLY if number == 0 else os.O_RDONLY)
-    out, error = _guarded(1, sys.stdout), _guarded(2, sys.stderr)
+    out, error = _hardened_stream(1, sys.stdout), _hardened_stream(2, sys.stderr)
     error.keep += '\r'
     sys.stdout, sys.stderr = out, error
 
@@ -172,7 +172,7 @@ def _show_progress(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
-def _guarded(number: int, stream: TextIO | None) -> _Plain:
+def _hardened_stream(number: int, stream: TextIO | None) -> _Plain:
     """Return a text stream with the settings of Python's own, if that exists."""
     terminal = os.isatty(number)
     return _Plain(

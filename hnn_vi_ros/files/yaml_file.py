@@ -9,7 +9,7 @@ import re
 from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, offered
-from hnn_vi_ros.files.named_code import trusting
+from hnn_vi_ros.files.named_code import trust_context
 from hnn_vi_ros.files.regular_file import read_limited
 from hnn_vi_ros.files.yaml_text import KeyPlaces, MAX_YAML_BYTES, one_line, parse_mapping
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -113,7 +113,7 @@ def validate(data: Mapping[str, Any], places: KeyPlaces | Callable[[], KeyPlaces
 
     """
     try:
-        return schema.model_validate(data, context=trusting(trust_code))
+        return schema.model_validate(data, context=trust_context(trust_code))
     except ValidationError as problem:
         known = places() if callable(places) else places
         raise error(*_describe(known, schema, problem)) from problem
@@ -179,7 +179,7 @@ def _one_problem(places: KeyPlaces, schema: type[BaseModel], first: Any, problem
         named = kinds and (first['input'] if first['input'] in kinds else kinds[0])
         message = f'expected {{kind: {named}}}, and further keys' if named else \
             'expected keys and values, as in {key: value}'
-        message += f', not {_shown(first["input"])}'
+        message += f', not {_quoted(first["input"])}'
     elif problem_type == 'missing':
         key = (*key, str(loc[-1]))
         said = ' or '.join(_descriptions(schema, loc))
@@ -198,7 +198,7 @@ def _wrong_value(problems: Sequence[Any], units: Sequence[str]) -> str:
         # The message of a validator in this package, which includes the value if useful.
         return ' or '.join(dict.fromkeys(p['msg'].removeprefix('Value error, ')
                                          for p in problems))
-    shown = _shown(problems[0]['input'])
+    shown = _quoted(problems[0]['input'])
     if {p['type'] for p in problems} <= {'float_type', 'float_parsing'}:
         what = 'number of seconds, e.g. 0.001' if [*units] == ['s'] else \
             f'number{_bracketed(units)}'
@@ -216,7 +216,7 @@ def _wrong_value(problems: Sequence[Any], units: Sequence[str]) -> str:
     return f'{" or ".join(dict.fromkeys(forms))}, not {shown}'
 
 
-def _shown(value: object) -> str:
+def _quoted(value: object) -> str:
     """Return a value as shown in an error."""
     return repr(value) if len(repr(value)) <= _MAX_SHOWN_VALUE else \
         f'{repr(value)[:_MAX_SHOWN_VALUE]} ...'

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         AMBER, Ball, bounds_of, Cuboid, Line, Mechanism, Part, SILVER, Trail)
     from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS, ROTATING
     from hnn_vi_ros.hamiltonians.mechanisms.skeleton import (
-        bones, moved, shapes_of, skeleton, tip_of)
+        bones, joint_pose, shapes_of, skeleton, tip_of)
     from hnn_vi_ros.hamiltonians.momenta import momentum
     from hnn_vi_ros.hamiltonians.parameters import (
         check_between, check_finite, check_names_once, check_not_negative, check_positive)
@@ -39,6 +39,6 @@ if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf, read_urdf
     from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
     from hnn_vi_ros.hamiltonians.straight_code import check_names, Code, constants_of, read_formula
-    from hnn_vi_ros.hamiltonians.tracing import Symbol, traced
+    from hnn_vi_ros.hamiltonians.tracing import Symbol, trace
 
 __getattr__, __dir__ = lazy_exports(__name__)

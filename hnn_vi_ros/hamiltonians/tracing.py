@@ -33,7 +33,7 @@ def _compared(sign: str) -> Callable[['Symbol', Any], Any]:
 
 
 def _combined(name: str) -> Callable[['Symbol', Any], Any]:
-    return lambda one, other: _lifted(name)(one, other)
+    return lambda one, other: _on_symbols(name)(one, other)
 
 
 class Symbol:
@@ -95,13 +95,13 @@ class Symbol:
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
         """Call a function of numpy on symbols, element by element."""
-        name, plain = ufunc.__name__, [_plain(one) for one in inputs]
+        name, plain = ufunc.__name__, [_object_array(one) for one in inputs]
         if name in _SMOOTH or name in _OF_SYMBOLS:
-            ufunc = np.frompyfunc(_lifted(name), ufunc.nin, 1)
+            ufunc = np.frompyfunc(_on_symbols(name), ufunc.nin, 1)
         if 'out' in options:
-            options['out'] = tuple(map(_plain, options['out']))
+            options['out'] = tuple(map(_object_array, options['out']))
         found = getattr(ufunc, method)(*plain, **options)
-        return _array(found)
+        return _as_symbols(found)
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, None  # type: ignore[assignment]
     __lt__, __le__, __gt__, __ge__ = map(_compared, ('<', '<=', '>', '>='))
@@ -119,7 +119,7 @@ class Symbol:
         """Return the method that numpy calls for its function of this name."""
         if name not in _SMOOTH and name not in _OF_SYMBOLS:
             raise Untraceable(f'no formula contains {name}')
-        return partial(_lifted(name), self)
+        return partial(_on_symbols(name), self)
 
 
 # By their names in numpy: functions of one number, and of others, as nodes.
@@ -144,13 +144,13 @@ _OF_SYMBOLS: dict[str, Callable[..., int]] = {
         'exp', g.scaled(-1.0, g.apply('abs', g.minus(x, y))))))}
 
 
-def _plain(value: Any) -> Any:
+def _object_array(value: Any) -> Any:
     """Return an array without the class of symbols; a symbol as an array of it."""
     return np.asarray(value, dtype=object).view(np.ndarray) if isinstance(
         value, Symbol | _Symbols) else value
 
 
-def _lifted(name: str) -> Callable[..., Any]:
+def _on_symbols(name: str) -> Callable[..., Any]:
     """Return a function of numpy as one of symbols and numbers."""
     def call(*parts: Any) -> Any:
         graph = next((one.graph for one in parts if isinstance(one, Symbol)), None)
@@ -168,20 +168,21 @@ class _Symbols(np.ndarray):
     __array_ufunc__ = Symbol.__array_ufunc__
 
 
-def _array(found: Any) -> Any:
+def _as_symbols(found: Any) -> Any:
     return found.view(_Symbols) if isinstance(found, np.ndarray) else found
 
 
 def _elementwise(name: str) -> Callable[..., Any]:
-    return lambda *parts: _array(np.frompyfunc(_lifted(name), len(parts), 1)(*map(_plain, parts)))
+    return lambda *parts: _as_symbols(np.frompyfunc(_on_symbols(name), len(parts), 1)(
+        *map(_object_array, parts)))
 
 
 def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:  # noqa: A002
     if ord is not None and np.ndim(x) > 1 and not isinstance(axis, int):
         raise Untraceable('no formula contains this norm of a matrix')
-    size, over = _array(np.asarray(abs(x))), {'axis': axis, 'keepdims': keepdims}
+    size, over = _as_symbols(np.asarray(abs(x))), {'axis': axis, 'keepdims': keepdims}
     if ord in (None, 2):
-        return np.sqrt(np.sum(np.square(_array(x)), **over))
+        return np.sqrt(np.sum(np.square(_as_symbols(x)), **over))
     if abs(ord) == np.inf:
         return (np.maximum if ord > 0 else np.minimum).reduce(size, **over)
     return np.sum(size ** ord, **over) ** (1.0 / ord)
@@ -197,7 +198,7 @@ def _determinant(a: Any) -> Any:
 
 def _inverse(a: Any) -> Any:
     whole, rows = _determinant(a), range(len(a))
-    return _array(np.array([[(-1.0) ** (i + k) * _determinant(
+    return _as_symbols(np.array([[(-1.0) ** (i + k) * _determinant(
         np.delete(np.delete(a, k, axis=0), i, axis=1)) / whole for k in rows] for i in rows]))
 
 
@@ -205,12 +206,12 @@ _MAX_ROWS = 4
 # Functions of numpy that do not ask the symbols in an array, with those for symbols.
 _WITHOUT_DISPATCH: dict[tuple[Any, str], Callable[..., Any]] = {
     (np, 'where'): _elementwise('where'), (np, 'clip'): _elementwise('clip'),
-    (np.linalg, 'norm'): _norm, (np.linalg, 'det'): lambda a: _determinant(_plain(a)),
-    (np.linalg, 'inv'): lambda a: _inverse(_plain(a)),
-    (np.linalg, 'solve'): lambda a, b: np.linalg.inv(a) @ _array(np.asarray(b))}
+    (np.linalg, 'norm'): _norm, (np.linalg, 'det'): lambda a: _determinant(_object_array(a)),
+    (np.linalg, 'inv'): lambda a: _inverse(_object_array(a)),
+    (np.linalg, 'solve'): lambda a, b: np.linalg.inv(a) @ _as_symbols(np.asarray(b))}
 
 
-def _either(usual: Callable[..., Any], own: Callable[..., Any]) -> Callable[..., Any]:
+def _also_of_symbols(usual: Callable[..., Any], own: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of numpy that takes symbols as well."""
     return lambda *parts, **options: (own if any(
         np.asarray(part).dtype == object for part in parts) else usual)(*parts, **options)
@@ -227,14 +228,14 @@ def _symbolic_numpy() -> Iterator[None]:
     usual = {(module, name): getattr(module, name) for module, name in _WITHOUT_DISPATCH}
     try:
         for (module, name), function in usual.items():
-            setattr(module, name, _either(function, _WITHOUT_DISPATCH[module, name]))
+            setattr(module, name, _also_of_symbols(function, _WITHOUT_DISPATCH[module, name]))
         yield
     finally:
         for (module, name), function in usual.items():
             setattr(module, name, function)
 
 
-def traced(function: Callable[[Any, Any], Any], q: Any) -> tuple[list[str], str]:
+def trace(function: Callable[[Any, Any], Any], q: Any) -> tuple[list[str], str]:
     """
     Return the names of the coordinates and the formula of a function of q and p.
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.integrators.taylor import Taylor, TaylorWork
     from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
     from hnn_vi_ros.integrators.workspaces import (
-        arrays_of, DEPTH, FAST_MATRIX, forget, LARGEST_MATRIX, MemoryByAddress, separate,
-        SolverWork)
+        arrays_of, DEPTH, discard_history, FAST_MATRIX, LARGEST_MATRIX, mark_independent,
+        MemoryByAddress, SolverWork)
 
 __getattr__, __dir__ = lazy_exports(__name__)

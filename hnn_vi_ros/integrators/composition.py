@@ -14,7 +14,7 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
-from hnn_vi_ros.integrators.workspaces import forget
+from hnn_vi_ros.integrators.workspaces import discard_history
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
@@ -154,7 +154,7 @@ def _compose(base_step: Callable, fractions: tuple[float, ...]) -> Callable:
         worst, gradients = 0.0, 0
         for j in range(len(fractions)):
             # A step of another length is a poor initial guess for the next one.
-            forget(inner)
+            discard_history(inner)
             source = z if j == 0 else (between if j % 2 == 0 else z1)
             target = z1 if j % 2 == 0 else between
             outcome, residual, more = base_step(

@@ -10,7 +10,7 @@ from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
 from hnn_vi_ros.integrators.base import OK, PhasePoint, Requirements, Step
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton_solver import by_differences
-from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
+from hnn_vi_ros.integrators.solvers import extrapolate, SolverOptions, store_solution
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
@@ -105,7 +105,7 @@ def step_to_end(set_scale: Callable[..., None], equation: Callable[..., None]) -
         outcome, residual, gradients = options.solve(
             equation, end_tangent, problem, x, work.solver, options.max_iterations)
         if outcome == OK:
-            remember(work.kept, start, x)
+            store_solution(work.kept, start, x)
         for i in range(n):
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * rates[i])
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], h * rates[n + i])

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import IN_DOUBT, OK
-from hnn_vi_ros.integrators.solvers import extrapolate, is_in_doubt, remember, SolverOptions
+from hnn_vi_ros.integrators.solvers import (
+    extrapolate, may_be_disconnected, SolverOptions, store_solution)
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 LEAST_SCALE = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
 
 
-class Known(NamedTuple):
+class EquationInputs(NamedTuple):
     """
     Inputs of an equation x = base + factor H_x(...); each array has shape (n,).
 
@@ -38,7 +39,7 @@ class Known(NamedTuple):
     slope: np.ndarray
 
 
-class Sought(NamedTuple):
+class EquationOutputs(NamedTuple):
     """
     Outputs of an equation; each array has shape (n,).
 
@@ -109,8 +110,8 @@ class _EulerEquation(NamedTuple):
 
     kernel: Kernel
     factor: float
-    known: Known
-    sought: Sought
+    known: EquationInputs
+    sought: EquationOutputs
     base: np.ndarray
     held: np.ndarray
     product_q: np.ndarray
@@ -118,7 +119,7 @@ class _EulerEquation(NamedTuple):
 
 
 @inlined
-def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought,
+def solve_momenta(kernel: Kernel, h: float, known: EquationInputs, sought: EquationOutputs,
                   work: EquationWork | HalfwayWork, options: SolverOptions
                   ) -> tuple[int, float, int]:
     """
@@ -151,7 +152,7 @@ def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought,
 
 
 @inlined
-def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought,
+def solve_coordinates(kernel: Kernel, h: float, known: EquationInputs, sought: EquationOutputs,
                       work: EquationWork | HalfwayWork, options: SolverOptions
                       ) -> tuple[int, float, int]:
     """
@@ -192,11 +193,11 @@ def _solve(equation: Callable[..., None], tangent: Callable[..., None], problem:
         extrapolate(work.kept, base, x)
     outcome, residual, gradients = options.solve(
         equation, tangent, problem, x, work.solver, options.max_iterations)
-    if outcome == OK and is_in_doubt(
+    if outcome == OK and may_be_disconnected(
             options, iterates.first, matrix, gradients, kernel.dimension):
         return IN_DOUBT, residual, gradients
     if outcome == OK:
-        remember(work.kept, base, x)
+        store_solution(work.kept, base, x)
         # Store the rounding error of x = base + carry + factor * slope in the carry.
         for i in range(x.size):
             total, rest = plus(base[i], known.carry[i], problem.factor * slope[i])

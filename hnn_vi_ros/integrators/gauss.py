@@ -13,7 +13,7 @@ from hnn_vi_ros.integrators.base import (
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import (
-    anderson, assess, BACK, COMMON, GO_ON, is_hopeless, rescaled, SolverOptions, stalls)
+    anderson, assess, BACK, COMMON, converges_too_slowly, GO_ON, rescaled, SolverOptions, stalls)
 from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
 from hnn_vi_ros.kernels import inlined, invert, Kernel
 import numpy as np
@@ -156,7 +156,7 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
         if stalls(k, more - 1, stage, residual, previous):
             residual, more = rescaled(
                 equation, problem, x, work, sizes[0], value, defect), more + 1
-        if stage == COMMON and is_hopeless(k, residual, previous):
+        if stage == COMMON and converges_too_slowly(k, residual, previous):
             return NO_CONVERGENCE, residual, k + more
         before, previous = previous, residual
         if k == max_iterations:

@@ -5,7 +5,7 @@
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import LEAPFROG, leapfrog_energy, OK, PhasePoint, Requirements
 from hnn_vi_ros.integrators.equations import (
-    EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
+    EquationInputs, EquationOutputs, EquationWork, HalfwayWork, solve_coordinates, solve_momenta)
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler, SymplecticEulerAdjoint
@@ -59,16 +59,16 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
         half = 0.5 * h
         # z1.p holds the momentum at the middle of the step.
         outcome, residual, gradients = solve_momenta(
-            kernel, half, Known(z.q, z.p, z.p_carry, z.dH_dq),
-            Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
+            kernel, half, EquationInputs(z.q, z.p, z.p_carry, z.dH_dq),
+            EquationOutputs(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
         if outcome != OK:
             return outcome, residual, gradients
         half_q, half_carry = memory[1].half_q, memory[1].half_carry
         for i in range(z.q.size):
             half_q[i], half_carry[i] = plus(z.q[i], z.q_carry[i], half * z1.dH_dp[i])
         outcome, residual_q, more = solve_coordinates(
-            kernel, half, Known(z1.p, half_q, half_carry, z1.dH_dp),
-            Sought(z1.q, z1.q_carry, z1.dH_dq, z1.dH_dp), memory[1], options)
+            kernel, half, EquationInputs(z1.p, half_q, half_carry, z1.dH_dp),
+            EquationOutputs(z1.q, z1.q_carry, z1.dH_dq, z1.dH_dp), memory[1], options)
         for i in range(z.q.size):
             z1.p[i], z1.p_carry[i] = plus(z1.p[i], z1.p_carry[i], -half * z1.dH_dq[i])
         return outcome, max(residual, residual_q), gradients + more

@@ -8,7 +8,7 @@ from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import midpoint_energy, OK, PhasePoint, Requirements, tableau
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
+from hnn_vi_ros.integrators.solvers import extrapolate, SolverOptions, store_solution
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
@@ -89,7 +89,7 @@ class ImplicitMidpoint(ImplicitIntegrator):
         outcome, residual, gradients = options.solve(
             _equation, _tangent, problem, y, solver, options.max_iterations)
         if outcome == OK:
-            remember(kept, start, y)
+            store_solution(kept, start, y)
         for i in range(n):
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z1.dH_dp[i])
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z1.dH_dq[i])

@@ -112,7 +112,7 @@ def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
             if residual != before:
                 # Residuals with a different scale must not be combined with these.
                 copy_array(defect, old_defect)
-        if stage == COMMON and is_hopeless(k, residual, previous):
+        if stage == COMMON and converges_too_slowly(k, residual, previous):
             return NO_CONVERGENCE, residual, k + more
         if k <= 2:
             iterates.first[k - 1] = residual
@@ -157,7 +157,7 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
             residual, more = rescaled(
                 equation, problem, x, work, sizes[0], value, defect), more + 1
             origin = k if residual != before else origin
-        if stage == COMMON and is_hopeless(k, residual, previous):
+        if stage == COMMON and converges_too_slowly(k, residual, previous):
             return NO_CONVERGENCE, residual, k + more
         if k <= 2:
             iterates.first[k - 1] = residual
@@ -171,8 +171,8 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
 
 
 @inlined
-def is_in_doubt(options: SolverOptions, first: np.ndarray, matrix: np.ndarray,
-                iterations: int, d: int) -> bool:
+def may_be_disconnected(options: SolverOptions, first: np.ndarray, matrix: np.ndarray,
+                        iterations: int, d: int) -> bool:
     """
     Return True if a solution of d coupled unknowns may not be the one connected to h = 0.
 
@@ -202,7 +202,7 @@ def extrapolate(history: History, base: np.ndarray, x: np.ndarray) -> None:
 
 
 @inlined
-def remember(history: History, base: np.ndarray, x: np.ndarray) -> None:
+def store_solution(history: History, base: np.ndarray, x: np.ndarray) -> None:
     """Store a solution relative to its base, for the next initial guess."""
     increments = history.increments
     for i in range(x.size):
@@ -314,7 +314,7 @@ def raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) ->
 
 
 @inlined
-def is_hopeless(k: int, residual: float, previous: float) -> bool:
+def converges_too_slowly(k: int, residual: float, previous: float) -> bool:
     """Return True if convergence is so slow that Newton's method will be cheaper."""
     return k > 5 and residual > 0.5 * previous and residual > 1e-8
 

@@ -90,7 +90,7 @@ def memory_by_address(memory: tuple[Any, ...]) -> MemoryByAddress:
 
 
 def _counts(workspace: Any) -> list[int]:
-    """Return the addresses of the counts in a workspace that ``forget`` sets to zero."""
+    """Return the addresses of the counts in a workspace that ``discard_history`` sets to zero."""
     if isinstance(workspace, MemoryByAddress):
         return workspace.counts.tolist()
     kept_group: Any = getattr(workspace, 'kept', None)

@@ -6,7 +6,7 @@ from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import euler_energy, PhasePoint, tableau
 from hnn_vi_ros.integrators.equations import (
-    EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
+    EquationInputs, EquationOutputs, EquationWork, HalfwayWork, solve_coordinates, solve_momenta)
 from hnn_vi_ros.integrators.implicit import EulerIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels import inlined, Kernel
@@ -39,8 +39,8 @@ class SymplecticEuler(EulerIntegrator):
              memory: tuple[EquationWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         outcome, residual, gradients = solve_momenta(
-            kernel, h, Known(z.q, z.p, z.p_carry, z.dH_dq),
-            Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
+            kernel, h, EquationInputs(z.q, z.p, z.p_carry, z.dH_dq),
+            EquationOutputs(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
         for i in range(z.q.size):
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z1.dH_dp[i])
         return outcome, residual, gradients
@@ -79,8 +79,8 @@ class SymplecticEulerAdjoint(EulerIntegrator):
              memory: tuple[EquationWork | HalfwayWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         outcome, residual, gradients = solve_coordinates(
-            kernel, h, Known(z.p, z.q, z.q_carry, z.dH_dp),
-            Sought(z1.q, z1.q_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
+            kernel, h, EquationInputs(z.p, z.q, z.q_carry, z.dH_dp),
+            EquationOutputs(z1.q, z1.q_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
         for i in range(z.q.size):
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z1.dH_dq[i])
         return outcome, residual, gradients

@@ -148,7 +148,7 @@ class TaylorWork:
                 series.pars[:] = forces
             _, length = series.step(limit if abs(limit) < abs(rest) else rest, write_tc=True)
             last[:] = series.state * scales
-            drift, _ = _drift(kernel, state, last)
+            drift, _ = _energy_drift(kernel, state, last)
             kept = self._keeps(kernel, state, last, scales, 1.0)
             # If far shorter series do not improve the energy, its error is rounding.
             if kept or (abs(length) * _LENGTH_RATIO < worst[0] and drift * _MIN_GAIN > worst[1]):
@@ -169,7 +169,7 @@ class TaylorWork:
                room: float) -> bool:
         """Return True if the energy changes by no more than the errors of ``room`` series."""
         error = room * _MAX_ENERGY_CHANGE * max(self._tolerance, _EPS)
-        drift, size = _drift(kernel, first, last)
+        drift, size = _energy_drift(kernel, first, last)
         return drift <= error * size or drift <= error * max(
             _terms(kernel, state, scales) for state in (first, last))
 
@@ -269,7 +269,7 @@ def _scales(kernel: Kernel, h: float, states: np.ndarray) -> np.ndarray:
         sizes = np.abs(halves).max(axis=2)
         for own, state in zip(sizes, states, strict=True):
             rates, turns = (np.abs(row.reshape(2, d)[:, :n]).max(axis=1)
-                            for row in _motion(kernel, state))
+                            for row in _time_derivatives(kernel, state))
             with np.errstate(divide='ignore', invalid='ignore'):
                 moved = rates * np.fmin(np.sqrt(own / turns)[::-1], abs(h))
             own[:] = np.fmax(own, moved)
@@ -280,7 +280,7 @@ def _scales(kernel: Kernel, h: float, states: np.ndarray) -> np.ndarray:
     return scales
 
 
-def _motion(kernel: Kernel, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _time_derivatives(kernel: Kernel, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return z' and z'' of a state, shape (2 d,) each."""
     (q, p), rates, turns = np.split(state, 2), *np.empty((2, 2, kernel.dimension))
     kernel.gradient(kernel.parameters, q, p, rates[1], rates[0])
@@ -289,7 +289,7 @@ def _motion(kernel: Kernel, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rates.ravel(), turns.ravel()
 
 
-def _drift(kernel: Kernel, first: np.ndarray, last: np.ndarray) -> tuple[float, float]:
+def _energy_drift(kernel: Kernel, first: np.ndarray, last: np.ndarray) -> tuple[float, float]:
     """Return the energy difference of two states minus the work, and the energy scale [J]."""
     d = kernel.dimension
     before, after = (kernel.energy(kernel.parameters, state[:d], state[d:])

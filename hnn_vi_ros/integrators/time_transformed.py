@@ -14,7 +14,7 @@ from hnn_vi_ros.integrators.base import (
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
-from hnn_vi_ros.integrators.workspaces import forget
+from hnn_vi_ros.integrators.workspaces import discard_history
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
@@ -22,7 +22,7 @@ import numpy as np
 _MAX_STEPS = 100_000
 
 
-class Ahead(NamedTuple):
+class ClockState(NamedTuple):
     """
     State from which the next step of the clock continues.
 
@@ -60,7 +60,7 @@ class ControlledWork(NamedTuple):
 
     """
 
-    kept: Ahead
+    kept: ClockState
     own_step: np.ndarray
     at: PhasePoint
     v_q: np.ndarray
@@ -71,12 +71,13 @@ class ControlledWork(NamedTuple):
     @classmethod
     def empty(cls, n: int, dtype: type = np.float64) -> 'ControlledWork':
         """Return the workspace for n coordinates, before the first step."""
-        kept = Ahead(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), PhasePoint.empty(n, dtype))
+        kept = ClockState(np.zeros(1, dtype=np.int64), np.zeros(3, dtype),
+                          PhasePoint.empty(n, dtype))
         return cls(kept, np.zeros(1), PhasePoint.empty(n, dtype), *np.zeros((4, n), dtype))
 
 
 @cache
-def controlled(base_step: Callable) -> Callable:
+def clock_step(base_step: Callable) -> Callable:
     """
     Return the step of a clock, which consists of steps of controlled size of a symmetric method.
 
@@ -104,7 +105,7 @@ def controlled(base_step: Callable) -> Callable:
         ahead, at, clock = work.kept.state, work.at, work.kept.clock
         fresh = work.kept.count[0] == 0
         if fresh:
-            forget(own)
+            discard_history(own)
             copy_point(z, ahead)
             clock[:] = 0.0
         copy_point(ahead, at)
@@ -131,7 +132,7 @@ def controlled(base_step: Callable) -> Callable:
         if time < h:
             return ENDLESS, worst, gradients
         kernel.gradient(kernel.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
-        forget(at_clock)
+        discard_history(at_clock)
         outcome, residual, more = base_step(kernel, h - time, inner, at, z1, at_clock)
         if outcome == OK:
             copy_point(at, ahead)
@@ -235,7 +236,7 @@ class TransformedWork(NamedTuple):
 
     """
 
-    kept: Ahead
+    kept: ClockState
     own_step: np.ndarray
     at: PhasePoint
     after: PhasePoint
@@ -244,7 +245,7 @@ class TransformedWork(NamedTuple):
     def empty(cls, n: int, dtype: type = np.float64) -> 'TransformedWork':
         """Return the workspace for n coordinates, before the first step."""
         ahead, first, second = (PhasePoint.empty(n + 1, dtype) for _ in range(3))
-        kept = Ahead(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), ahead)
+        kept = ClockState(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), ahead)
         return cls(kept, np.zeros(1), first, second)
 
 
@@ -312,7 +313,7 @@ class TimeTransformed(Integrator):
         self._control, self.order = control, self.base.order
         self.requirements = replace(
             self.requirements, separable=self.base.requirements.separable)
-        around = _transform if control == 'hamiltonian' else controlled
+        around = _transform if control == 'hamiltonian' else clock_step
         self.step = around(self.base.step)
 
     @property
@@ -354,7 +355,7 @@ def _transform(base_step: Callable) -> Callable:
         ahead, at, after, clock = work.kept.state, work.at, work.after, work.kept.clock
         fresh = work.kept.count[0] == 0
         if fresh:
-            forget(own)
+            discard_history(own)
             copy_point(z, ahead)
             ahead.q[n], ahead.p[n], ahead.q_carry[n], ahead.p_carry[n] = 0.0, 0.0, 0.0, 0.0
             clock[0], clock[1], clock[2] = kernel.energy(kernel.parameters, z.q, z.p), 0.0, 0.0
@@ -385,7 +386,7 @@ def _transform(base_step: Callable) -> Callable:
         seen = PhasePoint(at.q[:n], at.p[:n], at.q_carry[:n], at.p_carry[:n],
                           after.dH_dq[:n], after.dH_dp[:n])
         kernel.gradient(kernel.parameters, seen.q, seen.p, seen.dH_dq, seen.dH_dp)
-        forget(at_clock)
+        discard_history(at_clock)
         outcome, residual, more = base_step(kernel, h - time, inner, seen, z1, at_clock)
         worst, gradients = max(worst, residual), gradients + more + 1
         if outcome == OK:

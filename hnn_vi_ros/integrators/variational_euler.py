@@ -4,7 +4,8 @@
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import euler_energy, PhasePoint, tableau
-from hnn_vi_ros.integrators.equations import EquationWork, Known, solve_momenta, Sought
+from hnn_vi_ros.integrators.equations import (
+    EquationInputs, EquationOutputs, EquationWork, solve_momenta)
 from hnn_vi_ros.integrators.implicit import EulerIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels import inlined, Kernel
@@ -48,5 +49,6 @@ class VariationalEuler(EulerIntegrator):
         for i in range(z.q.size):
             z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z.dH_dp[i])
         # The paper starts from (q_n, p_n), whose gradient is available.
-        return solve_momenta(kernel, h, Known(z1.q, z.p, z.p_carry, z.dH_dq),
-                             Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
+        return solve_momenta(kernel, h, EquationInputs(z1.q, z.p, z.p_carry, z.dH_dq),
+                             EquationOutputs(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0],
+                             options)

@@ -21,7 +21,7 @@ LARGEST_MATRIX, FAST_MATRIX, KRYLOV_DIMENSION = 512, 128, 30
 DEPTH = 3
 
 
-def forget(memory: tuple) -> None:
+def discard_history(memory: tuple) -> None:
     """
     Discard the earlier solutions of all equations in a memory, and the history of watches.
 
@@ -34,7 +34,7 @@ def forget(memory: tuple) -> None:
             kept.count[0] = 0
 
 
-def separate(memory: tuple, row: int, width: int) -> None:
+def mark_independent(memory: tuple, row: int, width: int) -> None:
     """
     Mark the equations of a memory as consisting of several independent systems, if they do.
 
@@ -71,7 +71,7 @@ class MemoryByAddress(NamedTuple):
     words : np.ndarray of int64
         Its workspaces in numba's layout.
     counts : np.ndarray of int64, shape (K,)
-        Addresses of the counts in them that ``forget`` sets to zero.
+        Addresses of the counts in them that ``discard_history`` sets to zero.
 
     """
 

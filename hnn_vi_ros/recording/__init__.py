@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.recording.bags.cdr import (
         decode_float64_multi_array, decode_joint_state, decode_state, decode_string, MOMENTUM,
         RATE, serialize, state_names, StateMessage, Template)
-    from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
+    from hnn_vi_ros.recording.bags.mcap_reader import BagReader, RecordedMessage
     from hnn_vi_ros.recording.bags.mcap_sink import FLUSH_INTERVAL, McapSink
     from hnn_vi_ros.recording.sample import Sample
     from hnn_vi_ros.recording.viewer.phase_portrait import (

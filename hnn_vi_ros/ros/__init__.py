@@ -12,6 +12,6 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.ros.plumbing.environment import distribution, settle_ros_environment
+    from hnn_vi_ros.ros.plumbing.environment import distribution, prepare_ros_environment
 
 __getattr__, __dir__ = lazy_exports(__name__)

@@ -18,7 +18,7 @@ from hnn_vi_ros.recording import MOMENTUM
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (
-    freeze_memory, Lasting, nodes_of, publisher_conflicts, wait_for_delivery)
+    freeze_memory, nodes_of, publisher_conflicts, RepetitionFilter, wait_for_delivery)
 from hnn_vi_ros.ros.plumbing.managed_node import (
     CLOCK_TOPIC, follows_clock, ManagedNode, steady_timer, SUCCESS)
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
@@ -26,7 +26,7 @@ from hnn_vi_ros.ros.plumbing.stamps import LATEST, nanoseconds, Stamps
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
 from hnn_vi_ros.ros.settings import CONTROLLER_PARAMETERS, ControllerSettings
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, OK, Status, WARN
-from hnn_vi_ros.ros.topics.hearing import Hearing
+from hnn_vi_ros.ros.topics.hearing import Subscriptions
 from hnn_vi_ros.ros.topics.inputs import Input, NEWEST, read_observation
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS
@@ -130,7 +130,7 @@ class ControllerNode(ManagedNode):
         """Read the task, compile its controller, and open the topics; serve in the meantime."""
         settings, begin = self.settings, time.monotonic()
         assignment: Assignment = await self.in_thread(
-            lambda: _warm(assign(settings.task, settings.scene, settings.lockstep)))
+            lambda: _compile_controller(assign(settings.task, settings.scene, settings.lockstep)))
         self._assignment = assignment
         # For a task with a long period, the states between two answers are not a silence.
         self._silence = max(assignment.task.silence, assignment.task.period)
@@ -143,9 +143,9 @@ class ControllerNode(ManagedNode):
         self._publishers = [self._commands, self._plans, diagnostics]
         self._diagnostics = DiagnosticsPublisher(
             self, lambda payload, stamp: diagnostics.publish(payload), assignment.scene.name)
-        self._hearing = Hearing(self)
+        self._hearing = Subscriptions(self)
         self._warn_of_crowd, self._warn_of_stranger, self._warn_of_gaps = (
-            Lasting(self.get_logger().warning) for _ in range(3))
+            RepetitionFilter(self.get_logger().warning) for _ in range(3))
         turning = assignment.hamiltonian.rotations
         self._states = f'{self._simulator}/state' if turning else 'joint_states'
         self._answered = math.inf
@@ -409,7 +409,7 @@ class ControllerNode(ManagedNode):
             self._stamp, record=False)
 
 
-def _warm(assignment: Assignment) -> Assignment:
+def _compile_controller(assignment: Assignment) -> Assignment:
     """Call the controller before the first state, until everything is compiled."""
     q, p = (np.array(one) for one in (assignment.scene.initial_state.q,
                                       assignment.scene.initial_state.p))

@@ -66,8 +66,8 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
 _MAX_ANSWER_LENGTH = 1000
 
 
-def hear_initial_states(node: Node, topics: Topics, run: Run, reset: Callable[[], Answer | None]
-                        ) -> None:
+def subscribe_initial_states(node: Node, topics: Topics, run: Run,
+                             reset: Callable[[], Answer | None]) -> None:
     """
     Accept states for the next reset, and publish an answer to each.
 

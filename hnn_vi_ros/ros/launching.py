@@ -66,20 +66,20 @@ def describe_node(executable: str, name: str, table: Sequence[Specification],
     known = [*(word for word, _ in words), *(argument for argument, _, _ in arguments)]
     return LaunchDescription([
         *(DeclareLaunchArgument(word, description=text) for word, text in words),
-        *_declared(arguments),
+        *_launch_arguments(arguments),
         OpaqueFunction(function=lambda context: [
-            *_misspelt(context.argv, known),
+            *_misspelling_warnings(context.argv, known),
             *_entities(context.launch_configurations, executable, table,
                        [word for word, _ in words], managed)])])
 
 
-def _declared(arguments: Sequence[tuple[str, str, str]]) -> list[DeclareLaunchArgument]:
+def _launch_arguments(arguments: Sequence[tuple[str, str, str]]) -> list[DeclareLaunchArgument]:
     """Declare launch arguments, given by name, default and description."""
     return [DeclareLaunchArgument(name, default_value=default, description=text)
             for name, default, text in arguments]
 
 
-def _misspelt(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
+def _misspelling_warnings(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
     """
     Return warnings of misspelt arguments, which ``ros2 launch`` ignores.
 
@@ -169,8 +169,8 @@ def describe_robot() -> Any:
     """
     folder = Path(get_package_share_directory('hnn_vi_ros')) / 'config' / 'robots'
     return LaunchDescription([
-        *_declared([*((name, str(folder / default), text) for name, default, text in _ARGUMENTS),
-                    _RATE]),
+        *_launch_arguments([
+            *((name, str(folder / default), text) for name, default, text in _ARGUMENTS), _RATE]),
         OpaqueFunction(function=lambda context: _robot_entities(context.launch_configurations))])
 
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
 from hnn_vi_ros.files import MAX_YAML_BYTES, parse_mapping
-from hnn_vi_ros.ros.plumbing.qos_overrides import Endpoint, expected, parameter_names, PREFIX
+from hnn_vi_ros.ros.plumbing.qos_overrides import Endpoint, expected_form, parameter_names, PREFIX
 from hnn_vi_ros.ros.settings import (
     PARAMETERS, Settings, Specification, specifications, START, UNCONFIGURED)
 from rcl_interfaces.msg import (
@@ -66,7 +66,7 @@ def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterab
         # QoS parameters are declared by rclpy together with their topics.
         node.undeclare_parameter(name)
         if name in policies:
-            if wanted := expected(name, value):
+            if wanted := expected_form(name, value):
                 raise ParameterError(f'parameter {name} = {value!r}: expected {wanted}')
             continue
         hint, valid = _remedy(name, own, policies)

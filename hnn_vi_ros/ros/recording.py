@@ -16,14 +16,15 @@ from hnn_vi_ros.ros.plumbing.environment import distribution
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.run import (
-    bag_lines, Figures, picture_lines, report_files, RunFiles, Sampler, STATE_FILE, state_file)
+    bag_lines, picture_lines, report_files, RunFiles, Sampler, STATE_FILE, state_file,
+    TimingFigures)
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from std_msgs.msg import String
 
 
-class Beginning(NamedTuple):
+class RecordingStart(NamedTuple):
     """
     Start of a sink's recording.
 
@@ -70,7 +71,7 @@ class Sink(ABC):
     greeting: str = ''
 
     @abstractmethod
-    def open(self, begin: Beginning) -> bool:  # noqa: A003
+    def open(self, begin: RecordingStart) -> bool:  # noqa: A003
         """Begin, also again after ``close``; return True if the sink wants any data."""
 
     @abstractmethod
@@ -89,7 +90,7 @@ class Sink(ABC):
         """Record a line of text at a stamp [ns] and a step; level is INFO, WARN or ERROR."""
         return
 
-    def timing(self, figures: Figures) -> None:
+    def timing(self, figures: TimingFigures) -> None:
         """Record the recent cost of steps, and the pace, at the newest sample."""
         return
 
@@ -125,11 +126,11 @@ class BagOutput(Sink):
         # Takes effect at the next start of a recording.
         self.wanted = settings.record
         self._bags: list[Path] = []
-        self._begin: Beginning
+        self._begin: RecordingStart
         self._begun_at: bytes
         self._sink: McapSink
 
-    def open(self, begin: Beginning) -> bool:  # noqa: A003
+    def open(self, begin: RecordingStart) -> bool:  # noqa: A003
         self._begin, self._bags = begin, []
         self._begun_at = state_file(begin.simulation)
         if self.wanted:
@@ -218,7 +219,7 @@ class PictureOutput(Sink):
                 from hnn_vi_ros.recording import RerunSink
             self._make = RerunSink
 
-    def open(self, begin: Beginning) -> bool:  # noqa: A003
+    def open(self, begin: RecordingStart) -> bool:  # noqa: A003
         settings, (scene, simulation, _, sampler) = self._settings, begin
         if settings.rerun_sink == 'none':
             return False
@@ -247,7 +248,7 @@ class PictureOutput(Sink):
     def event(self, text: str, level: str, at: tuple[int, int] | None) -> None:
         self._sink.event(text, level, at)
 
-    def timing(self, figures: Figures) -> None:
+    def timing(self, figures: TimingFigures) -> None:
         self._sink.timing((figures.microseconds_per_step_median,
                            figures.microseconds_per_step_p99), figures.real_time_factor)
 
@@ -309,7 +310,7 @@ class RunRecording:
         self._sinks: tuple[Sink, ...] = (self._bag, PictureOutput(settings, box, files))
         self._open: list[Sink] = []
         try:
-            self._begin(Beginning(scene, simulation, report, sampler))
+            self._begin(RecordingStart(scene, simulation, report, sampler))
         except BaseException:
             self.close()
             raise
@@ -330,7 +331,7 @@ class RunRecording:
         """
         self.close(ended=False)
         self.report()
-        self._begin(Beginning(scene, self._simulation, report, sampler), self._give_up)
+        self._begin(RecordingStart(scene, self._simulation, report, sampler), self._give_up)
 
     def start_bag(self) -> str:
         """Start a new bag and return its absolute path, or raise RecordingError."""
@@ -370,7 +371,7 @@ class RunRecording:
         """Display a line with the samples, at a stamp and a step; level is INFO, WARN or ERROR."""
         self._each(lambda sink: sink.event(text, level, at))
 
-    def timing(self, figures: Figures) -> None:
+    def timing(self, figures: TimingFigures) -> None:
         """Display the recent cost of steps, and the pace, at the newest sample."""
         self._each(lambda sink: sink.timing(figures))
 
@@ -395,7 +396,7 @@ class RunRecording:
         """Print the paths of the files, and the command that opens each."""
         report_files([line for sink in self._sinks for line in sink.files()])
 
-    def _begin(self, begin: Beginning,
+    def _begin(self, begin: RecordingStart,
                give_up: Callable[[RecordingError], None] | None = None) -> None:
         """Open the sinks; pass errors to `give_up`, or raise them if it is None."""
         self.samples = 0

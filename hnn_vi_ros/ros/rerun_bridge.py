@@ -12,7 +12,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
-from hnn_vi_ros.files import expand_user, numbered
+from hnn_vi_ros.files import expand_user, numbered_paths
 from hnn_vi_ros.hamiltonians import MECHANISMS, momentum
 from hnn_vi_ros.recording import decode_state, RerunSink, Sample, StateMessage, Target
 from hnn_vi_ros.ros import arguments
@@ -26,10 +26,10 @@ from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.settings import BRIDGE_PARAMETERS, BridgeSettings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, EVENT
-from hnn_vi_ros.ros.topics.hearing import Hearing
+from hnn_vi_ros.ros.topics.hearing import Subscriptions
 from hnn_vi_ros.ros.topics.inputs import Input, places_of
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED
-from hnn_vi_ros.run import look_ahead
+from hnn_vi_ros.run import preview_bounds
 from hnn_vi_ros.scene import described_scene, Scene
 from hnn_vi_ros.simulation import build
 import numpy as np
@@ -66,7 +66,7 @@ class BridgePicture:
         self._simulation = simulation = build(scene)
         self._hamiltonian = simulation.hamiltonian
         self._energy0, self._modified = simulation.energy, simulation.modified_energy is not None
-        self._box = simulation.hamiltonian.box or look_ahead(simulation, _PREVIEW_TIME)
+        self._box = simulation.hamiltonian.box or preview_bounds(simulation, _PREVIEW_TIME)
         self._mechanism = MECHANISMS[scene.mechanism] if scene.mechanism else None
         self.samples = 0
 
@@ -206,11 +206,11 @@ class RerunBridge(RobustNode):
                 'hnn_rerun_bridge', automatically_declare_parameters_from_overrides=True,
                 parameter_overrides=[Parameter('trust_code', value=True)] if trust_code else [])
         self._settings = declare_parameters(self, BridgeSettings)
-        self._topics, self._hearing = self._find_topics(), Hearing(self)
+        self._topics, self._hearing = self._find_topics(), Subscriptions(self)
         refuse_unknown(self, BRIDGE_PARAMETERS, [
             Endpoint(name, 'subscription') for name in self._topics], arguments)
         self.target = target_of(self._settings)
-        self._targets = numbered(self.target, self.target.suffix) if isinstance(
+        self._targets = numbered_paths(self.target, self.target.suffix) if isinstance(
             self.target, Path) else repeat(self.target)
         self.problem: HnnViRosError | None = None
         self._described = ''

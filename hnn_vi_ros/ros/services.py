@@ -152,7 +152,7 @@ class SimulationServices:
             raise WorldError('ALREADY_IN_TARGET_STATE', 'already in this state')
         control.set_paused(wanted != states.STATE_PLAYING)
         if wanted == states.STATE_STOPPED:
-            _done(control.reset(True), 'STATE_TRANSITION_ERROR')
+            _check_answer(control.reset(True), 'STATE_TRANSITION_ERROR')
             control.stopped = True
 
     def reset_simulation(self, request: Any, response: Any) -> None:
@@ -164,12 +164,12 @@ class SimulationServices:
         if scope & ~(scopes.SCOPE_TIME | scopes.SCOPE_STATE):
             raise WorldError('RESULT_FEATURE_UNSUPPORTED',
                              f'scope {scope}: expected SCOPE_TIME, SCOPE_STATE, both or SCOPE_ALL')
-        _done(control.reset_time() if scope == scopes.SCOPE_TIME
-              else control.reset(bool(scope & scopes.SCOPE_TIME)))
+        _check_answer(control.reset_time() if scope == scopes.SCOPE_TIME
+                      else control.reset(bool(scope & scopes.SCOPE_TIME)))
 
     async def step_simulation(self, request: Any, response: Any) -> None:
         """Take a number of steps in a pause."""
-        _done(await self._control(_FAILED).request_steps(int(request.steps)))
+        _check_answer(await self._control(_FAILED).request_steps(int(request.steps)))
 
     async def get_available_worlds(self, request: Any, response: Any) -> str:
         """List the scenes with matching tags; all of them are on this machine."""
@@ -312,7 +312,7 @@ class SimulationServices:
         return response
 
 
-def _done(answer: Answer, code: str = _FAILED) -> None:
+def _check_answer(answer: Answer, code: str = _FAILED) -> None:
     """Raise WorldError if an answer is a refusal."""
     if not answer.success:
         raise WorldError(code, answer.message)

@@ -231,7 +231,7 @@ BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, REPLAY_PARAMETERS = (
     for settings in (BridgeSettings, ControllerSettings, ReplaySettings))
 
 
-def shown(value: Value) -> str:
+def as_markdown(value: Value) -> str:
     """Return a value as Markdown."""
     if isinstance(value, bool):
         return f'`{str(value).lower()}`'
@@ -242,4 +242,4 @@ def help_of(item: Specification) -> str:
     """Return the help text of a parameter: meaning, values, default."""
     limited = item.choices or type(item.default) in (int, float)
     values = f' ({item.expected.removeprefix("expected ")})' if limited else ''
-    return f'{item.description}{values}; default: {shown(item.default).strip("`")}'
+    return f'{item.description}{values}; default: {as_markdown(item.default).strip("`")}'

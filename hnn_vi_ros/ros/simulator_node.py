@@ -10,14 +10,14 @@ from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.kernels import announced
 from hnn_vi_ros.recording import BagTopics
 from hnn_vi_ros.ros import arguments as command_lines
-from hnn_vi_ros.ros.initial_state import hear_initial_states
+from hnn_vi_ros.ros.initial_state import subscribe_initial_states
 from hnn_vi_ros.ros.node_parameters import Parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import Discovery, take_once
 from hnn_vi_ros.ros.plumbing.managed_node import steady_timer, SUCCESS
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
 from hnn_vi_ros.ros.run.control import Answer, Control, Simulator
-from hnn_vi_ros.ros.run.preparation import check_pace, compile_rest, OPENING, prepare, Prepared
+from hnn_vi_ros.ros.run.preparation import check_pace, compile_rest, OPENING, prepare, PreparedRun
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.settings import PARAMETERS, Settings
@@ -57,7 +57,7 @@ class SimulatorNode(Simulator):
         super().__init__('hnn_simulator')
         self.topics: Topics | None = None
         self._incomplete, self._stage = False, ''
-        self._prepared: Prepared | None = None
+        self._prepared: PreparedRun | None = None
         self._declared = Parameters(self, self.check, self.apply)
         refuse_unknown(self, PARAMETERS, ENDPOINTS, arguments)
         offer_services(self)
@@ -91,7 +91,7 @@ class SimulatorNode(Simulator):
                 self.topics.count_subscribers, settings.discovery_time)
             prepared = await self.in_thread(lambda: self._prepare(settings, topics, discovery))
             self.run = Run(self, self.topics, prepared, settings, self.stop)
-            hear_initial_states(self, self.topics, self.run, self._reset_to_state)
+            subscribe_initial_states(self, self.topics, self.run, self._reset_to_state)
         except HnnViRosError:
             self._close_prepared()
             self._forget()
@@ -167,7 +167,7 @@ class SimulatorNode(Simulator):
         assert self.control is not None
         return self.control
 
-    def _prepare(self, settings: Settings, topics: BagTopics, discovery: Discovery) -> Prepared:
+    def _prepare(self, settings: Settings, topics: BagTopics, discovery: Discovery) -> PreparedRun:
         """Prepare a run and store it, as the node may be stopped before it takes the result."""
         self._prepared = prepare(
             settings, topics, discovery, self.get_logger(), self._set_stage,

@@ -131,10 +131,10 @@ def find_worlds(folders: Sequence[str], go_on: bool) -> tuple[list[World], list[
         A folder cannot be read.
 
     """
-    worlds, problems = _loadable(shipped_names('scene')), []
+    worlds, problems = _loadable_worlds(shipped_names('scene')), []
     for folder in folders:
         try:
-            worlds += _loadable(_files_in(folder))
+            worlds += _loadable_worlds(_files_in(folder))
         except WorldError as problem:
             if not go_on:
                 raise
@@ -173,7 +173,7 @@ def _files_in(folder: str) -> list[str]:
     return [str(file) for file in files]
 
 
-def _loadable(names: Sequence[str]) -> list[World]:
+def _loadable_worlds(names: Sequence[str]) -> list[World]:
     """Return the files that are loadable scenes; a folder may also contain other YAML files."""
     worlds = []
     for name in names:

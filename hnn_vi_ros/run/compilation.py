@@ -19,11 +19,11 @@ from hnn_vi_ros.kernels import kept_only, NotKept
 from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.simulation import compile_loop, usable_processors
 
-_CODE = f'from {__name__} import help_out; help_out()'
+_CODE = f'from {__name__} import compile_from_stdin; compile_from_stdin()'
 
 
 @contextmanager
-def compiled_beside(parts: Parts) -> Iterator[None]:
+def compile_in_background(parts: Parts) -> Iterator[None]:
     """
     Compile the loop over steps in another process during the context, if it is not cached on disk.
 
@@ -61,7 +61,7 @@ def _is_kept(parts: Parts) -> bool:
     return True
 
 
-def help_out() -> None:
+def compile_from_stdin() -> None:
     """Compile the loop of the scene on standard input; exit when the input ends."""
     scene = pickle.load(sys.stdin.buffer)
 

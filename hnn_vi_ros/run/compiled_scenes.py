@@ -61,12 +61,12 @@ def compile_scenes(names: Sequence[str], rescue: bool = True) -> Iterator[Compil
     """
     with worker_processes(min(usable_processors(), _MAX_PROCESSES, len(names))) as pool:
         with ignore_sigint_in_children():
-            futures = [pool.submit(_compile, name, rescue) for name in _in_turns(names)]
+            futures = [pool.submit(_compile, name, rescue) for name in _by_method(names)]
         for future in as_completed(futures):
             yield future.result()
 
 
-def _in_turns(names: Sequence[str]) -> list[str]:
+def _by_method(names: Sequence[str]) -> list[str]:
     """Return the names with one per method first, as later ones share its compiled functions."""
     turns: Counter[str] = Counter()
     places = []

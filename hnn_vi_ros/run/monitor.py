@@ -230,7 +230,7 @@ class Monitor:
             self.newest = self._queued = sample
             self._accounted = self._waiting.add(sample)
             if self._each:
-                self._found += _ask(self._each, sample)
+                self._found += _alarms_at(self._each, sample)
 
     def look(self) -> list[tuple[Alarm, int]]:
         """Apply the guards to all samples so far; return their alarms."""
@@ -240,7 +240,7 @@ class Monitor:
         of_states = [guard for guard in self.guards if isinstance(guard, StateGuard)]
         found += [(alarm, alarm.step) for alarm in judge(of_blocks, waiting.block())]
         if waiting and self._queued is not None:
-            found += _ask((guard for guard in of_states if not guard.each), self._queued)
+            found += _alarms_at((guard for guard in of_states if not guard.each), self._queued)
         self._each = [guard for guard in of_states if guard.each]
         calm = [guard.calm for guard in of_blocks]
         self._lowest = max((low for low, _ in calm), default=-math.inf)
@@ -283,6 +283,6 @@ class Monitor:
                 'step_size, or request a smaller error or a longer horizon')
 
 
-def _ask(guards: Iterable[StateGuard], sample: Sample) -> list[tuple[Alarm, int]]:
+def _alarms_at(guards: Iterable[StateGuard], sample: Sample) -> list[tuple[Alarm, int]]:
     found = ((guard.update(sample), sample.step) for guard in guards)
     return [(alarm, step) for alarm, step in found if alarm is not None]

@@ -13,7 +13,7 @@ import numpy as np
 _MAX_WALL_TIME = 0.1
 
 
-def look_ahead(simulation: Simulation, seconds: float) -> Bounds:
+def preview_bounds(simulation: Simulation, seconds: float) -> Bounds:
     """
     Return the lowest and highest q and p at the beginning of a run, with a margin.
 

@@ -13,7 +13,7 @@ import sys
 from typing import final
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import numbered
+from hnn_vi_ros.files import numbered_paths
 
 
 def bag_lines(bag: Path) -> list[str]:
@@ -72,7 +72,7 @@ def create_run_folder(scene: str, home: Path) -> Path:
     folder = runs = home / 'runs'
     try:
         runs.mkdir(exist_ok=True)
-        for folder in numbered(runs / f'{scene}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}'):
+        for folder in numbered_paths(runs / f'{scene}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}'):
             # Not checked beforehand, because another process may create the folder in between.
             with suppress(FileExistsError):
                 folder.mkdir()
@@ -121,7 +121,7 @@ class RunFiles:
         else:
             self._folder = self._folder or create_run_folder(scene, self._home)
             first = self._folder / default
-        path = next(path for path in numbered(first, first.suffix) if path not in self._used
+        path = next(path for path in numbered_paths(first, first.suffix) if path not in self._used
                     and not (path != first and path.exists()))
         self._used.add(path)
         return path

@@ -174,7 +174,7 @@ WINDOW = 512
 _EVALUATION_INTERVAL = 0.25
 
 
-class Figures(NamedTuple):
+class TimingFigures(NamedTuple):
     """
     Recent measurements; NaN before the first one.
 
@@ -228,7 +228,7 @@ class Timing:
         self._samples: deque[float] = deque(maxlen=WINDOW)
         self._count, self._last = 0, (math.nan, 0)
         self._due = -math.inf
-        self.figures = Figures()
+        self.figures = TimingFigures()
 
     def restart(self) -> None:
         """Measure the pace from now on, excluding earlier time such as a pause."""
@@ -257,7 +257,7 @@ class Timing:
         steps, seconds, gradients = np.array(self._batches).T
         median, p99 = quantiles(seconds / steps, steps, (0.5, 0.99))
         sample = sum(self._samples) / len(self._samples) if self._samples else math.nan
-        self.figures = Figures(
+        self.figures = TimingFigures(
             1e6 * median, 1e6 * p99, float(gradients.sum() / steps.sum()), 1e6 * sample,
             self._tick / (self._every * median + sample), pace)
         return True

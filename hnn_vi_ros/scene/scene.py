@@ -17,7 +17,7 @@ from hnn_vi_ros.errors import (
 from hnn_vi_ros.files import (
     dump_yaml, find_yaml, KeyPlaces, read_yaml, StrictModel, validate)
 from hnn_vi_ros.hamiltonians import (
-    COORDINATES, DESCRIBED, Hamiltonian, HAMILTONIANS, MECHANISMS, ROTATING, traced)
+    COORDINATES, DESCRIBED, Hamiltonian, HAMILTONIANS, MECHANISMS, ROTATING, trace)
 from hnn_vi_ros.integrators import Integrator, INTEGRATORS, ON_FAILURE
 from hnn_vi_ros.models import file_digest
 from hnn_vi_ros.phase_space import columns, Coordinate
@@ -426,7 +426,7 @@ def _traced(function: Callable[[Any, Any], Any], state: Any, name: str) -> tuple
         raise SceneError(f'Scene.build {name}: initial_state: a function H needs q and p, or v')
     q = np.asarray(state['q'])
     try:
-        names, text = traced(function, q)
+        names, text = trace(function, q)
     except ValueError as problem:
         raise SceneError(f'Scene.build {name}: {problem}') from problem
     return ({'kind': 'formula', 'coordinates': names, 'H': text},

@@ -14,7 +14,7 @@ from typing import Any
 
 from hnn_vi_ros.effects import Wrapped
 from hnn_vi_ros.integrators import (
-    CALLERS, copy_array, copy_point, forget, Integrator, is_finite, memory_by_address,
+    CALLERS, copy_array, copy_point, discard_history, Integrator, is_finite, memory_by_address,
     MemoryByAddress, NOT_FINITE, OK, PhasePoint, Step, steps_by_address, StepsByAddress)
 from hnn_vi_ros.kernels import (
     bare, clear, compiled, compiled_loop, compiled_options, entry_point, Kernel, LINK_ONLY,
@@ -24,29 +24,29 @@ from numba.extending import overload
 import numpy as np
 
 
-def compile_forget(memory: Any) -> Callable[[Any], None]:
-    """Return the implementation of `forget` for one type of memory, a tuple of workspaces."""
-    def forget_first(memory: Any) -> None:
+def compile_discard(memory: Any) -> Callable[[Any], None]:
+    """Return the implementation of `discard_history` for one type of memory, a tuple."""
+    def discard_first(memory: Any) -> None:
         memory[0].kept.count[0] = 0
-        forget(memory[1:])
+        discard_history(memory[1:])
 
-    def forget_by_address(memory: Any) -> None:
+    def discard_by_address(memory: Any) -> None:
         counts = memory[0].counts
         for k in range(counts.size):
             clear(counts[k])
-        forget(memory[1:])
+        discard_history(memory[1:])
 
-    def forget_rest(memory: Any) -> None:
-        forget(memory[1:])
+    def discard_rest(memory: Any) -> None:
+        discard_history(memory[1:])
 
-    def forget_none(memory: Any) -> None:
+    def discard_none(memory: Any) -> None:
         pass
 
     if not len(memory):
-        return forget_none
+        return discard_none
     if getattr(memory[0], 'instance_class', None) is MemoryByAddress:
-        return forget_by_address
-    return forget_first if _counts(memory[0]) else forget_rest
+        return discard_by_address
+    return discard_first if _counts(memory[0]) else discard_rest
 
 
 def _counts(workspace: types.Type) -> bool:
@@ -55,7 +55,7 @@ def _counts(workspace: types.Type) -> bool:
         workspace[fields.index('kept')], 'fields', ())
 
 
-overload(forget, jit_options={'forceinline': True, **LINK_ONLY})(compile_forget)
+overload(discard_history, jit_options={'forceinline': True, **LINK_ONLY})(compile_discard)
 
 
 def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int, every: int,

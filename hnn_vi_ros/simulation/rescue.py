@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.effects import StepLayer, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.integrators import (
-    arrays_of, BEYOND, Composition, copy_point, forget, ImplicitMidpoint, Integrator, INTEGRATORS,
-    largest, LieIntegrator, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, PhasePoint, separate)
+    arrays_of, BEYOND, Composition, copy_point, discard_history, ImplicitMidpoint, Integrator,
+    INTEGRATORS, largest, LieIntegrator, mark_independent, NO_CONVERGENCE, NO_SOLUTION, OK,
+    ON_FAILURE, PhasePoint)
 from hnn_vi_ros.kernels import inlined, Kernel
 from hnn_vi_ros.simulation.assembly import advance, Loop, take_substeps
 from hnn_vi_ros.simulation.system import System
@@ -95,7 +96,7 @@ class Rescue:
         """Return the memory of a method; several trajectories are solved separately."""
         memory, d = method.memory(n), self._system.kernel.dimension
         if n > d and not self._system.hamiltonian.rotations:
-            separate(memory, n, d)
+            mark_independent(memory, n, d)
         return memory
 
     def take_step(self, active: int, h: float, z: PhasePoint, z1: PhasePoint, memory: tuple
@@ -127,7 +128,7 @@ class Rescue:
             spent += gradients
             if ok:
                 # Earlier solutions do not fit the next initial guess.
-                forget(memory)
+                discard_history(memory)
                 return solved._replace(
                     ok=True, rescued=True, gradients=solved.gradients + spent)
             if spent > most:

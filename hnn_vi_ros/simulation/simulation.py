@@ -15,7 +15,7 @@ from hnn_vi_ros.effects import (
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import (
-    arrays_of, BEYOND, DenseOutput, forget, IN_DOUBT, Integrator, is_finite, NO_SOLUTION,
+    arrays_of, BEYOND, DenseOutput, discard_history, IN_DOUBT, Integrator, is_finite, NO_SOLUTION,
     NOT_FINITE, OK, PhasePoint, REASONS, step_failure, TaylorWork)
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.simulation.assembly import advance, Loop
@@ -663,7 +663,7 @@ class Simulation:
     def _change_method(self) -> None:
         """Switch to the other method, started as from an initial state."""
         self._active = 1 - self._active
-        forget(self._memories[self._active])
+        discard_history(self._memories[self._active])
         self._evaluate_gradient()
         self.gradients += 1
 

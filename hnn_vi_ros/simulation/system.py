@@ -11,10 +11,9 @@ from typing import Any, cast
 import warnings
 
 from hnn_vi_ros.effects import (
-    Account, add_forces, ClosedChains, Command, Commanded, contents, Effect, effect_name,
-    EffectError, EFFECTS, EffectState, EFFORT, Force, join, Joined,
-    JointCommand, JointPath, LoopManifold, Manifold, NUMBERS, OBSERVATION, Place, ServoTarget,
-    StepLayer, Wrapped)
+    Account, add_effect, add_forces, ClosedChains, Command, Commanded, contents, Effect,
+    effect_name, EffectError, EFFECTS, EffectState, EFFORT, Force, Joined, JointCommand, JointPath,
+    LoopManifold, Manifold, NUMBERS, OBSERVATION, Place, ServoTarget, StepLayer, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows
 from hnn_vi_ros.integrators import (
@@ -210,7 +209,7 @@ class JoinedHamiltonian(Hamiltonian):
         """Return the kernel of H with the effects."""
         kernel = self.base.kernel
         for effect, parameters in self._joined:
-            kernel = join(kernel, effect, parameters)
+            kernel = add_effect(kernel, effect, parameters)
         return kernel
 
 

@@ -244,8 +244,8 @@ def _in_box(axis: BoxChoice | SobolChoice, shares: np.ndarray) -> list[Column]:
     return list((low + (high - low) * shares).T)
 
 
-def _drawn(places: np.ndarray, keys: int, seeds: _Seeds,
-           draw: Callable[[np.random.Generator, tuple[int, int]], np.ndarray]) -> np.ndarray:
+def _draw_rows(places: np.ndarray, keys: int, seeds: _Seeds,
+               draw: Callable[[np.random.Generator, tuple[int, int]], np.ndarray]) -> np.ndarray:
     """Return a row of draws for each position; each block of _SEED_BLOCK rows has its own seed."""
     rows = np.empty((len(places), keys))
     for block in np.unique(places // _SEED_BLOCK):
@@ -275,7 +275,7 @@ def _posterior(axis: PosteriorChoice, seeds: _Seeds, path: Path, place: str) -> 
     found = read_posterior(path, place, axis.keys)
 
     def values(places: np.ndarray) -> list[Column]:
-        normal = _drawn(places, len(found.keys), seeds, np.random.Generator.standard_normal)
+        normal = _draw_rows(places, len(found.keys), seeds, np.random.Generator.standard_normal)
         # Sum term by term: in a matrix product the summation order depends on the number of rows.
         drawn = np.tile(found.mean, (len(places), 1))
         for k, column in enumerate(found.root.T):
@@ -371,7 +371,7 @@ def make_axis(axis: AxisChoice, entropy: int, number: int, folder: Path, place: 
         case GridChoice():
             made = Axis(axis.keys, math.prod(axis.counts), partial(_grid, axis))
         case BoxChoice(keys=keys):
-            made = Axis(keys, axis.count, lambda places: _in_box(axis, _drawn(
+            made = Axis(keys, axis.count, lambda places: _in_box(axis, _draw_rows(
                 places, len(keys), seeds, np.random.Generator.random)))
         case SobolChoice(keys=keys):
             made = Axis(keys, axis.count, lambda places: _in_box(axis, _sobol(

@@ -15,7 +15,7 @@ _RECORD = 'sweep.json'
 _MAX_RECORD_SIZE = 2**26
 
 
-class Survey(NamedTuple):
+class ShardSurvey(NamedTuple):
     """
     Result of checking the checksums of all shards.
 
@@ -103,7 +103,7 @@ class SweepFolder:
         """Return the file of a shard."""
         return self.path / f'part-{shard:06d}.parquet'
 
-    def survey(self, plan: SweepPlan) -> Survey:
+    def survey(self, plan: SweepPlan) -> ShardSurvey:
         """Check all shards of the plan."""
         missing, damaged, failures = [], [], 0
         for shard in range(plan.shards):
@@ -116,7 +116,7 @@ class SweepFolder:
             except RecordingError as problem:
                 missing.append(shard)
                 damaged.append(str(problem))
-        return Survey(missing, damaged, failures)
+        return ShardSurvey(missing, damaged, failures)
 
     def put(self, shard: int, content: bytes) -> None:
         """

@@ -58,7 +58,7 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
         b'hnn_vi_ros.versions': canonical_json(record['versions'])})
 
 
-def _plain(value: Any, kind: pa.DataType) -> Any:
+def _convert(value: Any, kind: pa.DataType) -> Any:
     """Convert a value to the type of its column."""
     return json.dumps(value) if kind == pa.string() and not isinstance(value, str) else value
 
@@ -106,7 +106,7 @@ def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str]) -> list[pa.A
         return pa.array(np.concatenate(list(samples))[order], from_pandas=True)
 
     columns = [pa.array(indices[owners])]
-    columns += [of_each((_plain(row[k], schema.field(key).type) for part in parts
+    columns += [of_each((_convert(row[k], schema.field(key).type) for part in parts
                          for row in part.values), key) for k, key in enumerate(keys)]
     columns.append(numbers(part.t for part in parts))
     for half in ('q', 'p'):

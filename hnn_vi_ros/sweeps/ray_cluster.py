@@ -50,7 +50,7 @@ def make_on_ray(job: ShardJob, folder: SweepFolder, shards: Sequence[int], addre
                 'or use --ray local; a cluster at an address that requires a token needs '
                 'RAY_AUTH_MODE=token') from problem
     try:
-        yield from _spread(job, folder, shards, address)
+        yield from _distribute(job, folder, shards, address)
     except RayError as problem:
         raise HnnViRosError(f'--ray {address}: {one_line(problem)}; complete shards are kept: run '
                             'the same command again') from problem
@@ -59,8 +59,8 @@ def make_on_ray(job: ShardJob, folder: SweepFolder, shards: Sequence[int], addre
             ray.shutdown()
 
 
-def _spread(job: ShardJob, folder: SweepFolder, shards: Sequence[int], address: str
-            ) -> Iterator[int]:
+def _distribute(job: ShardJob, folder: SweepFolder, shards: Sequence[int], address: str
+                ) -> Iterator[int]:
     on_gpu = job.device is not None and job.device.startswith('cuda')
     there = ray.cluster_resources()
     makers = int(there.get('GPU', 0) if on_gpu else there.get('CPU', 1))

@@ -15,7 +15,7 @@ from hnn_vi_ros.files import is_path, json_schema, ProgressLine
 from hnn_vi_ros.simulation import check_count, usable_processors
 from hnn_vi_ros.sweeps import arguments
 from hnn_vi_ros.sweeps.definition import Sweep
-from hnn_vi_ros.sweeps.folder import Survey, SweepFolder
+from hnn_vi_ros.sweeps.folder import ShardSurvey, SweepFolder
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
 from hnn_vi_ros.sweeps.workers import make_here, make_in_processes, ShardJob
@@ -136,7 +136,7 @@ def _make(definition: str | Path | Mapping[str, Any], out: Path, jobs: int, ray:
     return plan, folder
 
 
-def _summary(plan: SweepPlan, folder: SweepFolder, found: Survey, seconds: float) -> str:
+def _summary(plan: SweepPlan, folder: SweepFolder, found: ShardSurvey, seconds: float) -> str:
     parts = [f'{plan.shards - len(found.missing)} of {plan.shards} shards of {plan.count} '
              'trajectories',
              f'{found.failures} failed (see the column failure)' if found.failures

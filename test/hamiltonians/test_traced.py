@@ -6,7 +6,7 @@ import math
 
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.hamiltonians import traced
+from hnn_vi_ros.hamiltonians import trace
 from hnn_vi_ros.scene import Scene
 from messages import refused
 import numpy as np
@@ -96,7 +96,7 @@ def test_traced_function_agrees_with_its_formula_at_32_states(function, d):
 @pytest.mark.parametrize('function', REFUSED.values(), ids=REFUSED)
 def test_function_that_is_no_formula_is_refused_by_name(function):
     with refused(ValueError):
-        traced(function, 1.0)
+        trace(function, 1.0)
 
 
 @pytest.mark.parametrize('function', [
@@ -105,28 +105,28 @@ def test_function_that_is_no_formula_is_refused_by_name(function):
     lambda q, p: p @ p + np.linalg.norm(np.outer(q, q), 'fro')])
 def test_function_of_arrays_that_is_no_formula_is_refused_by_name(function):
     with refused(ValueError):
-        traced(function, np.arange(1.0, 6.0))
+        trace(function, np.arange(1.0, 6.0))
 
 
 def test_numpy_is_as_before_after_a_function_was_traced():
     before = np.where, np.clip, np.linalg.solve
     with pytest.raises(ValueError, match='branch'):
-        traced(REFUSED['branch'], 1.0)
+        trace(REFUSED['branch'], 1.0)
     assert (np.where, np.clip, np.linalg.solve) == before
 
 
 def test_arguments_named_p_and_q_are_called_with_p_first():
-    assert traced(lambda p, q: p**2 / 2 - np.cos(q), 1.0)[1] == '0.5*p^2 - cos(q)'
+    assert trace(lambda p, q: p**2 / 2 - np.cos(q), 1.0)[1] == '0.5*p^2 - cos(q)'
 
 
 def test_arguments_with_other_names_are_taken_as_q_and_p_with_a_remark():
     with pytest.warns(UserWarning, match='x, y of H are taken as q, p'):
-        assert traced(lambda x, y: y**2 / 2 + x**4, 1.0)[1] == '0.5*p^2 + q^4'
+        assert trace(lambda x, y: y**2 / 2 + x**4, 1.0)[1] == '0.5*p^2 + q^4'
 
 
 def test_array_is_no_value_of_H():
     with refused(ValueError):
-        traced(lambda q, p: p**2, [1.0, 0.5])
+        trace(lambda q, p: p**2, [1.0, 0.5])
 
 
 def test_simulate_takes_a_function_and_gives_its_scene_back_as_yaml(tmp_path):

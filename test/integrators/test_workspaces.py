@@ -5,8 +5,8 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators import (
-    arrays_of, forget, INTEGRATORS, memory_by_address, PhasePoint, PointWork)
-from hnn_vi_ros.simulation.assembly import compile_forget
+    arrays_of, discard_history, INTEGRATORS, memory_by_address, PhasePoint, PointWork)
+from hnn_vi_ros.simulation.assembly import compile_discard
 import numba
 import pytest
 
@@ -18,7 +18,7 @@ class Keeping(NamedTuple):
 
 
 def plain(memory: tuple) -> None:
-    forget(memory)
+    discard_history(memory)
 
 
 _forget = numba.njit(plain)
@@ -32,7 +32,7 @@ def by_address(memory: tuple) -> None:
 @pytest.mark.parametrize('run', [plain, _forget, by_address],
                          ids=['plain', 'compiled', 'by address'])
 def test_forget_takes_every_count_to_zero_and_nothing_else(run):
-    assert compile_forget
+    assert compile_discard
     for name in ('generalized_leapfrog', 'time_transformed'):
         # As wrappers leave it: with a point of their own, one that they keep, or nothing.
         point = PhasePoint.empty(2)

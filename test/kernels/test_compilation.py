@@ -209,7 +209,7 @@ def test_key_of_a_function_changes_with_what_it_comes_from_and_nothing_else(pack
 def test_functions_are_found_behind_closures_tuples_and_names():
     method = INTEGRATORS['variational_euler']()
     names = {function.__name__ for function in reached(method.step, method.options(0, 2))}
-    assert {'extrapolate', '_residual', 'is_in_doubt'} <= names
+    assert {'extrapolate', '_residual', 'may_be_disconnected'} <= names
 
 
 def test_function_is_named_once_where_two_threads_ask_at_the_same_time(monkeypatch):

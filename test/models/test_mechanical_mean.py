@@ -10,7 +10,7 @@ from hnn_vi_ros.effects import EFFECTS, EffectState
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.models import (
     Checkpoint, load_checkpoint, load_learned, load_member, save_checkpoint)
-from hnn_vi_ros.run import Accompanied, Members
+from hnn_vi_ros.run import AccompaniedSimulation, Members
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build
 from mechanical_models import assert_agrees_with_torch, random_mechanical, ROUND_OFF
@@ -85,7 +85,7 @@ def test_members_that_differ_by_a_factor_move_alike_from_their_own_momenta(tmp_p
     base = random_mechanical('worn', input_map=MAP)
     scene = scene_of(tmp_path, together([scaled(base, s) for s in SCALES]))
     members = Members(scene.parts())
-    simulation = Accompanied(build(scene), [members])
+    simulation = AccompaniedSimulation(build(scene), [members])
     simulation.set_command([0.4])
     simulation.advance(50)
     # Members have the mean's motion: M_k = s_k M, so p_k = s_k / mean(s) times its momentum. What
@@ -114,7 +114,7 @@ def test_spread_in_python_is_that_beside_a_run(tmp_path: Path):
     scene = scene_of(tmp_path, mechanisms('arm', 3))
     found = simulate_spread(scene, 1.0, every=50)
     members = Members(scene.parts())
-    simulation = Accompanied(build(scene), [members])
+    simulation = AccompaniedSimulation(build(scene), [members])
     assert members.spread.max() < 1e-11  # p through q' and back
     simulation.advance(50)
     expected = np.concatenate([found.spread_q[-1], found.spread_p[-1]])

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from bag_content import content_of
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.recording import BagReader, BagTopics, Recorded, Sample, serialize, Topic
-from hnn_vi_ros.ros.recording import BagOutput, Beginning
+from hnn_vi_ros.recording import BagReader, BagTopics, RecordedMessage, Sample, serialize, Topic
+from hnn_vi_ros.ros.recording import BagOutput, RecordingStart
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import INPUTS
@@ -66,7 +66,8 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
         Settings(record=begin is None, record_path=str(bag), publish_rate=rate),
         BagTopics([_topic(*topic[:2], qos) for topic in SAMPLED], _topic(*SCENE[:3])),
         RunFiles())
-    recording, first = sink.open(Beginning(scene, simulation, report, sampler)), simulation.steps
+    recording = sink.open(RecordingStart(scene, simulation, report, sampler))
+    first = simulation.steps
     for step in range(first, first + ticks * sampler.every):
         for heard in (commands or {}).get(step, ()):
             message = Float64MultiArray(data=heard) if isinstance(heard, list) else heard
@@ -131,10 +132,10 @@ def of_several(path: Path, **bags: Path) -> Path:
 
 
 def rewritten(reader: BagReader, path: Path,
-              keep: Callable[[Recorded], bool] = lambda message: True, own: bool = True,
-              change: Callable[[Recorded], Recorded] = lambda message: message,
+              keep: Callable[[RecordedMessage], bool] = lambda message: True, own: bool = True,
+              change: Callable[[RecordedMessage], RecordedMessage] = lambda message: message,
               files: Mapping[str, bytes] | None = None,
-              times: Callable[[Recorded], int] = lambda message: 1) -> Path:
+              times: Callable[[RecordedMessage], int] = lambda message: 1) -> Path:
     """Write the messages of a bag that are to be kept, with what the simulator keeps with them."""
     with writing(path) as writer:
         attachments = [found for source in reader._sources for found in source.attachments()]

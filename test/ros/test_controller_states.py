@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hnn_vi_ros.files import shipped_file
 from hnn_vi_ros.ros import controller_node
 from hnn_vi_ros.ros.controller_node import ControllerNode
-from hnn_vi_ros.ros.plumbing.graph import Lasting
+from hnn_vi_ros.ros.plumbing.graph import RepetitionFilter
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds, Stamps
 from hnn_vi_ros.ros.topics import hearing
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
@@ -52,7 +52,7 @@ class Driven:
             deserialize_message(payload, DiagnosticArray).status[0])
         node._sent = 0
         node._warn_of_crowd, node._warn_of_stranger, node._warn_of_gaps = (
-            Lasting(self.log.append) for _ in range(3))
+            RepetitionFilter(self.log.append) for _ in range(3))
         node._hearing.ignored.clear()
         node._hearing._due.clear()
         node.on_activate(None)
@@ -189,7 +189,8 @@ def test_of_states_that_wait_the_newest_is_answered_and_each_is_heard(
         driven: Driven, monkeypatch: pytest.MonkeyPatch):
     states = rising(SECOND)
     first, *others = [*take(states, 3), JointState(name=['angle']), *take(states, 3)]
-    monkeypatch.setattr(hearing, 'waiting', lambda subscription: map(serialize_message, others))
+    monkeypatch.setattr(hearing, 'take_waiting',
+                        lambda subscription: map(serialize_message, others))
     assert len(driven.hear(first)) == 1 and driven.node._hearing.ignored[driven.node._states] == 1
     assert nanoseconds(driven.commands[0].header.stamp) == SECOND + 5 * SECOND // 100
 

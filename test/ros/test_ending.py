@@ -13,7 +13,7 @@ import time
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import ENDING
-from hnn_vi_ros.ros.plumbing.starting import note_signals
+from hnn_vi_ros.ros.plumbing.starting import record_signals
 from hnn_vi_ros.run import run_folder
 from messages import refused
 from peer import ACTIVATE, CONFIGURE, DEACTIVATE, peer, simulating
@@ -75,7 +75,7 @@ def test_hangup_is_noted_like_other_signals_unless_it_is_ignored():
     try:
         for handler, noted in ((signal.SIG_DFL, [signal.SIGHUP]), (signal.SIG_IGN, [])):
             signal.signal(signal.SIGHUP, handler)
-            received = note_signals()
+            received = record_signals()
             signal.raise_signal(signal.SIGHUP)
             assert received == noted
     finally:

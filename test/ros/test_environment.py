@@ -9,7 +9,7 @@ import sys
 
 from hnn_vi_ros.commands import doctor
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros import settle_ros_environment
+from hnn_vi_ros.ros import prepare_ros_environment
 from hnn_vi_ros.scene import load_scene
 from messages import refused
 from processes import simulator_words
@@ -40,7 +40,7 @@ def test_values_of_ros_pass(monkeypatch):
                         ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF'),
                         ('RMW_IMPLEMENTATION', 'rmw_zenoh_cpp'), ('RMW_IMPLEMENTATION', '')):
         monkeypatch.setenv(name, value)
-        settle_ros_environment()
+        prepare_ros_environment()
 
 
 @pytest.mark.parametrize('name, values', [
@@ -51,7 +51,7 @@ def test_value_that_ros_cannot_take_is_told_with_what_it_takes(name, values, mon
     for value in values:
         monkeypatch.setenv(name, value)
         with refused(ParameterError):
-            settle_ros_environment()
+            prepare_ros_environment()
 
 
 def test_middleware_is_not_judged_where_no_index_tells_of_any(tmp_path, monkeypatch):
@@ -59,7 +59,7 @@ def test_middleware_is_not_judged_where_no_index_tells_of_any(tmp_path, monkeypa
     (tmp_path / 'ros' / 'share' / 'ament_index').mkdir(parents=True)
     monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path / 'ros'))
     monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_mine')
-    settle_ros_environment()
+    prepare_ros_environment()
 
 
 @pytest.mark.parametrize('prefix', ['', '/workspace'])
@@ -68,13 +68,13 @@ def test_wheels_of_this_environment_complete_a_prefix_or_what_is_missing_is_told
     monkeypatch.setenv('AMENT_PREFIX_PATH', prefix)
     monkeypatch.setattr(sys, 'prefix', str(tmp_path / 'empty'))
     with refused(ParameterError):
-        settle_ros_environment()
+        prepare_ros_environment()
     monkeypatch.setattr(sys, 'prefix', str(tmp_path))
-    settle_ros_environment()
+    prepare_ros_environment()
     assert os.environ['AMENT_PREFIX_PATH'] == f'{prefix}:{tmp_path}'.lstrip(':')
     monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_mine')
     with refused(ParameterError):
-        settle_ros_environment()
+        prepare_ros_environment()
 
 
 @from_wheels

@@ -19,7 +19,7 @@ from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.listener_node import Listener
 from hnn_vi_ros.ros.plumbing import executor
-from hnn_vi_ros.ros.plumbing.executor import failed, NodeExecutor
+from hnn_vi_ros.ros.plumbing.executor import failed_response, NodeExecutor
 from hnn_vi_ros.ros.plumbing.managed_node import steady_timer
 from hnn_vi_ros.ros.replay.replay_node import ReplayNode
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
@@ -313,7 +313,7 @@ def test_ignored_error_is_formatted_for_debugging_only(monkeypatch):
                         lambda problem: formatted.append(problem) or [''])
     for level in (LoggingSeverity.INFO, LoggingSeverity.DEBUG):
         set_logger_level('ignored', level)
-        executor.Ignored(node).ignore('topic', ValueError('wrong'), 'message ignored')
+        executor.IgnoredErrors(node).ignore('topic', ValueError('wrong'), 'message ignored')
         assert bool(formatted) == (level == LoggingSeverity.DEBUG)
 
 
@@ -331,7 +331,7 @@ def test_service_whose_callback_raises_gives_a_failed_response(tmp_path):
 
 def test_response_of_simulation_interfaces_says_that_the_call_failed():
     response = interfaces()['simulation_interfaces.srv'].StepSimulation.Response()
-    result = failed(None, response, 'why').result
+    result = failed_response(None, response, 'why').result
     assert (result.result, result.error_message) == (FAILED, 'why')
 
 

@@ -15,7 +15,7 @@ from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.mcap_file import MAGIC
 from hnn_vi_ros.ros.replay import replay_check
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
-from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays, Missing, missing_stamps
+from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays, stamp_gaps, StampGap
 from hnn_vi_ros.ros.rerun_bridge import BridgePicture
 from hnn_vi_ros.run import restore_state, Sampler, STATE_FILE, state_file
 from hnn_vi_ros.simulation import build
@@ -475,15 +475,15 @@ GRID = [TICK * i for i in range(100)]
 
 def test_missing_stamps_are_counted_where_they_are_missing():
     stamps = [stamp for stamp in GRID if not 30 * TICK <= stamp < 50 * TICK and stamp != 70 * TICK]
-    assert missing_stamps(stamps[::-1]) == [
-        Missing(29 * TICK, 50 * TICK, 20), Missing(69 * TICK, 71 * TICK, 1)]
+    assert stamp_gaps(stamps[::-1]) == [
+        StampGap(29 * TICK, 50 * TICK, 20), StampGap(69 * TICK, 71 * TICK, 1)]
 
 
 def test_stamps_that_are_rounded_to_nanoseconds_are_even():
     stamps = [round(i * 10**9 / 3) for i in range(300)]
-    assert missing_stamps(stamps) == []
+    assert stamp_gaps(stamps) == []
     del stamps[100:110]
-    assert [gap.count for gap in missing_stamps(stamps)] == [10]
+    assert [gap.count for gap in stamp_gaps(stamps)] == [10]
 
 
 @pytest.mark.parametrize('stamps', [
@@ -491,4 +491,4 @@ def test_stamps_that_are_rounded_to_nanoseconds_are_even():
     np.cumsum(np.random.default_rng(1).uniform(0.5e9, 3e9, 300)).astype(int).tolist(),
 ], ids=['none', 'one', 'few', 'single steps in a pause', 'wall time'])
 def test_stamps_without_a_grid_or_with_more_have_no_gaps(stamps):
-    assert missing_stamps(stamps) == []
+    assert stamp_gaps(stamps) == []

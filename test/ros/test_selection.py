@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.ros.run.preparation import report
+from hnn_vi_ros.ros.run.preparation import choice_lines
 from hnn_vi_ros.run import scene_report
 from hnn_vi_ros.simulation import build, Choice, resolve, Tolerance
 from hnn_vi_ros.simulation.accuracy import automatic_choice
@@ -75,9 +75,9 @@ def test_tolerance_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, cho
 
 def test_choice_that_cannot_keep_the_pace_is_warned_of_before_the_run():
     choice = Choice('gauss16', 0.01, 1e-4, 10.0, 0.25, 1e4, {}, 0.5)
-    assert [event.level for event in report(TOLERANCE, choice, 0.0)] == ['INFO']
-    assert [event.level for event in report(TOLERANCE, choice, 3.9)] == ['INFO']
-    _, warning = report(TOLERANCE, choice, 4.1)
+    assert [event.level for event in choice_lines(TOLERANCE, choice, 0.0)] == ['INFO']
+    assert [event.level for event in choice_lines(TOLERANCE, choice, 3.9)] == ['INFO']
+    _, warning = choice_lines(TOLERANCE, choice, 4.1)
     assert warning.level == 'WARN'
     assert 'no integrator achieves energy_error 0.001 up to 10 s' in warning.text
     assert 'at real_time_factor 4.1' in warning.text

@@ -10,9 +10,9 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.messages import ENTRIES
-from hnn_vi_ros.ros.topics.outputs import Material
+from hnn_vi_ros.ros.topics.outputs import ConfiguredRun
 from hnn_vi_ros.ros.topics.topics import Topics
-from hnn_vi_ros.run import look_ahead, Monitor, scene_report
+from hnn_vi_ros.run import Monitor, preview_bounds, scene_report
 from hnn_vi_ros.simulation import build, EnergyGuard, local_error, SampledScale, Simulation
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -67,7 +67,7 @@ def open_topics(topics: Topics, simulation: Simulation, mechanism: str | None = 
     scale = SampledScale(simulation.hamiltonian)
     monitor = Monitor(simulation, 10, 0.1, None, pytest.fail,
                       [EnergyGuard(0.02, scale)], scale)
-    topics.open(Material(simulation, monitor, BOX, mechanism), lambda: 0,
+    topics.open(ConfiguredRun(simulation, monitor, BOX, mechanism), lambda: 0,
                 lambda topic, stamp, payload: None)
     return monitor
 
@@ -193,7 +193,7 @@ def test_wrench_in_the_frame_of_a_body_is_the_command_that_is_recorded(tmp_path,
     simulation, recorded = simulation_of(tmp_path, QUADROTOR), []
     topics = Topics(node, Settings())
     monitor = Monitor(simulation, 10, 0.1, None, pytest.fail)
-    topics.open(Material(simulation, monitor, BOX, frame_id='map'), lambda: 0,
+    topics.open(ConfiguredRun(simulation, monitor, BOX, frame_id='map'), lambda: 0,
                 lambda topic, stamp, payload: recorded.append((topic, payload)))
     received: list[Odometry] = []
     other.create_subscription(Odometry, '/simulator/odometry', received.append, 10)
@@ -230,7 +230,7 @@ def test_scene_report_names_effects(tmp_path):
 def test_look_ahead_leaves_the_simulation_as_it_was(tmp_path):
     simulation, fresh = (simulation_of(tmp_path, OSCILLATOR) for _ in range(2))
     before = simulation.snapshot()
-    look_ahead(simulation, 10.0)
+    preview_bounds(simulation, 10.0)
     after = simulation.snapshot()
     assert before.keys() == after.keys()
     assert all(np.array_equal(before[key], after[key]) for key in before)
@@ -241,19 +241,19 @@ def test_look_ahead_leaves_the_simulation_as_it_was(tmp_path):
 
 
 def test_look_ahead_finds_the_extent_of_the_motion(tmp_path):
-    (q,), (p,) = look_ahead(simulation_of(tmp_path, OSCILLATOR), 7.0)
+    (q,), (p,) = preview_bounds(simulation_of(tmp_path, OSCILLATOR), 7.0)
     # The unit circle, with a margin of a tenth of its diameter; h = 0.01 misses 1e-4 of it.
     for low, high in (q, p):
         assert (low, high) == (pytest.approx(-1.2, abs=1e-3), pytest.approx(1.2, abs=1e-3))
 
 
 def test_look_ahead_shows_what_does_not_move_with_room_around_it(tmp_path):
-    found = look_ahead(simulation_of(tmp_path, COMMANDED), 1.0)
+    found = preview_bounds(simulation_of(tmp_path, COMMANDED), 1.0)
     np.testing.assert_array_equal(found, [[[-1.0, 1.0]]] * 2)
 
 
 def test_look_ahead_of_a_step_that_fails_ends_there(tmp_path):
     simulation = simulation_of(tmp_path, FAILING)
-    found = look_ahead(simulation, 100.0)
+    found = preview_bounds(simulation, 100.0)
     assert simulation.steps == 0 and simulation.q[0] == 1.0
     assert np.isfinite(found).all()

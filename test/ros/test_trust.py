@@ -13,7 +13,7 @@ from types import SimpleNamespace
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ModelError, RecordingError, SceneError
 from hnn_vi_ros.files import dump_yaml, share_folder, shipped_file, yaml_text
-from hnn_vi_ros.files.named_code import trusting
+from hnn_vi_ros.files.named_code import trust_context
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import find_type, main as replay
@@ -166,10 +166,10 @@ def test_scene_set_while_the_node_runs_names_no_code_and_that_of_the_start_may(t
 @pytest.mark.parametrize('named', NAMED, ids=['factory', 'discrete_lagrangian'])
 def test_code_is_refused_wherever_nobody_says_that_it_is_trusted(named):
     scene = load_scene('exact_pendulum').model_dump() | named
-    for context in (None, {}, trusting(False)):
+    for context in (None, {}, trust_context(False)):
         with pytest.raises(ValidationError, match='is code'):
             Scene.model_validate(scene, context=context)
-    assert Scene.model_validate(scene, context=trusting(True))
+    assert Scene.model_validate(scene, context=trust_context(True))
 
 
 def test_trusted_code_is_run_from_the_path_of_python(tmp_path, marker, on_path):

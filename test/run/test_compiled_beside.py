@@ -10,7 +10,7 @@ from subprocess import PIPE, Popen
 import sys
 import time
 
-from hnn_vi_ros.run import compilation as beside, compiled_beside
+from hnn_vi_ros.run import compilation as beside, compile_in_background
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import assembly, build, compile_loop
 import pytest
@@ -36,7 +36,7 @@ def test_process_gets_the_scene_and_ends_with_the_context(tmp_path, monkeypatch)
     monkeypatch.setattr(beside, '_is_kept', lambda parts: False)
     monkeypatch.setattr(beside, 'usable_processors', lambda: 2)
     monkeypatch.setattr(beside, '_CODE', TELL.format(place=str(place)))
-    with pytest.raises(KeyboardInterrupt), compiled_beside(scene.parts()):
+    with pytest.raises(KeyboardInterrupt), compile_in_background(scene.parts()):
         wait_for(place)
         raise KeyboardInterrupt
     process, source = place.read_text().split()
@@ -53,7 +53,7 @@ def test_no_process_begins_for_a_loop_that_is_compiled(monkeypatch):
 
     def start() -> None:
         compile_loop(parts)
-        with compiled_beside(parts):
+        with compile_in_background(parts):
             pass
     with ThreadPoolExecutor(1) as pool:
         pool.submit(start).result()

@@ -27,7 +27,7 @@ _MAX_SHAPE_BYTES = 256_000_000
 _FILENAME = re.compile(r'\bfilename\s*=\s*("[^"]*"|\'[^\']*\')')
 
 
-def moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, 'Rotation']:
+def joint_pose(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, 'Rotation']:
     """
     Return the pose of the child of a joint in the frame of its parent.
 
@@ -85,7 +85,7 @@ def bones(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> dict[str, 
         if tip is not None:
             found[f'end of {name}'] = np.stack([place, place + turn.apply(tip)], axis=1)
         for joint in link.joints:
-            offset, own = moved(joint, positions[joint.name])
+            offset, own = joint_pose(joint, positions[joint.name])
             end = place + turn.apply(offset)
             found[joint.name] = np.stack([place, end], axis=1)
             waiting.append((joint.child, end, turn * own))

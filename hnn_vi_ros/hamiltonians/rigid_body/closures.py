@@ -14,7 +14,7 @@ import warnings
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files import Element
-from hnn_vi_ros.hamiltonians.rigid_body.elements import only, place_of, vector_of
+from hnn_vi_ros.hamiltonians.rigid_body.elements import only_child, place_of, vector_of
 from hnn_vi_ros.hamiltonians.rigid_body.loops import ClosingJoint
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Closure, Robot
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, Following
@@ -120,7 +120,7 @@ def _of_isaac(element: Element, place: str) -> Closure:
     """Read <loop_joint>: a frame in each link, and an axis in both frames."""
     ends = [child for child in element.children if child.tag in ('link1', 'link2')]
     links = tuple(end.attributes.get('link', '') for end in ends)
-    axis = vector_of(only(element, 'axis', place), 'xyz', place, (1.0, 0.0, 0.0))
+    axis = vector_of(only_child(element, 'axis', place), 'xyz', place, (1.0, 0.0, 0.0))
     poses = [(_turn(vector_of(end, 'rpy', place, _ZEROS)), vector_of(end, 'xyz', place, _ZEROS))
              for end in ends]
     return Closure(place, links, _loop(element, links, poses, axis))
@@ -143,9 +143,9 @@ def _of_gazebo(element: Element, robot: Robot) -> Closure:
     The frame on the parent is where this one is at zero of all joints.
     """
     place = place_of(element, robot.where)
-    parent, child, pose, axis = (only(element, tag, place) or Element(tag, {}, element.line)
+    parent, child, pose, axis = (only_child(element, tag, place) or Element(tag, {}, element.line)
                                  for tag in ('parent', 'child', 'pose', 'axis'))
-    xyz = only(axis, 'xyz', place)
+    xyz = only_child(axis, 'xyz', place)
     # The base does not move in the world.
     links = tuple(robot.root if one.text == 'world' and 'world' not in robot.links else one.text
                   for one in (parent, child))

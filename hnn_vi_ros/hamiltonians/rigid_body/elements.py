@@ -23,7 +23,7 @@ def frame_in(element: Element, place: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the origin and the rotation, about fixed axes x, y, z in turn, of its <origin>."""
     # Imported lazily: the import is slow, and scenes without robots do not need it.
     from scipy.spatial.transform import Rotation
-    origin = only(element, 'origin', place)
+    origin = only_child(element, 'origin', place)
     xyz = vector_of(origin, 'xyz', place, (0.0, 0.0, 0.0))
     if origin is None or 'quat_xyzw' not in origin.attributes:
         turn = Rotation.from_euler('xyz', vector_of(origin, 'rpy', place, (0.0, 0.0, 0.0)))
@@ -71,7 +71,7 @@ def _float(word: str, name: str, place: str, largest: float = _MAX_NUMBER) -> fl
     return value
 
 
-def only(element: Element, tag: str, place: str) -> Element | None:
+def only_child(element: Element, tag: str, place: str) -> Element | None:
     """Return the child with a tag, None if there is none."""
     found = element.named(tag)
     if len(found) > 1 and tag in _FIRST:

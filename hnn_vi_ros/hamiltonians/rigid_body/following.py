@@ -16,8 +16,8 @@ from typing import NamedTuple
 from hnn_vi_ros.hamiltonians.base import compiled_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import power
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
-    add_rate_changes, Bodies, compose, displace, Following, force_change_of, force_of, move, place,
-    Work)
+    add_rate_changes, Bodies, fill_changes, fill_frames, fill_mass_matrix, fill_velocities,
+    Following, force_change_of, force_of, Work)
 from hnn_vi_ros.kernels import factorise, inlined, Kernel, solve_cholesky
 import numpy as np
 from numpy.typing import DTypeLike
@@ -77,8 +77,8 @@ def _arrange(own: FollowingParameters, q: np.ndarray, p: np.ndarray, start: int)
     """Fill the workspace for the state at offset ``start``, up to the rates of all joints."""
     following, mass = own.following, own.mass
     _spread(following, q, start, 1.0, own.joints)
-    place(own.bodies, own.work, own.joints, 0)
-    compose(own.bodies, own.work)
+    fill_frames(own.bodies, own.work, own.joints, 0)
+    fill_mass_matrix(own.bodies, own.work)
     mass[:] = 0.0
     for i in range(own.joints.size):
         for j in range(i + 1):
@@ -108,7 +108,7 @@ def _gradient(own: FollowingParameters, q: np.ndarray, p: np.ndarray,
     following, size = own.following, own.rates.size
     for start in range(0, q.size, size):
         _arrange(own, q, p, start)
-        move(own.bodies, own.work)
+        fill_velocities(own.bodies, own.work)
         for k in range(size):
             dH_dq[start + k], dH_dp[start + k] = 0.0, own.rates[k]
         for i in range(own.joints.size):
@@ -121,9 +121,9 @@ def _hessian_vector(own: FollowingParameters, q: np.ndarray, p: np.ndarray, v_q:
     bodies, work, following, size = own.bodies, own.work, own.following, own.rates.size
     for start in range(0, q.size, size):
         _arrange(own, q, p, start)
-        move(bodies, work)
+        fill_velocities(bodies, work)
         _spread(following, v_q, start, 0.0, own.joints)
-        displace(bodies, work, own.joints, 0)
+        fill_changes(bodies, work, own.joints, 0)
         for k in range(size):
             own.rates_v[k] = v_p[start + k]
         for i in range(own.joints.size):

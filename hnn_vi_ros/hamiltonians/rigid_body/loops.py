@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.files import in_plain_words, StrictModel
-from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, Following, place, Work
+from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, fill_frames, Following, Work
 from hnn_vi_ros.kernels import inlined
 import numpy as np
 from pydantic import Field, model_validator, ValidationError
@@ -150,7 +150,7 @@ def loops_of(given: Sequence[Mapping[str, Any] | ClosingJoint], bodies: Bodies,
     vectors: list[Sequence[np.ndarray]] = []
     ends, normals, names = [], [], list[str]()
     for index, one in enumerate(given):
-        loop = one if isinstance(one, ClosingJoint) else _validated(one, index)
+        loop = one if isinstance(one, ClosingJoint) else _closing_joint(one, index)
         for name in loop.links:
             if name not in links:
                 raise ValueError(f'loops.{index}: {name!r} is not a link behind the base; links: '
@@ -184,7 +184,7 @@ def loops_of(given: Sequence[Mapping[str, Any] | ClosingJoint], bodies: Bodies,
         tuple(names), tuple(welds), max(length, 1.0) if angles else length, length, assemble)
 
 
-def _validated(given: Mapping[str, Any], index: int) -> ClosingJoint:
+def _closing_joint(given: Mapping[str, Any], index: int) -> ClosingJoint:
     try:
         return ClosingJoint(**given)
     except ValidationError as problem:
@@ -202,7 +202,7 @@ def fill_loops(loops: LoopRows, q: np.ndarray, first: int, defect: np.ndarray,
     bodies, work, origin, arms = loops.bodies, loops.work, loops.origin, loops.arms
     for j in range(loops.joints.size):
         loops.joints[j] = loops.multiplier[j] * q[loops.leader[j]] + loops.offset[j]
-    place(bodies, work, loops.joints, 0)
+    fill_frames(bodies, work, loops.joints, 0)
     rotation, axis = work.rotation, work.axis
     for i in range(1, bodies.parent.size):
         for c in range(3):

@@ -14,7 +14,8 @@ M = L D L^T and y = L^-1 p,
 from collections.abc import Callable, Mapping, Sequence
 
 from hnn_vi_ros.hamiltonians.expressions import Graph
-from hnn_vi_ros.hamiltonians.rigid_body.spatial import body_momentum, hand_down, join, power
+from hnn_vi_ros.hamiltonians.rigid_body.spatial import (
+    add_force_to_parent, add_inertia_to_parent, body_momentum, power)
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, Following
 from hnn_vi_ros.hamiltonians.straight_code import graph_kernels
 from hnn_vi_ros.hamiltonians.tracing import Symbol
@@ -52,7 +53,7 @@ def small_tree_kernel(bodies: Bodies, following: Following | None = None) -> Ker
     else:
         G = symbols(following.matrix())
         joints, rows = G @ q + symbols(following.offset), p
-    mass, first = _composed(bodies._replace(
+    mass, first = _mass_and_first_moment(bodies._replace(
         placement=placement, inertia=symbols(bodies.inertia),
         armature=symbols(bodies.armature)), joints)
     energy = symbols(bodies.load[1:]) @ joints - first @ symbols(bodies.gravity)
@@ -92,7 +93,8 @@ def mass_kernels(graph: Graph, mass: np.ndarray, energy: Symbol, y: list[Symbol]
     return graph_kernels(graph, energy.node, *names)
 
 
-def _composed(bodies: Bodies, values: Sequence[Symbol]) -> tuple[np.ndarray, np.ndarray]:
+def _mass_and_first_moment(bodies: Bodies, values: Sequence[Symbol]
+                           ) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower triangle of M, and the total first moment, for values of the joints."""
     n = bodies.parent.size
     axis, force = (np.zeros((n, 6), dtype=object) for _ in range(2))
@@ -110,12 +112,13 @@ def _composed(bodies: Bodies, values: Sequence[Symbol]) -> tuple[np.ndarray, np.
         at, parent = i, bodies.parent[i]
         while parent > 0:
             for half in (slice(0, 3), slice(3, 6)):
-                force[at, half] = turns[at] @ _turned(force[at, half], slides[at], values[at - 1])
+                force[at, half] = turns[at] @ _in_zero_axes(
+                    force[at, half], slides[at], values[at - 1])
             force[parent] = 0.0
-            hand_down(offset, parent, at, force)
+            add_force_to_parent(offset, parent, at, force)
             mass[i - 1, parent - 1] = power(axis, force, parent)
             at, parent = parent, bodies.parent[parent]
-        inertia[i, 1:4] = turns[i] @ _turned(inertia[i, 1:4], slides[i], values[i - 1])
+        inertia[i, 1:4] = turns[i] @ _in_zero_axes(inertia[i, 1:4], slides[i], values[i - 1])
         if bodies.parent[i] > 0:
             xx, xy, yy, xz, yz, zz = inertia[i, 4:]
             if not slides[i]:
@@ -125,11 +128,11 @@ def _composed(bodies: Bodies, values: Sequence[Symbol]) -> tuple[np.ndarray, np.
                 xz, yz = c * xz - s * yz, s * xz + c * yz
             moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=object)
             inertia[i, 4:] = (turns[i] @ moments @ turns[i].T)[np.tril_indices(3)]
-        join(offset, bodies.parent[i], i, inertia)
+        add_inertia_to_parent(offset, bodies.parent[i], i, inertia)
     return mass, inertia[0, 1:4]
 
 
-def _turned(vector: np.ndarray, slides: bool, angle: Symbol) -> np.ndarray:
+def _in_zero_axes(vector: np.ndarray, slides: bool, angle: Symbol) -> np.ndarray:
     """Return a vector of a body in its axes at joint value zero."""
     if slides:
         return vector

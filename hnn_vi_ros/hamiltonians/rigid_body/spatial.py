@@ -30,7 +30,7 @@ def body_momentum(inertia: np.ndarray, motion: np.ndarray, i: int, force: np.nda
 
 
 @inlined
-def inherit(offset: np.ndarray, parent: int, i: int, motion: np.ndarray) -> None:
+def set_parent_motion(offset: np.ndarray, parent: int, i: int, motion: np.ndarray) -> None:
     """Store the motion of the parent, at the origin of body i, in its row of ``motion``."""
     x, y, z = offset[i, 0], offset[i, 1], offset[i, 2]
     a, b, c = motion[parent, 0], motion[parent, 1], motion[parent, 2]
@@ -41,7 +41,7 @@ def inherit(offset: np.ndarray, parent: int, i: int, motion: np.ndarray) -> None
 
 
 @inlined
-def hand_down(offset: np.ndarray, parent: int, i: int, force: np.ndarray) -> None:
+def add_force_to_parent(offset: np.ndarray, parent: int, i: int, force: np.ndarray) -> None:
     """Add the force on body i to the force on its parent."""
     x, y, z = offset[i, 0], offset[i, 1], offset[i, 2]
     u, v, w = force[i, 3], force[i, 4], force[i, 5]
@@ -54,7 +54,7 @@ def hand_down(offset: np.ndarray, parent: int, i: int, force: np.ndarray) -> Non
 
 
 @inlined
-def join(offset: np.ndarray, parent: int, i: int, inertia: np.ndarray) -> None:
+def add_inertia_to_parent(offset: np.ndarray, parent: int, i: int, inertia: np.ndarray) -> None:
     """Add the inertia of body i to that of its parent, by the parallel axis theorem."""
     m, x, y, z = inertia[i, 0], offset[i, 0], offset[i, 1], offset[i, 2]
     a = inertia[i, 1] + 0.5 * m * x

@@ -22,7 +22,8 @@ R. Featherstone, Rigid Body Dynamics Algorithms, 2008, chapters 2 and 6.
 from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import (
-    add_cross_force, body_momentum, cross_motion, hand_down, inherit, join, power, weight_power)
+    add_cross_force, add_force_to_parent, add_inertia_to_parent, body_momentum, cross_motion,
+    power, set_parent_motion, weight_power)
 from hnn_vi_ros.kernels import factorise, inlined, solve_cholesky
 import numpy as np
 from numpy.typing import DTypeLike
@@ -160,7 +161,7 @@ class TreeParameters(NamedTuple):
 
 
 @inlined
-def place(bodies: Bodies, work: Work, q: np.ndarray, start: int) -> None:
+def fill_frames(bodies: Bodies, work: Work, q: np.ndarray, start: int) -> None:
     """Fill positions, axes and inertias of the bodies for the state at offset ``start``."""
     rotation, offset, axis = work.rotation, work.offset, work.axis
     placement, own, inertia = bodies.placement, bodies.inertia, work.inertia
@@ -195,14 +196,14 @@ def place(bodies: Bodies, work: Work, q: np.ndarray, start: int) -> None:
 
 
 @inlined
-def compose(bodies: Bodies, work: Work) -> None:
-    """Fill the composite inertias and the lower triangle of M; call ``place`` first."""
+def fill_mass_matrix(bodies: Bodies, work: Work) -> None:
+    """Fill the composite inertias and the lower triangle of M; call ``fill_frames`` first."""
     composite, axis, offset, force = work.composite, work.axis, work.offset, work.spare
     for i in range(bodies.parent.size):
         for k in range(10):
             composite[i, k] = work.inertia[i, k]
     for i in range(bodies.parent.size - 1, 0, -1):
-        join(offset, bodies.parent[i], i, composite)
+        add_inertia_to_parent(offset, bodies.parent[i], i, composite)
         body_momentum(composite, axis, i, force)
         x, y, z = force[i, 0], force[i, 1], force[i, 2]
         u, v, w = force[i, 3], force[i, 4], force[i, 5]
@@ -229,24 +230,24 @@ def solve_rates(bodies: Bodies, work: Work, p: np.ndarray, start: int) -> None:
 
 
 @inlined
-def move(bodies: Bodies, work: Work) -> None:
+def fill_velocities(bodies: Bodies, work: Work) -> None:
     """Fill velocities, momenta and S x v; call ``solve_rates`` first."""
     velocity, momenta, axis = work.velocity, work.momentum, work.axis
     for k in range(6):
         momenta[0, k] = 0.0
     for i in range(1, bodies.parent.size):
-        inherit(work.offset, bodies.parent[i], i, velocity)
+        set_parent_motion(work.offset, bodies.parent[i], i, velocity)
         for k in range(6):
             velocity[i, k] += axis[i, k] * work.rates[i - 1]
         body_momentum(work.inertia, velocity, i, momenta)
         cross_motion(axis, velocity, i, work.product)
     for i in range(bodies.parent.size - 1, 0, -1):
-        hand_down(work.offset, bodies.parent[i], i, momenta)
+        add_force_to_parent(work.offset, bodies.parent[i], i, momenta)
 
 
 @inlined
 def force_of(bodies: Bodies, work: Work, i: int) -> float:
-    """Return H_q of the joint of body i; call ``move`` first."""
+    """Return H_q of the joint of body i; call ``fill_velocities`` first."""
     composite = work.composite
     return (power(work.product, work.momentum, i)
             - weight_power(work.axis, composite[i, 0], composite, bodies.gravity, i)
@@ -254,8 +255,8 @@ def force_of(bodies: Bodies, work: Work, i: int) -> float:
 
 
 @inlined
-def displace(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
-    """Fill the changes along v_q at constant rates; call ``move`` first."""
+def fill_changes(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
+    """Fill the changes along v_q at constant rates; call ``fill_velocities`` first."""
     shift, axis, axis_v = work.shift, work.axis, work.axis_v
     velocity_v, momentum_v, first_v, spare = (
         work.velocity_v, work.momentum_v, work.first_v, work.spare)
@@ -264,8 +265,8 @@ def displace(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
     for k in range(4):
         first_v[0, k] = 0.0
     for i in range(1, bodies.parent.size):
-        inherit(work.offset, bodies.parent[i], i, shift)
-        inherit(work.offset, bodies.parent[i], i, velocity_v)
+        set_parent_motion(work.offset, bodies.parent[i], i, shift)
+        set_parent_motion(work.offset, bodies.parent[i], i, velocity_v)
         for k in range(6):
             shift[i, k] += axis[i, k] * v_q[start + bodies.coordinate[i]]
         cross_motion(shift, axis, i, axis_v)
@@ -283,7 +284,7 @@ def displace(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
         add_cross_force(shift, spare, i, momentum_v)
     for i in range(bodies.parent.size - 1, 0, -1):
         parent = bodies.parent[i]
-        hand_down(work.offset, parent, i, momentum_v)
+        add_force_to_parent(work.offset, parent, i, momentum_v)
         for k in range(1, 4):
             first_v[parent, k] += first_v[i, k]
 
@@ -305,7 +306,7 @@ def add_rate_changes(bodies: Bodies, work: Work) -> None:
     for k in range(6):
         impulse[0, k] = 0.0
     for i in range(1, bodies.parent.size):
-        inherit(work.offset, bodies.parent[i], i, rate)
+        set_parent_motion(work.offset, bodies.parent[i], i, rate)
         for k in range(6):
             rate[i, k] += axis[i, k] * work.rates_v[i - 1]
             work.velocity_v[i, k] += rate[i, k]
@@ -314,7 +315,7 @@ def add_rate_changes(bodies: Bodies, work: Work) -> None:
         # The bodies behind it have been processed.
         for k in range(6):
             momentum_v[i, k] += impulse[i, k]
-        hand_down(work.offset, bodies.parent[i], i, impulse)
+        add_force_to_parent(work.offset, bodies.parent[i], i, impulse)
 
 
 @inlined

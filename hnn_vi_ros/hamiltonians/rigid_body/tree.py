@@ -12,7 +12,8 @@ import warnings
 from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Inertial, Joint, KINDS, Link, Mimic, RIGID, Robot, SLIDING)
-from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, compose, Following, place, Work
+from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
+    Bodies, fill_frames, fill_mass_matrix, Following, Work)
 import numpy as np
 
 MOST_JOINTS, MOST_DRIVEN = 12, 64
@@ -129,8 +130,8 @@ def mass_matrix(bodies: Bodies, q: np.ndarray, following: Following | None = Non
         return half + half.T
     d = q.size
     work = Work.empty(d)
-    place(bodies, work, q, 0)
-    compose(bodies, work)
+    fill_frames(bodies, work, q, 0)
+    fill_mass_matrix(bodies, work)
     lower = work.mass + np.tril(work.mass, -1).T
     rows = np.empty(d, dtype=np.int64)
     rows[bodies.coordinate[1:]] = np.arange(d)

@@ -6,8 +6,8 @@ from hnn_vi_ros.hamiltonians.base import compiled_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.following import following_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT, small_tree_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
-    add_rate_changes, Bodies, compose, displace, Following, force_change_of, force_of, move, place,
-    solve_rate_changes, solve_rates, TreeParameters, Work)
+    add_rate_changes, Bodies, fill_changes, fill_frames, fill_mass_matrix, fill_velocities,
+    Following, force_change_of, force_of, solve_rate_changes, solve_rates, TreeParameters, Work)
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
@@ -37,8 +37,8 @@ def tree_kernel(bodies: Bodies, following: Following | None = None) -> Kernel:
 def _arrange(parameters: TreeParameters, q: np.ndarray, p: np.ndarray, start: int) -> None:
     """Fill the workspace for the state at offset ``start``, up to the rates of the joints."""
     bodies, work = parameters.bodies, parameters.work
-    place(bodies, work, q, start)
-    compose(bodies, work)
+    fill_frames(bodies, work, q, start)
+    fill_mass_matrix(bodies, work)
     solve_rates(bodies, work, p, start)
 
 
@@ -58,7 +58,7 @@ def _gradient(parameters: TreeParameters, q: np.ndarray, p: np.ndarray,
     bodies, work = parameters.bodies, parameters.work
     for start in range(0, q.size, work.rates.size):
         _arrange(parameters, q, p, start)
-        move(bodies, work)
+        fill_velocities(bodies, work)
         for i in range(1, bodies.parent.size):
             at = start + bodies.coordinate[i]
             dH_dq[at], dH_dp[at] = force_of(bodies, work, i), work.rates[i - 1]
@@ -69,8 +69,8 @@ def _hessian_vector(parameters: TreeParameters, q: np.ndarray, p: np.ndarray, v_
     bodies, work = parameters.bodies, parameters.work
     for start in range(0, q.size, work.rates.size):
         _arrange(parameters, q, p, start)
-        move(bodies, work)
-        displace(bodies, work, v_q, start)
+        fill_velocities(bodies, work)
+        fill_changes(bodies, work, v_q, start)
         solve_rate_changes(bodies, work, v_p, start)
         add_rate_changes(bodies, work)
         for i in range(1, bodies.parent.size):

@@ -18,7 +18,7 @@ from hnn_vi_ros.errors import did_you_mean, listed, ModelError
 from hnn_vi_ros.files import Element, MAX_XML_BYTES, parse_xml, read_limited
 from hnn_vi_ros.hamiltonians.rigid_body.closures import closures_of, is_closure
 from hnn_vi_ros.hamiltonians.rigid_body.elements import (
-    frame_in, name_of, number_of, only, place_of, vector_of)
+    frame_in, name_of, number_of, only_child, place_of, vector_of)
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Inertial, Joint, Limits, Link, Mimic, Robot, SLIDING, TURNING)
 import numpy as np
@@ -123,11 +123,11 @@ def parse_urdf(text: bytes, where: str) -> Robot:
         name: Link(name, place_of(element, where), _inertial(element, where), tuple(own))
         for element, (name, own) in zip(links, carried.items(), strict=True)}, first,
         where, text.decode(errors='replace'))
-    _doubt_units(robot)
+    _warn_of_units(robot)
     return replace(robot, closures=closures_of(root, robot))
 
 
-def _doubt_units(robot: Robot) -> None:
+def _warn_of_units(robot: Robot) -> None:
     """Warn if lengths are those of a robot in mm."""
     lengths = [(float(np.abs(joint.origin).max()), joint.place, 'origin')
                for joint in robot.joints.values()]
@@ -225,7 +225,8 @@ def _joint(element: Element, where: str, version: str) -> Joint:
         raise ModelError(f'{place}: type is missing; valid: revolute, continuous, prismatic, '
                          'fixed')
     origin, rotation = frame_in(element, place)
-    limit, dynamics, mimic = (only(element, tag, place) for tag in ('limit', 'dynamics', 'mimic'))
+    limit, dynamics, mimic = (only_child(element, tag, place)
+                              for tag in ('limit', 'dynamics', 'mimic'))
     damping, friction = (number_of(dynamics, key, place, default=0.0)
                          for key in ('damping', 'friction'))
     _check_not_negative(place, {'damping': damping, 'friction': friction})
@@ -240,14 +241,14 @@ def _joint(element: Element, where: str, version: str) -> Joint:
 
 
 def _end(element: Element, end: str, place: str) -> str:
-    found = only(element, end, place)
+    found = only_child(element, end, place)
     if found is None or not found.attributes.get('link'):
         raise ModelError(f'{place}: {end} is missing; expected <{end} link="..."/>')
     return found.attributes['link']
 
 
 def _axis(element: Element, kind: str, place: str) -> np.ndarray:
-    given, moves = only(element, 'axis', place), kind in (*TURNING, SLIDING)
+    given, moves = only_child(element, 'axis', place), kind in (*TURNING, SLIDING)
     if moves and given is not None and 'xyz' not in given.attributes:
         raise ModelError(f'{place}: axis without xyz; expected <axis xyz="0 0 1"/>, for example')
     axis = vector_of(given, 'xyz', place, (1.0, 0.0, 0.0))
@@ -280,10 +281,10 @@ def _check_not_negative(place: str, values: Mapping[str, float | None]) -> None:
 
 def _inertial(link: Element, where: str) -> Inertial | None:
     place = place_of(link, where)
-    element = only(link, 'inertial', place)
+    element = only_child(link, 'inertial', place)
     if element is None:
         return None
-    masses, inertia = (only(element, tag, place) for tag in ('mass', 'inertia'))
+    masses, inertia = (only_child(element, tag, place) for tag in ('mass', 'inertia'))
     if masses is None or inertia is None:
         raise ModelError(f'{place}: inertial without {"mass" if masses is None else "inertia"}; '
                          'give both, or remove inertial from a link without mass')

@@ -17,7 +17,7 @@ from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.lie.rotations import cross, dot, RETRACTIONS, trivialised, turn
 from hnn_vi_ros.integrators.newton_solver import by_differences
-from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
+from hnn_vi_ros.integrators.solvers import extrapolate, SolverOptions, store_solution
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels import called, inlined, Kernel
 import numpy as np
@@ -146,7 +146,7 @@ def solve_momenta_inside(kernel: Kernel, h: float, options: LieOptions, g: np.nd
         _inside_equation, _inside_tangent, problem, mu, work.solver,
         options.solver.max_iterations)
     if outcome == OK:
-        remember(work.kept, z.p, mu)
+        store_solution(work.kept, z.p, mu)
     return outcome, residual, gradients
 
 
@@ -186,7 +186,7 @@ def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: PhasePoint, z1
     outcome, residual, gradients = options.solver.solve(
         _turn_equation, _turn_tangent, problem, x, work.solver, options.solver.max_iterations)
     if outcome == OK:
-        remember(work.kept, work.origin, x)
+        store_solution(work.kept, work.origin, x)
     fill_forces(kernel, z1.q, z1.dH_dq, work.slope)
     return check_turns(kernel, options.retraction, x, outcome), residual, gradients
 

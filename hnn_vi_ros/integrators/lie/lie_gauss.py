@@ -159,7 +159,7 @@ class LieGauss(Collocation):
             return TURNED, residual, rounds * s
         kept.count[0] = 1
         move(kernel, cayley, z, end, z1)
-        _carry_momenta(kernel, h, z, work)
+        _fill_momentum_changes(kernel, h, z, work)
         for i in range(n):
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], forces[i])
         kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
@@ -256,7 +256,7 @@ def _fill_slopes(problem: _LieStageEquation, x: np.ndarray) -> None:
                 # dcay_(-x)^* of the force, and the derivative of omega . mu by x at constant P.
                 own = 1.0 / (1.0 + 0.25 * dot(there, there, at))
                 bend, turn = cross(there, work.forces, at), cross(P, omega, at)
-                turned = _turned_less(there, work.forces, at, 1.0)
+                turned = _rotation_change(there, work.forces, at, 1.0)
                 x_omega, x_P = dot(there, omega, at), dot(there, P, at)
                 for i in range(3):
                     work.torque[at + i] += problem.weights[j] * turned[i]
@@ -302,7 +302,7 @@ def _fill_last_momenta(kernel: Kernel, h: float, z: PhasePoint, work: LieGaussWo
 
 
 @called
-def _carry_momenta(kernel: Kernel, h: float, z: PhasePoint, work: LieGaussWork) -> None:
+def _fill_momentum_changes(kernel: Kernel, h: float, z: PhasePoint, work: LieGaussWork) -> None:
     """Fill ``forces`` with pi_(k+1) - pi_k, where pi_(k+1) = cay(-x_1) (pi_k - h torque)."""
     x, change, m = work.end, work.forces, work.momenta
     for i in range(m.size):
@@ -311,14 +311,14 @@ def _carry_momenta(kernel: Kernel, h: float, z: PhasePoint, work: LieGaussWork) 
     for start in range(0, m.size, kernel.dimension):
         for k in range(len(kernel.rotations)):
             at = start + kernel.rotations[k] - k
-            turned = _turned_less(x, m, at, -1.0)
+            turned = _rotation_change(x, m, at, -1.0)
             for i in range(3):
                 change[at + i] += turned[i]
 
 
 @inlined
-def _turned_less(x: np.ndarray, m: np.ndarray, at: int,
-                 side: float) -> tuple[float, float, float]:
+def _rotation_change(x: np.ndarray, m: np.ndarray, at: int,
+                     side: float) -> tuple[float, float, float]:
     """Return cay(side x) m - m for the vectors at one place of both arrays."""
     own = 1.0 / (1.0 + 0.25 * dot(x, x, at))
     a, b, c = cross(x, m, at)

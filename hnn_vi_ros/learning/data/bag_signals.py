@@ -12,7 +12,7 @@ from hnn_vi_ros.errors import DataError, listed, RecordingError
 from hnn_vi_ros.files import parse_mapping
 from hnn_vi_ros.recording import (
     BagReader, decode_float64_multi_array, decode_joint_state, decode_string, MOMENTUM,
-    qos_profiles, Recorded)
+    qos_profiles, RecordedMessage)
 from hnn_vi_ros.run import STATE_FILE
 import numpy as np
 import safetensors
@@ -337,7 +337,7 @@ class SignalReader:
         first = next(self.bag.messages(self._topics.get(topic, [])), None)
         return None if first is None else self._decoded(topic, first, decode_string)
 
-    def _found(self, topic: str, expected: str = '') -> tuple[str, str, Iterator[Recorded]]:
+    def _found(self, topic: str, expected: str = '') -> tuple[str, str, Iterator[RecordedMessage]]:
         """Return name, type and messages of the one topic that has this name or ends with it."""
         topic = '/' + topic.lstrip('/')
         if topic not in self._topics:
@@ -363,7 +363,7 @@ class SignalReader:
         schema = self.bag.schemas.get(number)
         return 'unknown type' if schema is None else schema.name
 
-    def _from_array(self, topic: str, message: Recorded) -> np.ndarray:
+    def _from_array(self, topic: str, message: RecordedMessage) -> np.ndarray:
         values = self._decoded(topic, message, decode_float64_multi_array)
         if not self._columns and len(values) == len(self._joints):
             return values
@@ -373,7 +373,7 @@ class SignalReader:
                             'data.columns (zero-based)')
         return values[self._columns]
 
-    def _decoded(self, topic: str, message: Recorded, decode: Callable[[bytes], Decoded]
+    def _decoded(self, topic: str, message: RecordedMessage, decode: Callable[[bytes], Decoded]
                  ) -> Decoded:
         try:
             return decode(message.data)

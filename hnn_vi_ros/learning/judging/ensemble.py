@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
 from hnn_vi_ros.models import (
     Box, Checkpoint, EnsembleCard, mean_card, ModelCard, MOST_MEMBERS, save_checkpoint)
-from hnn_vi_ros.run import Accompanied, deviation, member_scenes, Members
+from hnn_vi_ros.run import AccompaniedSimulation, deviation, member_scenes, Members
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build, simulate_many
 import numpy as np
@@ -454,7 +454,7 @@ def machine_scores(checkpoint: Checkpoint, motions: Sequence[EvenMotion], most: 
         scene = _scene(draft, card, spacing, driven)
         parts = scene.parts()
         members = Members(parts)
-        simulation = Accompanied(build(parts), [members])
+        simulation = AccompaniedSimulation(build(parts), [members])
         for k, start in starts:
             scores = _machine_scores(simulation, members, card.box, motions[k],
                                      start + np.arange(0, count + 1, every))
@@ -477,8 +477,8 @@ def _scene(model: str, card: ModelCard, spacing: float, driven: bool) -> Scene:
         initial_state=(np.mean(card.box.q, axis=1).tolist(), zero), name=card.name)
 
 
-def _machine_scores(simulation: Accompanied, members: Members, box: Box, motion: EvenMotion,
-                    rows: np.ndarray) -> np.ndarray:
+def _machine_scores(simulation: AccompaniedSimulation, members: Members, box: Box,
+                    motion: EvenMotion, rows: np.ndarray) -> np.ndarray:
     """Return the scores of one simulation at some samples, shape (instants, 2 d)."""
     q, v = motion.q_smooth[rows], motion.v_smooth[rows]
     measured = np.hstack([q, momentum(simulation.hamiltonian, q, v, np.zeros_like(v))])

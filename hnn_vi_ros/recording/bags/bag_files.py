@@ -9,9 +9,9 @@ from tempfile import TemporaryDirectory
 from typing import TypeAlias
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import regular
+from hnn_vi_ros.files import open_regular
 from hnn_vi_ros.recording.bags.bag_metadata import read_bag_metadata
-from hnn_vi_ros.recording.bags.mcap_file import Allowance, McapFile
+from hnn_vi_ros.recording.bags.mcap_file import McapFile, UnpackLimit
 from hnn_vi_ros.recording.bags.sqlite_bag import SqliteBag
 import zstandard
 
@@ -77,17 +77,17 @@ def open_sources(files: list[Path]) -> tuple[list[Source], ExitStack]:
     with ExitStack() as copies:
         if any(path.suffix == '.zstd' for path in files):
             folder = Path(copies.enter_context(TemporaryDirectory(prefix='hnn_vi_ros_bag_')))
-            files = [_decompressed(path, folder) if path.suffix == '.zstd' else path
+            files = [_decompress(path, folder) if path.suffix == '.zstd' else path
                      for path in files]
         return [SqliteBag(path) if path.suffix == '.db3' else McapFile(path)
                 for path in files], copies.pop_all()
 
 
-def _decompressed(path: Path, folder: Path) -> Path:
+def _decompress(path: Path, folder: Path) -> Path:
     """Decompress a file of a bag to a folder; return the new file."""
     target = folder / path.stem
-    with regular(path) as stream, target.open('xb') as copy:
-        allowance = Allowance(path, os.fstat(stream.fileno()).st_size)
+    with open_regular(path) as stream, target.open('xb') as copy:
+        allowance = UnpackLimit(path, os.fstat(stream.fileno()).st_size)
         try:
             unpacker = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
             while block := unpacker.read(_BLOCK_SIZE):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import dump_yaml, parse_mapping, parse_yaml, regular, write_text
+from hnn_vi_ros.files import dump_yaml, open_regular, parse_mapping, parse_yaml, write_text
 
 METADATA_VERSION = 9
 # Start time that rosbag2 gives to a bag without messages: the latest possible time.
@@ -67,7 +67,7 @@ class BagTopics(NamedTuple):
     robot: Topic | None = None
 
 
-class Extent(NamedTuple):
+class FileExtent(NamedTuple):
     """
     Extent of a file of a bag.
 
@@ -96,7 +96,7 @@ class Extent(NamedTuple):
                 'message_count': self.messages}
 
 
-def bag_metadata(files: Sequence[Extent], topics: Sequence[Topic], counts: Sequence[int],
+def bag_metadata(files: Sequence[FileExtent], topics: Sequence[Topic], counts: Sequence[int],
                  ros_distro: str) -> dict[str, Any]:
     """
     Return the fields of rosbag2's metadata, version 9, for a bag.
@@ -114,9 +114,9 @@ def bag_metadata(files: Sequence[Extent], topics: Sequence[Topic], counts: Seque
 
     """
     nonempty = [file for file in files if file.messages]
-    extent = Extent('', sum(file.messages for file in files),
-                    min((file.first for file in nonempty), default=NEVER),
-                    max((file.last for file in nonempty), default=0)).fields
+    extent = FileExtent('', sum(file.messages for file in files),
+                        min((file.first for file in nonempty), default=NEVER),
+                        max((file.last for file in nonempty), default=0)).fields
     return {
         'version': METADATA_VERSION, 'storage_identifier': 'mcap', **extent,
         'topics_with_message_count': [
@@ -152,7 +152,7 @@ def read_bag_metadata(folder: Path) -> dict[str, Any]:
     """Return the content of ``metadata.yaml`` in a bag's folder; empty if the file is missing."""
     path = folder / 'metadata.yaml'
     try:
-        with regular(path) as stream:
+        with open_regular(path) as stream:
             content = read_description(stream.read(_MAX_METADATA_SIZE))
     except OSError:
         return {}
@@ -160,7 +160,7 @@ def read_bag_metadata(folder: Path) -> dict[str, Any]:
     return described if isinstance(described, dict) else {}
 
 
-def counted_messages(folder: Path, names: Sequence[str]) -> int | None:
+def metadata_message_count(folder: Path, names: Sequence[str]) -> int | None:
     """Return the number of messages that metadata.yaml counts in files; None if unknown."""
     described = read_bag_metadata(folder)
     if described.get('relative_file_paths') == list(names):

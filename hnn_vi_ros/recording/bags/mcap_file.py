@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, final, NamedTuple
 import zlib
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import in_bytes, refuse_pointer, regular
+from hnn_vi_ros.files import in_bytes, open_regular, refuse_pointer
 import lz4.frame
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -55,7 +55,7 @@ _READ_SIZE = 2**20
 _COMPRESSIONS = ('', 'zstd', 'lz4')
 
 
-class Allowance:
+class UnpackLimit:
     """
     Limit of the unpacked content of a file: 64 MiB and 128 times its size.
 
@@ -93,7 +93,7 @@ class Allowance:
                 'it, unpack it with `mcap decompress` or `zstd -d`')
 
 
-class Piece(NamedTuple):
+class MessagePart(NamedTuple):
     """
     Part of a file that contains messages.
 
@@ -265,7 +265,7 @@ class McapFile:
         self.path = path
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
-        self.pieces: list[Piece] = []
+        self.pieces: list[MessagePart] = []
         self.unread: dict[int, int] = {}
         self.incomplete, self.message_count, self._listed = 0, 0, 0
         self.counted: int | None = None
@@ -276,9 +276,9 @@ class McapFile:
         self._chunks: set[tuple[_ChunkHead, int]] = set()
         # After the data: definitions, counts and the footer, confirmed only by its CRC.
         self._summary: list[McapRecord] = []
-        with regular(path) as stream:
+        with open_regular(path) as stream:
             size = os.fstat(stream.fileno()).st_size
-            self._allowance = Allowance(path, size)
+            self._allowance = UnpackLimit(path, size)
             if (begin := _read_at(stream, 0, len(MAGIC))) != MAGIC:
                 refuse_pointer(_read_at(stream, 0, 32), path, RecordingError)
                 reason = 'its first bytes are wrong' if begin else 'it is empty'
@@ -321,7 +321,7 @@ class McapFile:
                 # A copy of an earlier one.
                 return False
             self._chunks.add((head, length))
-            self.pieces.append(Piece(head.first, head.last, start, length, True))
+            self.pieces.append(MessagePart(head.first, head.last, start, length, True))
             return True
         if opcode == Opcode.MESSAGE:
             return length >= _MESSAGE.size and self._add_message(stream, start, length)
@@ -359,16 +359,16 @@ class McapFile:
         self.message_count += 1
         if before and before.start + before.length == begin and before.length < _MAX_GROUP_SIZE \
                 and not before.packed:
-            self.pieces[-1] = Piece(min(before.first, time), max(before.last, time), before.start,
-                                    start + length - before.start)
+            self.pieces[-1] = MessagePart(min(before.first, time), max(before.last, time),
+                                          before.start, start + length - before.start)
         else:
-            self.pieces.append(Piece(time, time, begin, start + length - begin))
+            self.pieces.append(MessagePart(time, time, begin, start + length - begin))
         return True
 
     def _refuse_second(self, stream: BinaryIO, size: int) -> None:
         """Raise an error if a second file is appended; its channels have the same numbers."""
         begin = MAGIC + bytes([Opcode.HEADER])
-        for place in _found(stream, re.compile(re.escape(begin)), 1, size, len(begin)):
+        for place in _find_pattern(stream, re.compile(re.escape(begin)), 1, size, len(begin)):
             if not any(start <= place < start + length for start, length in self._attachments):
                 raise RecordingError(
                     f'{self.path}: a second file begins inside it: extract it with `tail -c '
@@ -430,7 +430,7 @@ class McapFile:
                 count += len(times)
         return count
 
-    def _records(self, stream: BinaryIO, piece: Piece) -> Iterable[McapRecord | None]:
+    def _records(self, stream: BinaryIO, piece: MessagePart) -> Iterable[McapRecord | None]:
         content = _read_at(stream, piece.start, piece.length)
         data = _unpack(content, partial(self._allowance.spend, piece.start)) \
             if piece.packed else content
@@ -442,9 +442,9 @@ class McapFile:
         assert isinstance(record, Schema | Channel)
         return known.setdefault(record.id, record) == record
 
-    def read(self, piece: Piece) -> Iterator[Message]:
+    def read(self, piece: MessagePart) -> Iterator[Message]:
         """Yield the readable messages of a piece that belong to known channels."""
-        with regular(self.path) as stream:
+        with open_regular(self.path) as stream:
             found = self._records(stream, piece)
         for record in found:
             if isinstance(record, Message) and record.channel_id in self.channels:
@@ -457,7 +457,7 @@ class McapFile:
         """Return whether a finished file fails the CRC that covers also header and metadata."""
         if not self.finished or self.data_end is None or not self.data_end[1]:
             return False
-        with regular(self.path) as stream:
+        with open_regular(self.path) as stream:
             return _crc_of(stream, 0, self.data_end[0]) != self.data_end[1]
 
     def messages(self) -> Iterator[Message]:
@@ -467,7 +467,7 @@ class McapFile:
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the attachments."""
-        with regular(self.path) as stream:
+        with open_regular(self.path) as stream:
             for start, length in self._attachments:
                 record = _decode(Opcode.ATTACHMENT, _read_at(stream, start, length))
                 if isinstance(record, Attachment):
@@ -495,7 +495,7 @@ _CHUNK_START = re.compile(
 
 def _next_chunk(stream: BinaryIO, place: int, size: int) -> int:
     """Return the start of the next plausible chunk with a checksum, or the file size."""
-    for start in _found(stream, _CHUNK_START, place, size, PREFIX.size + _HEAD):
+    for start in _find_pattern(stream, _CHUNK_START, place, size, PREFIX.size + _HEAD):
         _, length = PREFIX.unpack(_read_at(stream, start, PREFIX.size))
         head = _chunk_head(_read_at(stream, start + PREFIX.size, _HEAD))
         if head is not None and head.crc and start + PREFIX.size + length <= size:
@@ -503,8 +503,8 @@ def _next_chunk(stream: BinaryIO, place: int, size: int) -> int:
     return size
 
 
-def _found(stream: BinaryIO, pattern: re.Pattern[bytes], place: int, size: int, longest: int
-           ) -> Iterator[int]:
+def _find_pattern(stream: BinaryIO, pattern: re.Pattern[bytes], place: int, size: int, longest: int
+                  ) -> Iterator[int]:
     """Yield the positions of a pattern whose matches have at most `longest` bytes."""
     for begin in range(place, size, _READ_SIZE):
         window = _read_at(stream, begin, min(_READ_SIZE + longest - 1, size - begin))

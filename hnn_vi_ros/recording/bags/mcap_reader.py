@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import final, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import in_bytes, regular
+from hnn_vi_ros.files import in_bytes, open_regular
 from hnn_vi_ros.recording.bags.bag_files import bag_files, open_sources, Source
-from hnn_vi_ros.recording.bags.bag_metadata import counted_messages
-from hnn_vi_ros.recording.bags.mcap_file import Allowance, MAX_RECORD_SIZE, Piece
+from hnn_vi_ros.recording.bags.bag_metadata import metadata_message_count
+from hnn_vi_ros.recording.bags.mcap_file import MAX_RECORD_SIZE, MessagePart, UnpackLimit
 from mcap.records import Channel, Schema
 import zstandard
 
@@ -21,7 +21,7 @@ _ZSTD = b'\x28\xb5\x2f\xfd'
 _MAX_BUFFERED, _MESSAGE_OVERHEAD = 2**30, 160
 
 
-class Recorded(NamedTuple):
+class RecordedMessage(NamedTuple):
     """
     One message of a bag.
 
@@ -44,7 +44,7 @@ class Recorded(NamedTuple):
 class _Part(NamedTuple):
     """A piece of a file, with the map of its channel numbers to those of the reader."""
 
-    piece: Piece
+    piece: MessagePart
     source: Source
     numbers: dict[int, int]
 
@@ -88,7 +88,7 @@ class BagReader:
         self._files, self._parts = files, list[_Part]()
         try:
             self._sources, self._copies = open_sources(files)
-            self._allowance = Allowance(self.path, sum(path.stat().st_size for path in files))
+            self._allowance = UnpackLimit(self.path, sum(path.stat().st_size for path in files))
         except OSError as problem:
             raise RecordingError(f'{self.path}: cannot be read ({problem.strerror or problem}); '
                                  'give the folder of a bag, or its file') from problem
@@ -116,7 +116,8 @@ class BagReader:
                   '(wrong checksum)' for source in self._sources
                   if source.altered and not source.unread]
         message_count = sum(source.message_count for source in self._sources)
-        counted = counted_messages(self._files[0].parent, [path.name for path in self._files])
+        counted = metadata_message_count(self._files[0].parent,
+                                         [path.name for path in self._files])
         # Recorders write the counts only at the end.
         if counted and counted != message_count and not found:
             found.append(f'{self.path}: contains {message_count} messages, but its metadata.yaml '
@@ -127,7 +128,7 @@ class BagReader:
         """Return the SHA-256 of the files."""
         found = sha256()
         for path in self._files:
-            with regular(path) as stream:
+            with open_regular(path) as stream:
                 file_digest(stream, lambda: found)
         return found.hexdigest()
 
@@ -142,7 +143,7 @@ class BagReader:
         return next(filter(None, reversed(found)), {})
 
     def messages(self, channels: Collection[int] | None = None, first: int = 0,
-                 last: int = 2**64 - 1) -> Iterator[Recorded]:
+                 last: int = 2**64 - 1) -> Iterator[RecordedMessage]:
         """
         Yield messages in the order of their log times; equal times in the order of recording.
 
@@ -157,7 +158,7 @@ class BagReader:
         wanted = self.channels.keys() if channels is None else frozenset(channels)
         parts = [part for part in self._parts
                  if part.piece.last >= first and part.piece.first <= last]
-        buffered: list[Recorded] = []
+        buffered: list[RecordedMessage] = []
         size = 0
         for i, part in enumerate(parts):
             for message in self._read(part, wanted):
@@ -179,7 +180,7 @@ class BagReader:
                 place += 1
             del buffered[:place]
 
-    def _read(self, part: _Part, wanted: Collection[int]) -> Iterator[Recorded]:
+    def _read(self, part: _Part, wanted: Collection[int]) -> Iterator[RecordedMessage]:
         """Yield the decompressed messages of a piece."""
         unpacked = 0
         for message in part.source.read(part.piece):
@@ -189,13 +190,13 @@ class BagReader:
             data: bytes | None = message.data
             # An uncompressed message starts with its encoding, 00 .. in CDR.
             if message.data.startswith(_ZSTD) and self.channels[number].message_encoding == 'cdr':
-                data, size = _unpacked(message.data)
+                data, size = _unpack_message(message.data)
                 unpacked += size
                 self._allowance.spend(id(part), unpacked)
             if data is None:
                 part.source.unread[part.piece.start] = len(message.data)
             else:
-                yield Recorded(message.log_time, number, data)
+                yield RecordedMessage(message.log_time, number, data)
 
     def _join(self, source: Source) -> dict[int, int]:
         """Add the channels of a file; return their numbers in this reader."""
@@ -221,7 +222,7 @@ class BagReader:
         return channel.topic, channel.message_encoding, schema.name if schema else ''
 
 
-def _unpacked(data: bytes) -> tuple[bytes | None, int]:
+def _unpack_message(data: bytes) -> tuple[bytes | None, int]:
     """Decompress a message, None if it is damaged or too large; return it and the bytes made."""
     size = 0
     try:

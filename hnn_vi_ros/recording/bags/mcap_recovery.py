@@ -13,10 +13,11 @@ import shutil
 from typing import BinaryIO
 
 from hnn_vi_ros.errors import listed, RecordingError
-from hnn_vi_ros.files import dump_yaml, numbered, regular, temporary_beside
+from hnn_vi_ros.files import dump_yaml, numbered_paths, open_regular, temporary_beside
 from hnn_vi_ros.recording.bags.bag_files import bag_files
 from hnn_vi_ros.recording.bags.bag_metadata import (
-    bag_metadata, counted_messages, Extent, NEVER, read_description, Topic, write_bag_metadata)
+    bag_metadata, FileExtent, metadata_message_count, NEVER, read_description, Topic,
+    write_bag_metadata)
 from hnn_vi_ros.recording.bags.mcap_file import McapFile
 from mcap.writer import CompressionType, Writer
 
@@ -106,10 +107,10 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
         raise RecordingError(f'{bag}: expected one .mcap file, found '
                              f'{listed(file.name for file in files)}; give one, unpacked')
     try:
-        with regular(path) as stream, _not_being_recorded(stream, path):
+        with open_regular(path) as stream, _lock_recording(stream, path):
             file = McapFile(path, thorough=True)
             content = _Content(file)
-            recovery = _compared(file, content)
+            recovery = _compare_with_counts(file, content)
             if recovery.changed:
                 _write_anew(file, content, recovery, replace)
             if (bag.is_dir() or _is_bag(path)) and (
@@ -132,7 +133,7 @@ class _Content:
         for message in file.messages():
             self.counts[message.channel_id] += 1
             first, last = min(first, message.log_time), max(last, message.log_time)
-        self.extent = Extent(file.path.name, self.counts.total(), first, last)
+        self.extent = FileExtent(file.path.name, self.counts.total(), first, last)
         topics = []
         for channel in file.channels.values():
             schema, about = file.schemas.get(channel.schema_id), channel.metadata
@@ -152,7 +153,7 @@ def _description(file: McapFile) -> dict[str, object]:
 
 
 @contextmanager
-def _not_being_recorded(stream: BinaryIO, path: Path) -> Iterator[None]:
+def _lock_recording(stream: BinaryIO, path: Path) -> Iterator[None]:
     """Lock the file against a second recovery; raise an error if a recorder has locked it."""
     try:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -165,7 +166,7 @@ def _not_being_recorded(stream: BinaryIO, path: Path) -> Iterator[None]:
     yield
 
 
-def _compared(file: McapFile, content: _Content) -> Recovery:
+def _compare_with_counts(file: McapFile, content: _Content) -> Recovery:
     """Compare the readable messages with the counts; raise an error if there are none."""
     messages = content.extent.messages
     recovery = Recovery(file.path, *content.extent[1:])
@@ -173,7 +174,7 @@ def _compared(file: McapFile, content: _Content) -> Recovery:
     recovery.incomplete = file.incomplete
     recovery.damaged, recovery.unread = len(file.unread), sum(file.unread.values())
     described = _description(file).get('message_count')
-    counts = [file.counted, counted_messages(file.path.parent, [file.path.name]),
+    counts = [file.counted, metadata_message_count(file.path.parent, [file.path.name]),
               described if type(described) is int else 0]
     recovery.fewer = max(0, *(count - messages for count in counts if count is not None))
     recovery.changed = not file.finished or file.counted != messages or recovery.lost
@@ -195,7 +196,7 @@ def _write_anew(file: McapFile, content: _Content, recovery: Recovery, replace: 
         _read_back(temporary, recovery.messages)
         shutil.copymode(path, temporary)
         if not replace:
-            recovery.original = _keep(path)
+            recovery.original = _link_original(path)
         temporary.replace(path)
 
 
@@ -228,15 +229,15 @@ def copy_messages(file: McapFile, content: _Content, target: BinaryIO) -> None:
 def _read_back(path: Path, messages: int) -> None:
     """Read a written file back; raise RecordingError unless all messages are in it."""
     copy = McapFile(path, thorough=True)
-    found = _compared(copy, _Content(copy))
+    found = _compare_with_counts(copy, _Content(copy))
     if found.messages != messages or found.changed:
         raise RecordingError(f'{path}: the repaired file reads back with {found.messages} of '
                              f'{messages} messages; the bag is unchanged; check the disk')
 
 
-def _keep(path: Path) -> Path:
+def _link_original(path: Path) -> Path:
     """Hard-link a file to an unused name, and return that name."""
-    for original in numbered(path.with_name(f'{path.name}.orig')):
+    for original in numbered_paths(path.with_name(f'{path.name}.orig')):
         try:
             os.link(path, original)
         except FileExistsError:

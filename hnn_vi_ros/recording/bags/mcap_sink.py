@@ -18,7 +18,7 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.recording.bags.bag_metadata import (
-    bag_metadata, Extent, NEVER, Topic, write_bag_metadata)
+    bag_metadata, FileExtent, NEVER, Topic, write_bag_metadata)
 from mcap.data_stream import RecordBuilder
 from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
@@ -62,7 +62,7 @@ FLUSH_INTERVAL = 0.25
 _MAX_PENDING = 2**26
 
 
-class _Pending:
+class _BufferedStream:
     """Stream of a writer, whose data wait in memory until a thread writes them to the disk."""
 
     def __init__(self) -> None:
@@ -127,7 +127,7 @@ class McapSink:
         self._schemas: dict[str, int] = {}
         self._first, self._last = NEVER, 0
         # To write to the disk takes `_disk`, and then `_lock` to take the data, never inversely.
-        self._lock, self._disk, self._pending = RLock(), RLock(), _Pending()
+        self._lock, self._disk, self._pending = RLock(), RLock(), _BufferedStream()
         self._closed, self._unflushed = Event(), False
         # Start of the write in progress, and duration of the one before [s].
         self._begun, self._took = math.inf, 0.0
@@ -276,7 +276,7 @@ class McapSink:
     def _metadata(self) -> dict[str, Any]:
         counts = [self._counts[topic] for topic in self._topics] + [
             count for _, count in self._others.values()]
-        file = Extent(self._path.name, sum(counts), self._first, self._last)
+        file = FileExtent(self._path.name, sum(counts), self._first, self._last)
         return bag_metadata([file], [*self._topics, *self._others], counts, self._ros_distro)
 
     def _add_metadata(self) -> None:

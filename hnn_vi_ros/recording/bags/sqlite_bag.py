@@ -17,8 +17,8 @@ from typing import final
 from urllib.parse import quote
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import regular
-from hnn_vi_ros.recording.bags.mcap_file import Allowance, MAX_RECORD_SIZE, Piece
+from hnn_vi_ros.files import open_regular
+from hnn_vi_ros.recording.bags.mcap_file import MAX_RECORD_SIZE, MessagePart, UnpackLimit
 from mcap.records import Channel, Message, Schema
 
 # Number of messages of a piece.
@@ -59,10 +59,10 @@ class SqliteBag:
         self.altered = False  # it has no checksums
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        self.pieces: list[Piece] = []
+        self.pieces: list[MessagePart] = []
         self._numbers: dict[object, int] = {}
-        with regular(path) as stream:
-            self._allowance = Allowance(path, os.fstat(stream.fileno()).st_size)
+        with open_regular(path) as stream:
+            self._allowance = UnpackLimit(path, os.fstat(stream.fileno()).st_size)
         with self._plain_errors():
             # Read by another thread than the opening one; without a journal of others.
             self._database = sqlite3.connect(
@@ -82,7 +82,7 @@ class SqliteBag:
             indexed = self._database.execute('PRAGMA index_list(messages)').fetchone()
             length = -(-(last + 1 - first) * _PIECE_LENGTH // max(
                 self.message_count, _PIECE_LENGTH)) if indexed else last + 1 - first
-            self.pieces = [Piece(begin, min(begin + length - 1, last), begin, length)
+            self.pieces = [MessagePart(begin, min(begin + length - 1, last), begin, length)
                            for begin in range(first, last + 1, length)]
 
     def _columns(self, name: str, sql: str) -> set[str]:
@@ -115,7 +115,7 @@ class SqliteBag:
                 id=number, topic=topic, message_encoding=encoding, schema_id=number, metadata={
                     'offered_qos_profiles': profiles, 'topic_type_hash': digest})
 
-    def read(self, piece: Piece) -> Iterator[Message]:
+    def read(self, piece: MessagePart) -> Iterator[Message]:
         """Yield the messages of a piece."""
         size = 0
         with self._plain_errors():

@@ -80,7 +80,7 @@ def frame_of(axis: int, q0: np.ndarray, p0: np.ndarray, box: Bounds) -> Frame:
     return Frame(axis, _widen(box[0][axis], q0[axis]), _widen(box[1][axis], p0[axis]))
 
 
-def fitted(frame: Frame, path: np.ndarray) -> Frame:
+def fit_frame(frame: Frame, path: np.ndarray) -> Frame:
     """
     Return the frame, enlarged if necessary to contain a recorded path.
 

@@ -332,7 +332,7 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
              ('Energy error', ['/energy/error']), *invariants]
     names = [names_of(paths, labels)[0] for _, paths in plots]
     # All time axes end together, after the longest legend.
-    room = max(map(room_after, names))
+    room = max(map(legend_share, names))
     shares = [*map(height_for, names)]
     # A mechanism alone leaves room below.
     alone = world if left is world else None
@@ -403,7 +403,7 @@ def names_of(paths: Sequence[str], labels: Mapping[str, Sequence[str]]) -> tuple
     return [name for names, _ in found for name in names], found[0][1]
 
 
-def room_after(names: Sequence[str]) -> float:
+def legend_share(names: Sequence[str]) -> float:
     """Return the share of the time axis to leave free for a legend of these names."""
     if len(names) < 2:
         return _END_ROOM
@@ -450,7 +450,7 @@ def _timing_views(pace: float | None, extent: SeriesExtent | None) -> rrb.Vertic
     # Start the axis at zero; otherwise jitter of a percent would fill the plot.
     least = None if pace is None else (0.0, 1.25 * pace)
     step_time, factor = TIMING
-    room = room_after(TIMING[step_time])
+    room = legend_share(TIMING[step_time])
     return rrb.Vertical(_series_view('Step time', [step_time], TIMING, extent, room),
                         _series_view('Pace', [factor], TIMING, extent, room, least),
                         name='Timing')

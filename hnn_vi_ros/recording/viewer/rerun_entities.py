@@ -11,12 +11,12 @@ from hnn_vi_ros.effects import Effect, EFFECTS, EffectState, Force, Potential
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import one_line
 from hnn_vi_ros.hamiltonians import (
-    AMBER, Ball, Cuboid, Hamiltonian, Joint, Mechanism, moved, Part, Robot, shapes_of, SILVER,
+    AMBER, Ball, Cuboid, Hamiltonian, Joint, joint_pose, Mechanism, Part, Robot, shapes_of, SILVER,
     SLIDING, tip_of, Trail)
 from hnn_vi_ros.phase_space import rotor_name
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer import rerun_blueprint as layout
-from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, fitted, frame_of
+from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, fit_frame, frame_of
 from hnn_vi_ros.recording.viewer.rerun_blueprint import PALETTE
 import numpy as np
 import rerun as rr
@@ -121,7 +121,7 @@ class RobotPicture:
         for joint, path, factors, constant in self._joints:
             values = q @ factors + constant
             # Computed here, because the SDK does not normalise axes.
-            places, turns = moved(joint, values)
+            places, turns = joint_pose(joint, values)
             self._recording.send_columns(path, times, rr.Transform3D.columns(
                 translation=places, quaternion=turns.as_quat(),
                 parent_frame=[joint.parent] * len(values),
@@ -416,7 +416,7 @@ class Portraits:
     def fit(self) -> None:
         """Redraw the static parts in frames that contain the paths."""
         self._frames = [
-            fitted(frame, self._path[frame.axis])
+            fit_frame(frame, self._path[frame.axis])
             if np.isfinite(self._path[frame.axis]).all() else frame for frame in self._frames]
         self._draw()
 

@@ -247,7 +247,7 @@ class RerunSink:
         hidden = ''
         if self._robot is not None:
             own, hidden = bounds_of_robot(self._robot), collisions_of(self._robot)
-            bounds = _around(own, bounds)
+            bounds = _union_of_boxes(own, bounds)
             parts |= trails_of(self._robot, self._bones(self._robot, q0[None]))
         self._arrangement = Arrangement(len(shown), bounds, hidden)
         self._blueprint = partial(
@@ -355,7 +355,7 @@ class RerunSink:
     def _show(self, bounds: np.ndarray) -> None:
         """Extend the known bounds of the picture; NaN is ignored."""
         if np.isfinite(bounds).all():
-            self._bounds_shown = _around(bounds, self._bounds_shown)
+            self._bounds_shown = _union_of_boxes(bounds, self._bounds_shown)
 
     def _send_mechanism(self, times: list[rr.TimeColumn], parts: dict[str, Part]) -> None:
         self._show(bounds_of(parts))
@@ -368,7 +368,7 @@ class RerunSink:
                 self._columns(layout.part_path(name), times, rr.LineStrips3D.columns(
                     strips=np.stack([points[:-1], points[1:]], axis=1)))
             elif part.moves:
-                self._columns(layout.part_path(name), times, _moved(part))
+                self._columns(layout.part_path(name), times, _pose_columns(part))
 
     def _send_forces(self, forces: ForceArrows, times: list[rr.TimeColumn],
                      samples: Sequence[Sample]) -> None:
@@ -394,14 +394,14 @@ class RerunSink:
         self._stream.recording.send_columns(path, times, columns, strict=True)
 
 
-def _around(one: np.ndarray, other: np.ndarray | None) -> np.ndarray:
+def _union_of_boxes(one: np.ndarray, other: np.ndarray | None) -> np.ndarray:
     """Return the corners of the union of two boxes, of shape (2, 3) each."""
     if other is None:
         return one
     return np.array([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
 
 
-def _moved(part: Line | Cuboid | Ball) -> rr.ComponentColumnList:
+def _pose_columns(part: Line | Cuboid | Ball) -> rr.ComponentColumnList:
     if isinstance(part, Line):
         return rr.LineStrips3D.columns(strips=part.points)
     kind = rr.Ellipsoids3D if isinstance(part, Ball) else rr.Boxes3D

@@ -20,7 +20,7 @@ _RANGES = ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT')
 _LARGEST_DOMAIN = 232
 
 
-def settle_ros_environment() -> None:
+def prepare_ros_environment() -> None:
     """
     Add ROS from this environment to AMENT_PREFIX_PATH if needed, and check the variables of ROS.
 

@@ -27,7 +27,7 @@ _LOG_PERIOD = 1.0
 _REASONS = ('message', 'reason', 'error_message', 'failure_reason')
 
 
-class Ignored:
+class IgnoredErrors:
     """
     Messages and calls that were ignored because handling them raised an error.
 
@@ -91,7 +91,7 @@ class NodeExecutor(SingleThreadedExecutor):
 
     def __init__(self, node: Node):
         super().__init__()
-        self.errors = Ignored(node)
+        self.errors = IgnoredErrors(node)
         for service in node.services:
             answering: Any = self._answering(service)
             service.callback = answering
@@ -124,11 +124,11 @@ class NodeExecutor(SingleThreadedExecutor):
                 return await found if isawaitable(found) else found
             except Exception as problem:
                 reason = self.errors.ignore(service.service_name, problem, 'call failed')
-                return failed(request, response, reason)
+                return failed_response(request, response, reason)
         return answer
 
 
-def failed(request: Any, response: Any, reason: str) -> Any:
+def failed_response(request: Any, response: Any, reason: str) -> Any:
     """Return a response of any type as that of a failed call, with the reason."""
     if hasattr(response, 'results'):
         # The parameters before the one that cannot be read have been set.

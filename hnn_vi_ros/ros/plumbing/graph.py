@@ -79,7 +79,7 @@ def publisher_conflicts(node: Node, topics: Iterable[str]) -> str:
         'all but one, or remap their topics' for topic, nodes in found.items() if len(nodes) > 1)
 
 
-class Lasting:
+class RepetitionFilter:
     """
     A filter that logs a warning once it is repeated, because the graph changes in steps.
 

@@ -48,7 +48,7 @@ def parameter_names(node: Node, endpoints: Iterable[Endpoint]) -> list[str]:
             if kind == 'publisher' or policy != 'lifespan']
 
 
-def expected(name: str, value: object) -> str:
+def expected_form(name: str, value: object) -> str:
     """Return the expected form of a QoS parameter, or '' if the value is valid."""
     policy = name.rpartition('.')[2]
     if policy in _NAMED:

@@ -74,7 +74,7 @@ def log(node: Node, text: str, level: str) -> None:
         node.get_logger().error(text)
 
 
-def waiting(subscription: Subscription) -> Iterator[Any]:
+def take_waiting(subscription: Subscription) -> Iterator[Any]:
     """Take and yield the waiting messages of a subscription, in the form its callback gets."""
     while True:
         with subscription.handle:

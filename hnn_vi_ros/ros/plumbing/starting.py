@@ -87,15 +87,15 @@ def plain_ros_errors() -> Iterator[None]:
 
 @contextmanager
 def ros_process(argv: Sequence[str]) -> Iterator[list[int]]:
-    """Initialise ROS for the duration of the block; yield the list of ``note_signals``."""
+    """Initialise ROS for the duration of the block; yield the list of ``record_signals``."""
     init_ros(argv)
     try:
-        yield note_signals()
+        yield record_signals()
     finally:
         rclpy.try_shutdown()
 
 
-def note_signals() -> list[int]:
+def record_signals() -> list[int]:
     """
     Record the signals that end a node, without any other effect; return the list of them.
 

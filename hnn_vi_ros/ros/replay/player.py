@@ -9,7 +9,7 @@ from itertools import chain, islice
 import threading
 import time
 
-from hnn_vi_ros.recording import Recorded
+from hnn_vi_ros.recording import RecordedMessage
 from hnn_vi_ros.ros.topics.messages import CLOCK_PERIOD
 import numpy as np
 
@@ -23,12 +23,12 @@ _MAX_SILENCE = 5.0
 _STEP_TIMEOUT = 5.0
 
 
-def read_ahead(messages: Iterator[Recorded]) -> Iterator[Recorded]:
+def read_ahead(messages: Iterator[RecordedMessage]) -> Iterator[RecordedMessage]:
     """Return an iterator over the same items, which a thread reads in advance from now on."""
     reader = ThreadPoolExecutor(1, 'read ahead')
     batches = deque(reader.submit(_batch, messages) for _ in range(_MAX_BATCHES))
 
-    def take() -> Iterator[Recorded]:
+    def take() -> Iterator[RecordedMessage]:
         try:
             while True:
                 batch, problem = batches.popleft().result()
@@ -43,9 +43,9 @@ def read_ahead(messages: Iterator[Recorded]) -> Iterator[Recorded]:
     return take()
 
 
-def _batch(messages: Iterator[Recorded]) -> tuple[list[Recorded], Exception | None]:
+def _batch(messages: Iterator[RecordedMessage]) -> tuple[list[RecordedMessage], Exception | None]:
     """Return the next messages, [] at the end, and the exception that ended reading, if any."""
-    batch: list[Recorded] = []
+    batch: list[RecordedMessage] = []
     size = 0
     try:
         for message in messages:
@@ -92,7 +92,8 @@ class Player(threading.Thread):
 
     """
 
-    def __init__(self, read: Callable[[], Iterator[Recorded]], publish: Callable[[Recorded], None],
+    def __init__(self, read: Callable[[], Iterator[RecordedMessage]],
+                 publish: Callable[[RecordedMessage], None],
                  tell_time: Callable[[int], None] | None, first: int, last: int,
                  rate: float = 1.0, loop: bool = False, paused: bool = False,
                  tell: Callable[[str], None] | None = None):
@@ -114,7 +115,7 @@ class Player(threading.Thread):
         try:
             messages = self._read()
             # Start the clock after the first message has been read.
-            upcoming: Iterator[Recorded] = chain(list(islice(messages, 1)), messages)
+            upcoming: Iterator[RecordedMessage] = chain(list(islice(messages, 1)), messages)
             self._since = time.monotonic_ns()
             while True:
                 # The messages of the next round are read while this one is played.
@@ -172,7 +173,7 @@ class Player(threading.Thread):
     def _deadline(self, stamp: int) -> int:
         return self._since + round((stamp - self._position) / self._rate)
 
-    def _play(self, messages: Iterator[Recorded]) -> bool:
+    def _play(self, messages: Iterator[RecordedMessage]) -> bool:
         """Play one round from start to end; return False if it was stopped."""
         self._clock_due = max(self._first, 1)
         step, before = None, self._first

@@ -12,7 +12,7 @@ from typing import Any
 from hnn_vi_ros.effects import Command
 from hnn_vi_ros.errors import did_you_mean, listed, RecordingError
 from hnn_vi_ros.files import expand_user, parse_mapping
-from hnn_vi_ros.recording import BagReader, decode_state, Recorded, StateMessage
+from hnn_vi_ros.recording import BagReader, decode_state, RecordedMessage, StateMessage
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.outputs import JOINT_STATES
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
@@ -31,7 +31,7 @@ _SEARCH_LENGTHS = (10**9, 10**11, 2**64)
 
 
 @dataclass(frozen=True)
-class Resumption:
+class ResumePoint:
     """
     The point from which a simulator continues a log.
 
@@ -100,7 +100,8 @@ class RecordedRun:
     def __init__(self, bag: Path, trust_code: bool = False, node: str = ''):
         self.reader = BagReader(bag)
         self._topics = own_topics(self.reader)
-        self.node = _chosen(simulators(self.reader, self._topics), node, str(self.reader.path))
+        self.node = _simulator_name(simulators(self.reader, self._topics), node,
+                                    str(self.reader.path))
         self.channel = self._topics[f'{self.node}/state']
         self._where = f'{self.reader.path}: its scene'
         kept = self.reader.attachment('scene.yaml')
@@ -127,7 +128,7 @@ class RecordedRun:
         for stamp, values in self.reported(first):
             yield stamp, values['q'], values['p']
 
-    def state(self, message: Recorded) -> StateMessage:
+    def state(self, message: RecordedMessage) -> StateMessage:
         """Decode a message of ~/state to a sample; RecordingError if it is invalid."""
         try:
             return decode_state(message.data)
@@ -135,7 +136,7 @@ class RecordedRun:
             raise RecordingError(f'{self.reader.path}: the message of {self.node}/state at '
                                  f'{message.time} ns cannot be read: {problem}') from problem
 
-    def decoded(self, message: Recorded, kind: type) -> Any:
+    def decoded(self, message: RecordedMessage, kind: type) -> Any:
         """Deserialise a message of a ROS type; RecordingError if the bytes are invalid."""
         try:
             return deserialize_message(message.data, kind)
@@ -145,7 +146,7 @@ class RecordedRun:
                                  f'ns cannot be read: it is not a {kind.__name__}') from problem
 
     def in_order(self, channels: Collection[int], first: int = 0
-                 ) -> Iterator[tuple[Recorded, StateMessage | None]]:
+                 ) -> Iterator[tuple[RecordedMessage, StateMessage | None]]:
         """
         Yield messages from a log time on, each with the sample that it holds.
 
@@ -233,7 +234,7 @@ class RecordedRun:
                 'or the time set back, during the recording?')
         return step
 
-    def resumption(self) -> Resumption:
+    def resumption(self) -> ResumePoint:
         """Return the resumption from the last state; RecordingError if there is none."""
         last = None
         for back in _SEARCH_LENGTHS:
@@ -245,7 +246,7 @@ class RecordedRun:
             raise RecordingError(f'{self.reader.path}: contains no state from which to resume')
         stamp, q, p = last
         scene = self.scene.changed({'initial_state': {'q': q.tolist(), 'p': p.tolist()}})
-        return Resumption(scene, self.step_of(stamp), self.origin, self.reader.damage)
+        return ResumePoint(scene, self.step_of(stamp), self.origin, self.reader.damage)
 
     def _count(self, name: str) -> int:
         value = self.described.get(name, 0)
@@ -290,7 +291,7 @@ def simulators(reader: BagReader, topics: dict[str, int]) -> list[str]:
     return sorted(node for node in nodes if f'{node}/scene' in topics) or nodes[:1]
 
 
-def _chosen(nodes: Sequence[str], name: str, where: str) -> str:
+def _simulator_name(nodes: Sequence[str], name: str, where: str) -> str:
     """Return the full name of the requested simulator, or of the only one."""
     if not name and len(nodes) == 1:
         return nodes[0]
@@ -303,6 +304,6 @@ def _chosen(nodes: Sequence[str], name: str, where: str) -> str:
     return wanted
 
 
-def resume(bag: str | Path, trust_code: bool = False) -> Resumption:
+def resume(bag: str | Path, trust_code: bool = False) -> ResumePoint:
     """Return the point from which a simulator can continue a bag; see RecordedRun."""
     return RecordedRun(expand_user(bag), trust_code).resumption()

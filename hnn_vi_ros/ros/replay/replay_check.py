@@ -124,7 +124,7 @@ def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict
     begin = simulation.steps
     readings = _Readings(run, simulation)
     samples, difference = _first_difference(run, simulation, readings)
-    missing = _missing(run, begin)
+    missing = _gap_report(run, begin)
     if difference is None and not samples:
         return Verdict(f'{run.reader.path}: contains no samples to compare{missing}', False)
     agreed = f'{run.reader.path}: q, p, dp/dt, H and work of {samples} samples are ' \
@@ -147,7 +147,7 @@ def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict
         within and bool(others) and not missing)
 
 
-def _missing(run: RecordedRun, begin: int) -> str:
+def _gap_report(run: RecordedRun, begin: int) -> str:
     """Return the report on missing or duplicate samples and on damage, '' if there are none."""
     text, stamps = '', [stamp for stamp, _, _ in run.samples()]
     if repeated := [stamp for before, stamp in pairwise(stamps) if stamp == before]:
@@ -156,7 +156,7 @@ def _missing(run: RecordedRun, begin: int) -> str:
     if run.own and stamps:
         # Only the simulator's own bags must begin at the first step; others may begin later.
         stamps.append(run.stamp_of(begin))
-    if gaps := missing_stamps(stamps, run.spacing):
+    if gaps := stamp_gaps(stamps, run.spacing):
         first = gaps[0]
         text += (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} '
                  f'gaps, the first from t = {first.after * 1e-9:.9g} s to '
@@ -166,7 +166,7 @@ def _missing(run: RecordedRun, begin: int) -> str:
     return text
 
 
-class Missing(NamedTuple):
+class StampGap(NamedTuple):
     """
     A gap in an even grid.
 
@@ -184,8 +184,8 @@ class Missing(NamedTuple):
     count: int  # type: ignore[assignment]  # not tuple.count
 
 
-def missing_stamps(stamps: Sequence[int] | np.ndarray, spacing: int | None = None
-                   ) -> list[Missing]:
+def stamp_gaps(stamps: Sequence[int] | np.ndarray, spacing: int | None = None
+               ) -> list[StampGap]:
     """
     Return the gaps in a grid; the default spacing is the most frequent difference.
 
@@ -202,14 +202,14 @@ def missing_stamps(stamps: Sequence[int] | np.ndarray, spacing: int | None = Non
     """
     t = np.unique(np.asarray(stamps, dtype=np.uint64))
     differences = np.diff(t).astype(np.float64)
-    usual = spacing or _frequent(differences)
+    usual = spacing or _most_frequent(differences)
     if usual is None:
         return []
-    return [Missing(int(t[i]), int(t[i + 1]), round(differences[i] / usual) - 1)
+    return [StampGap(int(t[i]), int(t[i + 1]), round(differences[i] / usual) - 1)
             for i in np.flatnonzero(differences > 1.5 * usual)]
 
 
-def _frequent(differences: np.ndarray) -> float | None:
+def _most_frequent(differences: np.ndarray) -> float | None:
     """Return the most frequent difference; None if less than half of them are equal to it."""
     if len(differences) < _MIN_COUNT:
         return None
@@ -235,8 +235,8 @@ def _simulation(run: RecordedRun, shake: float = _NO_PERTURBATION) -> Simulation
     return simulation
 
 
-def _simulated(run: RecordedRun, *simulations: Simulation
-               ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+def _simulated_samples(run: RecordedRun, *simulations: Simulation
+                       ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
     """Yield the stamp and values of each sample, with the simulations advanced to its step."""
     commands = run.commands()
     command = next(commands, None)
@@ -333,7 +333,7 @@ def _first_difference(run: RecordedRun, simulation: Simulation, readings: _Readi
     """Return the number of equal samples, counted once per stamp, and the first difference."""
     count, newest = 0, None
     names, momenta = columns(simulation.hamiltonian.coordinates)
-    for stamp, values in _simulated(run, simulation):
+    for stamp, values in _simulated_samples(run, simulation):
         own = _values(simulation)
         for kind, recorded in values.items():
             # Compare the bits: -0.0 is not 0.0.
@@ -368,7 +368,7 @@ def _margin(run: RecordedRun) -> Margin:
     change = _PERTURBATION * _size(own)
     sizes, growths = dict.fromkeys(_values(own), 0.0), dict.fromkeys(_values(own), 0.0)
     growth, slope, worst = 1.0, 0.0, Margin(0.0, 0.0, 0, 'q')
-    for stamp, values in _simulated(run, own, shaken):
+    for stamp, values in _simulated_samples(run, own, shaken):
         here, there = _values(own), _values(shaken)
         for kind in here:
             sizes[kind] = max(sizes[kind], _largest(here[kind]))

@@ -11,7 +11,7 @@ from typing import Any
 
 from ament_index_python.resources import has_resource
 from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
-from hnn_vi_ros.recording import BagReader, qos_profiles, Recorded
+from hnn_vi_ros.recording import BagReader, qos_profiles, RecordedMessage
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (
@@ -212,7 +212,7 @@ class ReplayNode(RobustNode):
                                    'name it in topics to publish it')
         return heard
 
-    def _latched(self, first: int) -> Iterator[Recorded]:
+    def _latched(self, first: int) -> Iterator[RecordedMessage]:
         """Yield the latched messages from before the start, for which subscribers then wait."""
         latched = [number for number, publisher in self.publishers_of.items()
                    if publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL]

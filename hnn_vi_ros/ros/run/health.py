@@ -228,9 +228,9 @@ class RunStatus:
             if record.largest > tolerance.error:
                 level, message = WARN, self._monitor.over_tolerance()
         return Status('energy', level, message, {
-            'H [J]': _of(sample, 'energy'), 'modified_H [J]': _of(sample, 'modified_energy'),
-            'work [J]': _of(sample, 'work'), 'energy_scale [J]': self._monitor.energy_scale,
-            f'energy_error [{record.unit}]': _of(sample, 'energy_error'),
+            'H [J]': _field(sample, 'energy'), 'modified_H [J]': _field(sample, 'modified_energy'),
+            'work [J]': _field(sample, 'work'), 'energy_scale [J]': self._monitor.energy_scale,
+            f'energy_error [{record.unit}]': _field(sample, 'energy_error'),
             'modified_energy_band [J]': record.band,
             f'drift_per_hour [{record.unit}/h]': record.drift_per_hour, **allowed})
 
@@ -246,7 +246,7 @@ class RunStatus:
             **recording.targets, 'samples [1]': recording.samples})
 
 
-def _of(sample: Sample | None, field: str) -> float:
+def _field(sample: Sample | None, field: str) -> float:
     return math.nan if sample is None else getattr(sample, field)
 
 

@@ -20,7 +20,8 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import JOINT_COMMANDS
 from hnn_vi_ros.ros.topics.remapped_topics import KEY
 from hnn_vi_ros.run import (
-    compiled_beside, joint_sensor, JointSensor, look_ahead, Members, Sampler, scene_report, Twin)
+    compile_in_background, joint_sensor, JointSensor, Members, preview_bounds, Sampler,
+    scene_report, Twin)
 from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation import (
     BandGuard, BoxGuard, build, Choice, Chosen, EnergyGuard, look, PoleGuard, resolve, Simulation,
@@ -35,8 +36,8 @@ class LogLine(NamedTuple):
     level: str
 
 
-def select(scene: Scene, largest_step: float, real_time_factor: float, logger: Logger
-           ) -> tuple[Scene, Chosen | None, list[LogLine]]:
+def choose_method(scene: Scene, largest_step: float, real_time_factor: float, logger: Logger
+                  ) -> tuple[Scene, Chosen | None, list[LogLine]]:
     """
     Choose the method and step size; return the resolved scene, the choice, and log lines on it.
 
@@ -64,10 +65,10 @@ def select(scene: Scene, largest_step: float, real_time_factor: float, logger: L
             f'{tolerance.horizon:g} s; takes some seconds, once, or longer if integrators must be '
             'compiled')
     scene, chosen = resolve(scene, largest_step)
-    return scene, chosen, report(*chosen, real_time_factor) if chosen else []
+    return scene, chosen, choice_lines(*chosen, real_time_factor) if chosen else []
 
 
-def report(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> list[LogLine]:
+def choice_lines(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> list[LogLine]:
     """Return log lines on a choice at a pace."""
     lines = [LogLine(choice.explain(tolerance), 'INFO')]
     cost = choice.seconds_per_simulated_second
@@ -88,7 +89,7 @@ _PREVIEW_TIME = 30.0
 _MAX_SAMPLE_INTERVAL = 1e6
 
 
-class Prepared(NamedTuple):
+class PreparedRun(NamedTuple):
     """
     Result of the preparation.
 
@@ -136,7 +137,7 @@ class Prepared(NamedTuple):
 
 
 def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger: Logger,
-            begin: Callable[[str], None], trust_code: bool = False) -> Prepared:
+            begin: Callable[[str], None], trust_code: bool = False) -> PreparedRun:
     """
     Load the scene, compile it, look ahead at its motion, and open the files.
 
@@ -175,7 +176,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     factor = settings.real_time_factor
     scene, step, origin, damage = _load(settings, trust_code)
     begin('selecting the integrator')
-    scene, chosen, log_lines = select(scene, 1.0 / settings.publish_rate, factor, logger)
+    scene, chosen, log_lines = choose_method(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
     simulation, members, twin, ready = _build(scene, settings.publish_accuracy, logger, tell)
     if step:
@@ -201,7 +202,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin('previewing the run')
     seconds = _PREVIEW_TIME * (factor or 1.0)
     with announced(tell):
-        box = simulation.hamiltonian.box or look_ahead(
+        box = simulation.hamiltonian.box or preview_bounds(
             simulation, min(seconds, settings.duration or seconds))
     report = scene_report(scene, simulation, origin, chosen)
     if topics.remapped:
@@ -213,8 +214,8 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin(OPENING)
     recording = RunRecording(logger, scene, simulation, settings, topics, box, report, sampler)
     simulation.rescue_ready = ready
-    return Prepared(scene, chosen, simulation, box, report, recording, log_lines, origin, members,
-                    twin, sensor, lockstep)
+    return PreparedRun(scene, chosen, simulation, box, report, recording, log_lines, origin,
+                       members, twin, sensor, lockstep)
 
 
 def _load(settings: Settings, trust_code: bool) -> tuple[Scene, int, int, str]:
@@ -241,7 +242,7 @@ def check_pace(real_time_factor: float, tick: float) -> None:
             f'{_MAX_SAMPLE_INTERVAL:.0e} s would pass between two samples; increase it')
 
 
-class _Built(NamedTuple):
+class _RunParts(NamedTuple):
     simulation: Simulation
     members: Members | None
     twin: Twin | None
@@ -249,12 +250,12 @@ class _Built(NamedTuple):
 
 
 def _build(scene: Scene, publish_accuracy: bool, logger: Logger, tell: Callable[[str], None]
-           ) -> _Built:
+           ) -> _RunParts:
     """Return the compiled simulation and its companions."""
     with announced(tell):
         parts = scene.parts()
     # Not announced, since it looks the loop up and does not compile it.
-    with compiled_beside(parts), announced(tell):
+    with compile_in_background(parts), announced(tell):
         simulation = _compile(parts, logger)
     with announced(tell):
         with scene.placed('uncertainty'):
@@ -263,7 +264,7 @@ def _build(scene: Scene, publish_accuracy: bool, logger: Logger, tell: Callable[
         # A run with events, accuracy or companions never waits for a compilation.
         alone = not (scene.events or publish_accuracy or members or twin)
         ready = compile_rest(simulation, kept_only if alone else nullcontext)
-    return _Built(simulation, members, twin, ready)
+    return _RunParts(simulation, members, twin, ready)
 
 
 def _await_subscribers(discovery: Discovery, begin: Callable[[str], None]) -> None:

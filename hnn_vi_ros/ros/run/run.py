@@ -12,21 +12,21 @@ from typing import Any
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.recording import Sample
-from hnn_vi_ros.ros.plumbing.graph import Lasting, publisher_conflicts
+from hnn_vi_ros.ros.plumbing.graph import publisher_conflicts, RepetitionFilter
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, PaceClock
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
-from hnn_vi_ros.ros.run.preparation import Prepared
+from hnn_vi_ros.ros.run.preparation import PreparedRun
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import (
     DiagnosticsPublisher, EVENT, OK, state_values, Status, WARN)
 from hnn_vi_ros.ros.topics.inputs import JOINT_COMMANDS, OBSERVATIONS
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
-from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
+from hnn_vi_ros.ros.topics.outputs import ConfiguredRun, DIAGNOSTICS, EVENTS, PREDICTION_ERROR
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run import (
-    accompany, LONGEST_CALL, Monitor, OverrunGuard, Pacer, Sampler, StatusLine)
+    LONGEST_CALL, Monitor, OverrunGuard, Pacer, Sampler, StatusLine, with_companions)
 from hnn_vi_ros.simulation import (
     Alarm, BoxGuard, EnergyGuard, make_guards, RescuePending, SampledScale, watched,
     WatchedSimulation)
@@ -59,7 +59,7 @@ class Run:
 
     """
 
-    def __init__(self, node: Node, topics: Topics, prepared: Prepared, settings: Settings,
+    def __init__(self, node: Node, topics: Topics, prepared: PreparedRun, settings: Settings,
                  stop: Callable[[int, str], None]):
         self._node, self._topics, self._stop, self._settings = node, topics, stop, settings
         self.scene, self.recording = prepared.scene, prepared.recording
@@ -78,7 +78,7 @@ class Run:
         self._joiner = None if self._twin is None else ObservationJoiner(
             self._twin.names, self._twin.timeout, lambda: self.sampler.stamp,
             lambda: node.get_clock().now().nanoseconds)
-        self.simulation = accompany(
+        self.simulation = with_companions(
             simulation, [one for one in (self._members, self._twin) if one is not None])
         # The initial states of the scene, of the run since its last reset, and of the next reset.
         self._own_start = self._began_at = self.start = (
@@ -92,15 +92,15 @@ class Run:
         self._diagnostics = DiagnosticsPublisher(
             node, partial(topics.send, DIAGNOSTICS), self.scene.name)
         self._status = StatusLine(node.get_logger().info)
-        self._warn_of_crowd = Lasting(lambda text: self.tell(text, 'WARN'))
+        self._warn_of_crowd = RepetitionFilter(lambda text: self.tell(text, 'WARN'))
         self.lockstep = prepared.lockstep
         # Called when an answer has come, by which the run goes on.
         self.on_answer: Callable[[], None] = lambda: None
         monitor = self._make_monitor()
         topics.open(
-            Material(self.simulation, monitor, prepared.box, self.scene.mechanism,
-                     settings.frame_id, bool(self.scene.events), self._spread,
-                     prepared.sensor),
+            ConfiguredRun(self.simulation, monitor, prepared.box, self.scene.mechanism,
+                          settings.frame_id, bool(self.scene.events), self._spread,
+                          prepared.sensor),
             lambda: self.sampler.stamp, self.recording.write_other, self._joiner,
             None if self.lockstep is None else self._take_answer)
         self._events = DiagnosticsPublisher(node, partial(topics.send, EVENTS), self.scene.name)

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from itertools import islice
 from typing import Any
 
-from hnn_vi_ros.ros.plumbing.executor import Ignored
+from hnn_vi_ros.ros.plumbing.executor import IgnoredErrors
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription
-from hnn_vi_ros.ros.plumbing.rclpy_internals import waiting
+from hnn_vi_ros.ros.plumbing.rclpy_internals import take_waiting
 from hnn_vi_ros.ros.topics.inputs import Input
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
@@ -18,7 +18,7 @@ from rclpy.subscription import Subscription
 LARGEST_MESSAGE = 1 << 20
 
 
-class Hearing(Ignored):
+class Subscriptions(IgnoredErrors):
     """
     The subscriptions of a node.
 
@@ -75,7 +75,7 @@ class Hearing(Ignored):
         def on_message(payload: bytes) -> None:
             attempt(use, payload)
             if then is not None:
-                for other in islice(waiting(subscription), one.qos.depth):
+                for other in islice(take_waiting(subscription), one.qos.depth):
                     attempt(use, other)
                 attempt(then)
 

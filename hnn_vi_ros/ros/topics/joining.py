@@ -57,11 +57,11 @@ class ObservationJoiner:
         there = [name for name in self._names if name in message.name]
         if not there:
             # A message of other joints only: its reader reports the missing ones.
-            return _stamped(message, stamp)
+            return _with_stamp(message, stamp)
         self.joins = len(there) < len(self._names)
         if not self.joins or len({*message.name}) < len(message.name):
             self._parts.clear()
-            return _stamped(message, stamp)
+            return _with_stamp(message, stamp)
         stamp, seen = stamp or now, read_observation(message, 0)
         if not self._parts or stamp < self._since:
             self._since = stamp
@@ -84,10 +84,10 @@ class ObservationJoiner:
         self._parts.clear()
         # An unknown velocity is NaN and counts as zero.
         positions += np.nan_to_num(velocities) * (times.max() - times) / 1e9
-        return _stamped(JointState(name=[*self._names], position=positions, velocity=velocities),
-                        max(stamps))
+        return _with_stamp(JointState(
+            name=[*self._names], position=positions, velocity=velocities), max(stamps))
 
 
-def _stamped(message: JointState, stamp: int) -> JointState:
+def _with_stamp(message: JointState, stamp: int) -> JointState:
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
     return message

@@ -37,7 +37,7 @@ _ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _EVENTS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class Material(NamedTuple):
+class ConfiguredRun(NamedTuple):
     """
     A configured run, from which messages are made.
 
@@ -103,12 +103,12 @@ class Output(NamedTuple):
     topic: str
     message_type: type
     qos: QoSProfile
-    when: Callable[[Settings, Material | None], object] = lambda settings, run: True
-    make: Callable[[Material, Publisher], Encode | None] | None = None
+    when: Callable[[Settings, ConfiguredRun | None], object] = lambda settings, run: True
+    make: Callable[[ConfiguredRun, Publisher], Encode | None] | None = None
     recorded: Literal['', 'tick', 'apart'] = ''
     encoder: Callable[[Sequence[Coordinate]], Encode] | None = None
 
-    def encode(self, run: Material, publisher: Publisher) -> Encode | None:
+    def encode(self, run: ConfiguredRun, publisher: Publisher) -> Encode | None:
         """Return the encoder of the samples, or None if the topic has none."""
         return (self.make and self.make(run, publisher)) or (
             self.encoder and self.encoder(run.simulation.hamiltonian.coordinates))
@@ -137,7 +137,7 @@ ROBOT = Output('robot_description', String, LATCHED,
                lambda settings, run: run and run.simulation.hamiltonian.robot, recorded='apart')
 
 
-def _markers(run: Material, publisher: Publisher) -> Encode:
+def _markers(run: ConfiguredRun, publisher: Publisher) -> Encode:
     assert run.mechanism is not None, 'the row asks for it'
     hamiltonian = run.simulation.hamiltonian
     ends = ends_of(hamiltonian, run.simulation.q, run.box)
@@ -145,7 +145,7 @@ def _markers(run: Material, publisher: Publisher) -> Encode:
                          reach_of(hamiltonian, ends), run.frame_id).encode
 
 
-def _spread(run: Material) -> SpreadTopic:
+def _spread(run: ConfiguredRun) -> SpreadTopic:
     assert run.spread is not None, 'the row asks for it'
     return run.spread
 

@@ -18,7 +18,7 @@ KEY = 'remapped'
 _STRING = 'std_msgs/msg/String'
 
 
-def remapped(node: Node, topics: Iterable[str]) -> dict[str, str]:
+def remapped_names(node: Node, topics: Iterable[str]) -> dict[str, str]:
     """
     Return the new names of the remapped topics of a node, by their original full names.
 

@@ -13,13 +13,13 @@ from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 from hnn_vi_ros.ros.settings import Settings
-from hnn_vi_ros.ros.topics.hearing import Hearing
+from hnn_vi_ros.ros.topics.hearing import Subscriptions
 from hnn_vi_ros.ros.topics.inputs import (
     body_of, command_of, INITIAL_STATE, Input, INPUTS, JOINT_COMMANDS, OBSERVATIONS, WRENCH)
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import (
-    DIAGNOSTICS, JOINT_STATES, Material, Output, OUTPUTS, ROBOT, SCENE)
-from hnn_vi_ros.ros.topics.remapped_topics import remapped
+    ConfiguredRun, DIAGNOSTICS, JOINT_STATES, Output, OUTPUTS, ROBOT, SCENE)
+from hnn_vi_ros.ros.topics.remapped_topics import remapped_names
 from hnn_vi_ros.run import Monitor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -61,11 +61,11 @@ class Topics:
         self._publishers: dict[str, Publisher] = {}
         self._encoders: dict[str, tuple[Output, Encode]] = {}
         self._described: dict[str, Topic] = {}
-        self.hearing = Hearing(node)
+        self.hearing = Subscriptions(node)
         self._outputs: list[Output] = []
         self._create(None)
 
-    def open(self, material: Material, stamp: Callable[[], int],  # noqa: A003
+    def open(self, material: ConfiguredRun, stamp: Callable[[], int],  # noqa: A003
              record: Callable[[Topic, int, bytes], None],
              join: Callable[[JointState], JointState | None] | None = None,
              answer: Callable[[int], Callable[[], None] | None] | None = None) -> None:
@@ -152,7 +152,7 @@ class Topics:
         self._describe([*self._ticks, SCENE])
         return BagTopics([self._described[output.topic] for output in self._ticks],
                          self._described[SCENE.topic],
-                         remapped(self._node, [endpoint.topic for endpoint in ENDPOINTS]),
+                         remapped_names(self._node, [endpoint.topic for endpoint in ENDPOINTS]),
                          # It has no publisher before the scene is loaded.
                          describe_topic(self._node.resolve_topic_name(ROBOT.topic),
                                         ROBOT.message_type, ROBOT.qos))
@@ -179,7 +179,7 @@ class Topics:
     def _ticks(self) -> list[Output]:
         return [output for output in self._outputs if output.recorded == 'tick']
 
-    def _create(self, material: Material | None) -> None:
+    def _create(self, material: ConfiguredRun | None) -> None:
         """Create the publishers that are needed and do not exist yet."""
         self._outputs = [one for one in OUTPUTS if one.when(self._settings, material)]
         for output in self._outputs:

@@ -32,12 +32,13 @@ class Companion(Protocol):
         """Restart from the state of the simulation, at its step."""
 
 
-def accompany(simulation: Simulation, companions: Sequence[Companion]) -> Simulation:
+def with_companions(simulation: Simulation, companions: Sequence[Companion]) -> Simulation:
     """Return the simulation wrapped with its companions; unchanged if there are none."""
-    return cast(Simulation, Accompanied(simulation, companions)) if companions else simulation
+    return cast(Simulation, AccompaniedSimulation(simulation, companions)) \
+        if companions else simulation
 
 
-class Accompanied:
+class AccompaniedSimulation:
     """
     A simulation with companions, which take the same steps and the same commands.
 
@@ -254,26 +255,26 @@ def simulate_spread(scene: Scene | str | Path, duration: float, *, step_size: fl
     with warnings.catch_warnings():
         # The mean raises all alarms; the bands show members that leave the box.
         warnings.simplefilter('ignore', AlarmWarning)
-        members = [_or_failed(partial(simulate, one, duration, **options), mean) for one in own]
+        members = [_or_nan(partial(simulate, one, duration, **options), mean) for one in own]
     of_q, of_p = np.split(np.array(card.factors or [1.0, 1.0]), 2)
     momenta = [one.p for one in members]
     if not measured_momenta(parts.hamiltonian):
         whole = build(parts).hamiltonian
-        momenta = [_by_mean(whole, build(made).hamiltonian, one)
+        momenta = [_mean_momenta(whole, build(made).hamiltonian, one)
                    for made, one in zip(own, members, strict=True)]
     return SpreadTrajectory(
         mean, tuple(members), of_q * deviation([one.q for one in members]),
         of_p * deviation(momenta), card.level if card.factors else None)
 
 
-def _by_mean(mean: Hamiltonian, member: Hamiltonian, found: Trajectory) -> np.ndarray:
+def _mean_momenta(mean: Hamiltonian, member: Hamiltonian, found: Trajectory) -> np.ndarray:
     """Return the momenta of the mean for the velocities of a member; NaN if it failed."""
     if not np.isfinite(found.p).all():
         return found.p
     return same_velocity(member, mean, found.q, found.p)
 
 
-def _or_failed(simulated: Callable[[], Trajectory], like: Trajectory) -> Trajectory:
+def _or_nan(simulated: Callable[[], Trajectory], like: Trajectory) -> Trajectory:
     """Return the trajectory; one of NaN if the simulation failed."""
     try:
         return simulated()

@@ -8,7 +8,7 @@ import struct
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags import mcap_reader
-from hnn_vi_ros.recording.bags.mcap_file import _unpack, Allowance, MAX_RECORD_SIZE
+from hnn_vi_ros.recording.bags.mcap_file import _unpack, MAX_RECORD_SIZE, UnpackLimit
 from hnn_vi_ros.recording.bags.mcap_recovery import recover
 import lz4.frame
 from mcap.data_stream import RecordBuilder
@@ -144,7 +144,7 @@ def test_file_that_unpacks_to_more_than_its_allowance_is_refused(tmp_path, of_me
 
 
 def test_parts_that_are_read_again_are_not_counted_again(tmp_path):
-    allowance = Allowance(tmp_path / 'a.mcap', 0)
+    allowance = UnpackLimit(tmp_path / 'a.mcap', 0)
     for _ in range(9):
         allowance.spend(0, 2**25)
         allowance.spend(1, 2**25)
@@ -157,8 +157,8 @@ def test_packed_bag_is_decompressed_only_up_to_its_allowance(tmp_path, monkeypat
     folder = tmp_path / 'unpacked'
     folder.mkdir()
     monkeypatch.setattr('tempfile.tempdir', str(folder))
-    most, spend = [], Allowance.spend
-    monkeypatch.setattr(Allowance, 'spend',
+    most, spend = [], UnpackLimit.spend
+    monkeypatch.setattr(UnpackLimit, 'spend',
                         lambda *words: most.append(words[-1]) or spend(*words))
     (tmp_path / name).write_bytes(zeros(2**27))
     with refused(RecordingError):
@@ -199,8 +199,8 @@ def test_packed_messages_are_unpacked_only_until_they_are_too_large_together(
         for packed in [zstandard.compress(bytes(2**20))] for i in range(100))
     path = write_chunk(tmp_path / 'a.mcap', 'zstd', zstandard.compress(data), len(data))
     monkeypatch.setattr(mcap_reader, '_MAX_BUFFERED', 2**22)
-    unpack_message, unpacked = mcap_reader._unpacked, []
-    monkeypatch.setattr(mcap_reader, '_unpacked',
+    unpack_message, unpacked = mcap_reader._unpack_message, []
+    monkeypatch.setattr(mcap_reader, '_unpack_message',
                         lambda data: unpacked.append(data) or unpack_message(data))
     with refused(RecordingError):
         list(BagReader(path).messages())

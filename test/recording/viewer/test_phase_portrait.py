@@ -5,7 +5,7 @@
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.recording import box_of, contours, Frame
-from hnn_vi_ros.recording.viewer.phase_portrait import fitted, frame_of, GRID, ticks
+from hnn_vi_ros.recording.viewer.phase_portrait import fit_frame, frame_of, GRID, ticks
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -73,5 +73,5 @@ def test_ticks_are_few_ordered_and_inside(low: float, width: float):
 def test_frame_is_widened_to_a_recorded_path():
     live, path = Frame(0, (-2.0, 2.0), (-4.0, 4.0)), np.array([[-1.0, 3.0], [-8.0, 8.0]])
     # The box is shown in any case, and widened by a twentieth.
-    assert fitted(live, path) == Frame(0, (-2.0, 3.2), (-8.4, 8.4))
-    assert fitted(live, np.array([[1.0, 1.0 + 1e-9], [4.0, 4.0]])) == live
+    assert fit_frame(live, path) == Frame(0, (-2.0, 3.2), (-8.4, 8.4))
+    assert fit_frame(live, np.array([[1.0, 1.0 + 1e-9], [4.0, 4.0]])) == live

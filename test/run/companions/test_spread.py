@@ -9,7 +9,7 @@ from ensembles import ensemble
 from hnn_vi_ros import load_scene, simulate, simulate_spread
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.models import save_checkpoint
-from hnn_vi_ros.run import Accompanied, deviation, Members
+from hnn_vi_ros.run import AccompaniedSimulation, deviation, Members
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build, SpreadGuard
 from hnn_vi_ros.simulation.guards.base import GuardState
@@ -55,7 +55,7 @@ def test_spread_is_the_deviation_of_the_members_times_the_factor(scene: Scene):
 
 def test_members_beside_a_run_step_as_they_do_alone_under_its_commands(scene: Scene):
     members = Members(scene.parts())
-    accompanied = Accompanied(build(scene), [members])
+    accompanied = AccompaniedSimulation(build(scene), [members])
     accompanied.advance(7)
     accompanied.set_command([0.25])
     accompanied.advance(13)
@@ -70,7 +70,8 @@ def test_members_beside_a_run_step_as_they_do_alone_under_its_commands(scene: Sc
 
 
 def test_run_with_members_is_the_run_without_them(scene: Scene):
-    with_members, alone = Accompanied(build(scene), [Members(scene.parts())]), build(scene)
+    with_members = AccompaniedSimulation(build(scene), [Members(scene.parts())])
+    alone = build(scene)
     for simulation in (with_members, alone):
         simulation.set_command([0.1])
         simulation.advance(20)
@@ -80,7 +81,7 @@ def test_run_with_members_is_the_run_without_them(scene: Scene):
 
 def test_members_begin_anew_where_the_run_does(scene: Scene):
     members = Members(scene.parts())
-    simulation = Accompanied(build(scene), [members])
+    simulation = AccompaniedSimulation(build(scene), [members])
     simulation.advance(20)
     snapshot = simulation.snapshot()
     assert (members.spread > 0.0).all()

@@ -8,7 +8,7 @@ from pathlib import Path
 from hnn_vi_ros import load_scene, Scene
 from hnn_vi_ros.effects import Observation
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.run import Accompanied, Twin, VALID
+from hnn_vi_ros.run import AccompaniedSimulation, Twin, VALID
 from hnn_vi_ros.simulation import build, Simulation
 from messages import refused
 import numpy as np
@@ -34,7 +34,7 @@ class Twins:
     def __init__(self, scene: Scene, machine: Scene):
         self.simulation, self.machine = build(scene), build(machine)
         self.twin = Twin(scene, self.simulation)
-        self.accompanied = Accompanied(self.simulation, [self.twin])
+        self.accompanied = AccompaniedSimulation(self.simulation, [self.twin])
 
     def follow(self, observations: int, velocity: bool = True) -> list:
         """Observe the machine so often while both are driven; return what was told."""
