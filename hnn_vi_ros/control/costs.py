@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import listed, UnsupportedSystem
-from hnn_vi_ros.hamiltonians import Hamiltonian, Joint, RIGID, SLIDING
-from hnn_vi_ros.kernels import inlined, kept
+from hnn_vi_ros.hamiltonians import (
+    Bodies, fill_frames, frame_of, Hamiltonian, Joint, RIGID, SLIDING, TreeWork)
+from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.phase_space import angle_columns
 import numpy as np
 from numpy.typing import ArrayLike
@@ -255,32 +256,45 @@ def _with_states_at_rest(q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.n
 
 class _Path(NamedTuple):
     """
-    Joints from the base to a body, and a point of the body.
+    Moving joints from the base to a body, and a point of the body.
 
     Parameters
     ----------
-    rotations : np.ndarray, shape (k, 3, 3)
-        Rotation from the frame of the previous body to that of each joint, at coordinate zero.
-    origins, axes : np.ndarray, shape (k, 3)
-        Origin of each joint in the previous frame, and its axis in its own frame.
-    slides : np.ndarray of bool, shape (k,)
-        Mask of the prismatic joints.
+    bodies : Bodies
+        A chain of k bodies without inertia, one behind each joint.
+    work : TreeWork
+        Its workspace; like a kernel, a path is for one thread at a time.
     by_q : np.ndarray, shape (k, d)
         Derivative of each joint's coordinate with respect to those of the system.
     fixed : np.ndarray, shape (k,)
         Constant offset of each joint's coordinate.
     end : np.ndarray, shape (3,)
-        Point in the frame of the last joint [m].
+        Point in the frame of the last body [m].
 
     """
 
-    rotations: np.ndarray
-    origins: np.ndarray
-    axes: np.ndarray
-    slides: np.ndarray
+    bodies: Bodies
+    work: TreeWork
     by_q: np.ndarray
     fixed: np.ndarray
     end: np.ndarray
+
+    @classmethod
+    def of(cls, joints: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, bool]],
+           by_q: np.ndarray, fixed: np.ndarray, end: np.ndarray) -> '_Path':
+        """Return a path; each joint has a rotation and origin, an axis, and True if it slides."""
+        placement = [np.zeros(12)]
+        frame = np.eye(3)
+        for rotation, origin, axis, _ in joints:
+            # The frame of a body has the axis of its joint as z.
+            own = frame_of(axis)
+            placement.append(np.hstack([(frame.T @ rotation @ own).ravel(), frame.T @ origin]))
+            frame = own
+        rows = np.maximum(np.arange(len(joints) + 1) - 1, 0)
+        slides = np.array([0, *(int(joint[3]) for joint in joints)])
+        return cls(Bodies(rows, rows, slides, np.array(placement), np.zeros((rows.size, 10)),
+                          np.zeros(rows.size), np.zeros(3), np.zeros(rows.size)),
+                   TreeWork.empty(len(joints)), by_q, fixed, frame.T @ end)
 
 
 @kept(error_model='numpy')
@@ -291,61 +305,23 @@ def _fill_positions(path: _Path, angles: np.ndarray, places: np.ndarray, slopes:
 
     Also fill its derivatives with respect to them, (n, 3, k), unless that array is empty.
     """
-    count = len(path.origins)
-    now, after = np.empty((2, 3, 3))
-    at, axis = np.empty((2, count, 3))
+    work, end, count = path.work, path.end, path.bodies.parent.size
+    axis, rotation, origin = work.axis, work.rotation, np.zeros((count, 3))
     for m in range(len(angles)):
-        place = places[m]
-        place[:] = 0.0
-        for i in range(3):
+        fill_frames(path.bodies, work, angles[m], 0)
+        for i in range(1, count):
             for k in range(3):
-                now[i, k] = 1.0 if i == k else 0.0
-        for j in range(count):
-            value, (x, y, z) = angles[m, j], path.axes[j]
-            _add_turned(now, path.origins[j], place)
-            _turn(now, path.rotations[j], after)
-            for i in range(3):
-                at[j, i], axis[j, i] = place[i], 0.0
-            _add_turned(after, path.axes[j], axis[j])
-            if path.slides[j]:
-                for i in range(3):
-                    place[i] += value * axis[j, i]
-                    for k in range(3):
-                        now[i, k] = after[i, k]
-                continue
-            # Rodrigues' formula: R + sin R [a] + (1 - cos) R [a]^2.
-            sine, rest = np.sin(value), 1.0 - np.cos(value)
-            for i in range(3):
-                a, b, c = after[i]
-                u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
-                now[i, 0] = a + sine * u + rest * (v * z - w * y)
-                now[i, 1] = b + sine * v + rest * (w * x - u * z)
-                now[i, 2] = c + sine * w + rest * (u * y - v * x)
-        _add_turned(now, path.end, place)
-        for j in range(count if slopes.size else 0):
-            a, b, c = axis[j]
-            if not path.slides[j]:
-                x, y, z = place[0] - at[j, 0], place[1] - at[j, 1], place[2] - at[j, 2]
-                a, b, c = b * z - c * y, c * x - a * z, a * y - b * x
-            slopes[m, 0, j], slopes[m, 1, j], slopes[m, 2, j] = a, b, c
-
-
-@inlined
-def _add_turned(rotation: np.ndarray, vector: np.ndarray, target: np.ndarray) -> None:
-    """Add a rotated vector to the target."""
-    for i in range(3):
+                origin[i, k] = origin[i - 1, k] + work.offset[i, k]
         for k in range(3):
-            target[i] += rotation[i, k] * vector[k]
-
-
-@inlined
-def _turn(first: np.ndarray, second: np.ndarray, product: np.ndarray) -> None:
-    """Fill the product of two rotations."""
-    for i in range(3):
-        for j in range(3):
-            product[i, j] = 0.0
-            for k in range(3):
-                product[i, j] += first[i, k] * second[k, j]
+            places[m, k] = origin[-1, k] + rotation[-1, 3 * k] * end[0] \
+                + rotation[-1, 3 * k + 1] * end[1] + rotation[-1, 3 * k + 2] * end[2]
+        for i in range(1, count if slopes.size else 0):
+            a, b, c = axis[i, 0], axis[i, 1], axis[i, 2]
+            x, y, z = (places[m, 0] - origin[i, 0], places[m, 1] - origin[i, 1],
+                       places[m, 2] - origin[i, 2])
+            slopes[m, 0, i - 1] = axis[i, 3] + b * z - c * y
+            slopes[m, 1, i - 1] = axis[i, 4] + c * x - a * z
+            slopes[m, 2, i - 1] = axis[i, 5] + a * y - b * x
 
 
 class Point(_OfState):
@@ -401,10 +377,9 @@ class Point(_OfState):
         origins = np.zeros((k, 3))
         origins[1:, 2] = -np.asarray(lengths)[:-1]
         # Positive angles move a hanging rod towards x.
-        point._prepare(_Path(
-            np.broadcast_to(np.eye(3), (k, 3, 3)).copy(), origins,
-            np.tile([0.0, -1.0, 0.0], (k, 1)), np.zeros(k, dtype=bool), by_q, np.zeros(k),
-            np.array([0.0, 0.0, -lengths[-1]])), goal, length or float(sum(lengths)))
+        axis, end = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, -lengths[-1]])
+        point._prepare(_Path.of([(np.eye(3), origin, axis, False) for origin in origins],
+                                by_q, np.zeros(k), end), goal, length or float(sum(lengths)))
         return point
 
     def _prepare(self, path: _Path, goal: ArrayLike, length: float) -> None:
@@ -457,12 +432,13 @@ def _path_to(hamiltonian: Hamiltonian, link: str, offset: ArrayLike) -> _Path:
     while at != robot.root:
         joints.insert(0, carried[at])
         at = carried[at].parent
-    by_q, fixed = robot.driven([joint.name for joint in joints],
-                               [one.name for one in hamiltonian.coordinates])
-    return _Path(
-        np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3),
-        np.array([joint.origin for joint in joints]).reshape(-1, 3),
-        np.array([joint.axis if joint.kind != RIGID else (0.0, 0.0, 1.0)
-                  for joint in joints]).reshape(-1, 3),
-        np.array([joint.kind == SLIDING for joint in joints], dtype=bool), by_q, fixed,
-        np.array(offset, dtype=np.float64))
+    rotation, origin = np.eye(3), np.zeros(3)
+    moving, names = [], []
+    for joint in joints:
+        origin, rotation = origin + rotation @ joint.origin, rotation @ joint.rotation
+        if joint.kind != RIGID:
+            moving.append((rotation, origin, joint.axis, joint.kind == SLIDING))
+            names.append(joint.name)
+            rotation, origin = np.eye(3), np.zeros(3)
+    by_q, fixed = robot.driven(names, [one.name for one in hamiltonian.coordinates])
+    return _Path.of(moving, by_q, fixed, origin + rotation @ np.array(offset, dtype=np.float64))

@@ -7,7 +7,7 @@ from pathlib import Path
 from hnn_vi_ros.hamiltonians import HAMILTONIANS, RigidBodyTree
 from hnn_vi_ros.hamiltonians.rigid_body.following import FollowingParameters
 from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT
-from hnn_vi_ros.hamiltonians.rigid_body.sweeps import TreeParameters, Work
+from hnn_vi_ros.hamiltonians.rigid_body.sweeps import TreeParameters, TreeWork
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels import by_address, original
 from hnn_vi_ros.scene import described_scene, load_scene
@@ -49,7 +49,7 @@ def complex_kernel(robot: RigidBodyTree):
     kernel = robot.kernel
     if robot.bodies.parent.size <= MOST_STRAIGHT + 1:
         return kernel
-    parameters = TreeParameters(robot.bodies, Work.empty(robot.dimension, complex)) \
+    parameters = TreeParameters(robot.bodies, TreeWork.empty(robot.dimension, complex)) \
         if robot.following is None else FollowingParameters.empty(
             robot.bodies, robot.following, complex)
     return kernel._replace(parameters=parameters)

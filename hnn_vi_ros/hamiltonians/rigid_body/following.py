@@ -17,7 +17,7 @@ from hnn_vi_ros.hamiltonians.base import compiled_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import power
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
     add_rate_changes, Bodies, fill_changes, fill_frames, fill_mass_matrix, fill_velocities,
-    Following, force_change_of, force_of, Work)
+    Following, force_change_of, force_of, TreeWork)
 from hnn_vi_ros.kernels import factorise, inlined, Kernel, solve_cholesky
 import numpy as np
 from numpy.typing import DTypeLike
@@ -41,7 +41,7 @@ class FollowingParameters(NamedTuple):
     """
 
     bodies: Bodies
-    work: Work
+    work: TreeWork
     following: Following
     joints: np.ndarray
     mass: np.ndarray
@@ -53,7 +53,7 @@ class FollowingParameters(NamedTuple):
               ) -> 'FollowingParameters':
         """Return parameters with new workspace."""
         d, k = following.leader.size, following.size
-        return cls(bodies, Work.empty(d, dtype), following, np.zeros(d, dtype),
+        return cls(bodies, TreeWork.empty(d, dtype), following, np.zeros(d, dtype),
                    np.zeros((k, k), dtype), *np.zeros((2, k), dtype))
 
 

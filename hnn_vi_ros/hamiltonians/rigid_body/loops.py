@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.files import in_plain_words, StrictModel
-from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, fill_frames, Following, Work
+from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, fill_frames, Following, TreeWork
 from hnn_vi_ros.kernels import inlined
 import numpy as np
 from pydantic import Field, model_validator, ValidationError
@@ -49,7 +49,7 @@ class LoopRows(NamedTuple):
     ----------
     bodies : Bodies
         The tree, of which only the geometry is used.
-    work : Work
+    work : TreeWork
         Workspace for one state.
     origin : np.ndarray, shape (d + 1, 3)
         Origin of each body [m].
@@ -71,7 +71,7 @@ class LoopRows(NamedTuple):
     """
 
     bodies: Bodies
-    work: Work
+    work: TreeWork
     origin: np.ndarray
     ends: np.ndarray
     turns: np.ndarray
@@ -87,7 +87,7 @@ class LoopRows(NamedTuple):
         """Return the same equations in other memory."""
         own = [part.copy() for part in self[2:]]
         return LoopRows(Bodies(*(part.copy() for part in self.bodies)),
-                        Work(*(part.copy() for part in self.work)), *own)
+                        TreeWork(*(part.copy() for part in self.work)), *own)
 
 
 class Loops(NamedTuple):
@@ -178,7 +178,7 @@ def loops_of(given: Sequence[Mapping[str, Any] | ClosingJoint], bodies: Bodies,
     leader, multiplier, offset = following or (np.arange(d), np.ones(d), np.zeros(d))
     angles = bool((bodies.prismatic[1:] == 0).any())
     return Loops(
-        LoopRows(bodies, Work.empty(d), np.zeros((d + 1, 3)), np.array(ends), np.array(turns),
+        LoopRows(bodies, TreeWork.empty(d), np.zeros((d + 1, 3)), np.array(ends), np.array(turns),
                  np.array(vectors), np.array(normals), np.zeros((2, 3)),
                  leader, multiplier, offset, np.zeros(d)),
         tuple(names), tuple(welds), max(length, 1.0) if angles else length, length, assemble)

@@ -95,7 +95,7 @@ class Following(NamedTuple):
         return G
 
 
-class Work(NamedTuple):
+class TreeWork(NamedTuple):
     """
     Workspace for one state of d bodies; names ending in ``_v`` are changes along a direction.
 
@@ -144,7 +144,7 @@ class Work(NamedTuple):
     rates_v: np.ndarray
 
     @classmethod
-    def empty(cls, d: int, dtype: DTypeLike = np.float64) -> 'Work':
+    def empty(cls, d: int, dtype: DTypeLike = np.float64) -> 'TreeWork':
         """Return workspace for d bodies, with the base at rest."""
         widths = (9, 3, 10, 10, *[6] * 10, 4)
         work = cls._make([*(np.zeros((d + 1, n), dtype) for n in widths),
@@ -157,11 +157,11 @@ class TreeParameters(NamedTuple):
     """Parameters of the functions of a tree, their first argument: the bodies, and workspace."""
 
     bodies: Bodies
-    work: Work
+    work: TreeWork
 
 
 @inlined
-def fill_frames(bodies: Bodies, work: Work, q: np.ndarray, start: int) -> None:
+def fill_frames(bodies: Bodies, work: TreeWork, q: np.ndarray, start: int) -> None:
     """Fill positions, axes and inertias of the bodies for the state at offset ``start``."""
     rotation, offset, axis = work.rotation, work.offset, work.axis
     placement, own, inertia = bodies.placement, bodies.inertia, work.inertia
@@ -196,7 +196,7 @@ def fill_frames(bodies: Bodies, work: Work, q: np.ndarray, start: int) -> None:
 
 
 @inlined
-def fill_mass_matrix(bodies: Bodies, work: Work) -> None:
+def fill_mass_matrix(bodies: Bodies, work: TreeWork) -> None:
     """Fill the composite inertias and the lower triangle of M; call ``fill_frames`` first."""
     composite, axis, offset, force = work.composite, work.axis, work.offset, work.spare
     for i in range(bodies.parent.size):
@@ -221,7 +221,7 @@ def fill_mass_matrix(bodies: Bodies, work: Work) -> None:
 
 
 @inlined
-def solve_rates(bodies: Bodies, work: Work, p: np.ndarray, start: int) -> None:
+def solve_rates(bodies: Bodies, work: TreeWork, p: np.ndarray, start: int) -> None:
     """Fill v = M^-1 p, NaN if M is not positive definite, and store the factor of M."""
     regular = factorise(work.mass)
     for i in range(work.rates.size):
@@ -230,7 +230,7 @@ def solve_rates(bodies: Bodies, work: Work, p: np.ndarray, start: int) -> None:
 
 
 @inlined
-def fill_velocities(bodies: Bodies, work: Work) -> None:
+def fill_velocities(bodies: Bodies, work: TreeWork) -> None:
     """Fill velocities, momenta and S x v; call ``solve_rates`` first."""
     velocity, momenta, axis = work.velocity, work.momentum, work.axis
     for k in range(6):
@@ -246,7 +246,7 @@ def fill_velocities(bodies: Bodies, work: Work) -> None:
 
 
 @inlined
-def force_of(bodies: Bodies, work: Work, i: int) -> float:
+def force_of(bodies: Bodies, work: TreeWork, i: int) -> float:
     """Return H_q of the joint of body i; call ``fill_velocities`` first."""
     composite = work.composite
     return (power(work.product, work.momentum, i)
@@ -255,7 +255,7 @@ def force_of(bodies: Bodies, work: Work, i: int) -> float:
 
 
 @inlined
-def fill_changes(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
+def fill_changes(bodies: Bodies, work: TreeWork, v_q: np.ndarray, start: int) -> None:
     """Fill the changes along v_q at constant rates; call ``fill_velocities`` first."""
     shift, axis, axis_v = work.shift, work.axis, work.axis_v
     velocity_v, momentum_v, first_v, spare = (
@@ -290,7 +290,7 @@ def fill_changes(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> Non
 
 
 @inlined
-def solve_rate_changes(bodies: Bodies, work: Work, v_p: np.ndarray, start: int) -> None:
+def solve_rate_changes(bodies: Bodies, work: TreeWork, v_p: np.ndarray, start: int) -> None:
     """Fill the change of the rates, M^-1 (v_p - (M v)')."""
     for i in range(1, bodies.parent.size):
         work.rates_v[i - 1] = (v_p[start + bodies.coordinate[i]]
@@ -300,7 +300,7 @@ def solve_rate_changes(bodies: Bodies, work: Work, v_p: np.ndarray, start: int) 
 
 
 @inlined
-def add_rate_changes(bodies: Bodies, work: Work) -> None:
+def add_rate_changes(bodies: Bodies, work: TreeWork) -> None:
     """Add the contributions of the changes of the rates; call ``solve_rate_changes`` first."""
     axis, momentum_v, rate, impulse = work.axis, work.momentum_v, work.spare, work.impulse
     for k in range(6):
@@ -319,7 +319,7 @@ def add_rate_changes(bodies: Bodies, work: Work) -> None:
 
 
 @inlined
-def force_change_of(bodies: Bodies, work: Work, i: int) -> float:
+def force_change_of(bodies: Bodies, work: TreeWork, i: int) -> float:
     """Return the change of H_q of the joint of body i; call ``add_rate_changes`` first."""
     composite, spare = work.composite, work.spare
     cross_motion(work.axis_v, work.velocity, i, spare)

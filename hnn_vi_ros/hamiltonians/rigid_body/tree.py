@@ -13,7 +13,7 @@ from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Inertial, Joint, KINDS, Link, Mimic, RIGID, Robot, SLIDING)
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
-    Bodies, fill_frames, fill_mass_matrix, Following, Work)
+    Bodies, fill_frames, fill_mass_matrix, Following, TreeWork)
 import numpy as np
 
 MOST_JOINTS, MOST_DRIVEN = 12, 64
@@ -129,7 +129,7 @@ def mass_matrix(bodies: Bodies, q: np.ndarray, following: Following | None = Non
         half = 0.5 * G.T @ mass_matrix(bodies, G @ q + following.offset) @ G
         return half + half.T
     d = q.size
-    work = Work.empty(d)
+    work = TreeWork.empty(d)
     fill_frames(bodies, work, q, 0)
     fill_mass_matrix(bodies, work)
     lower = work.mass + np.tril(work.mass, -1).T

@@ -7,7 +7,8 @@ from hnn_vi_ros.hamiltonians.rigid_body.following import following_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT, small_tree_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
     add_rate_changes, Bodies, fill_changes, fill_frames, fill_mass_matrix, fill_velocities,
-    Following, force_change_of, force_of, solve_rate_changes, solve_rates, TreeParameters, Work)
+    Following, force_change_of, force_of, solve_rate_changes, solve_rates, TreeParameters,
+    TreeWork)
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
@@ -28,7 +29,7 @@ def tree_kernel(bodies: Bodies, following: Following | None = None) -> Kernel:
         kernel = following_kernel(bodies, following)
     else:
         kernel = compiled_kernel(
-            (_energy, _gradient, _hessian_vector), TreeParameters(bodies, Work.empty(d)), d)
+            (_energy, _gradient, _hessian_vector), TreeParameters(bodies, TreeWork.empty(d)), d)
     gain = 1.0 if following is None else float(np.abs(following.matrix()).sum(axis=0).max())
     return kernel._replace(gradient_scale=(gain * scale, 0.0), energy_scale=scale)
 
