@@ -174,7 +174,7 @@ class LieGroupNetwork(torch.nn.Module):
                 f'linears.{k}.{key}': torch.tensor(part)
                 for key, parts in zip(('weight', 'bias'), layers, strict=True)
                 for k, part in enumerate(parts)})
-            setattr(network, name, own)
+            network.add_module(name, own)
         return network
 
     def outputs(self, name: str, z: torch.Tensor) -> torch.Tensor:
