@@ -15,9 +15,10 @@ from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.motions import train_and_test
 from hnn_vi_ros.learning.families.mechanical import PlainNetwork
 from hnn_vi_ros.learning.fit.config import find_config, MachineConfig
-from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
+from hnn_vi_ros.learning.fit.machine import fit_network, scales_of
+from hnn_vi_ros.learning.fit.machine_fit import fit_machine
+from hnn_vi_ros.learning.fit.model_files import describe_machine
 from hnn_vi_ros.learning.judging.evaluation import Predict, predicted_by, score
-from hnn_vi_ros.learning.tasks.machine import describe, problem_of
 from hnn_vi_ros.learning.tasks.selection import RIGID, selected
 from hnn_vi_ros.models import PLANAR_CHAIN, save_checkpoint
 import numpy as np
@@ -199,12 +200,11 @@ def measure(case: str, model: str, seed: int, data: Path) -> dict[str, Any]:
     if family is None:
         plain = PlainNetwork([coordinate.kind for coordinate in config.coordinates],
                              config.hidden, scales_of(train), seed)
-        MachineProblem(plain, config, train).fit()
-        predict = predicted_by(plain)
+        predict = predicted_by(fit_network(plain, config, train).module)
         found = _judged(predict, test)
     else:
         config = config.model_copy(update={'family': config.family.model_copy(update=family)})
-        config, selection = selected(config, train, problem_of)
+        config, selection = selected(config, train)
         found = _trained(config, train, test, text)
         if selection is not None:
             found['chosen'] = selection.chosen
@@ -218,9 +218,9 @@ def measure(case: str, model: str, seed: int, data: Path) -> dict[str, Any]:
 def _trained(config: MachineConfig, train: Sequence[EvenMotion], test: Sequence[EvenMotion],
              text: str) -> dict[str, Any]:
     """Return the errors of a model that is trained on these motions."""
-    problem = problem_of(config, train)
-    losses = problem.fit()
-    checkpoint = describe(problem.module, config, train, text, losses, 'beyond_data', '')
+    fitted = fit_machine(config, train)
+    checkpoint = describe_machine(
+        fitted.module, config, train, text, fitted.losses, 'beyond_data')
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'model.safetensors'
         save_checkpoint(file, checkpoint)

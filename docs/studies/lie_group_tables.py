@@ -12,8 +12,9 @@ from hnn_vi_ros.files import Parser
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
+from hnn_vi_ros.learning.fit.body import joined
 from hnn_vi_ros.learning.fit.config import find_config, load_config
-from hnn_vi_ros.learning.tasks.body import INTERVALS, joined, published_loss
+from hnn_vi_ros.learning.tasks.body import INTERVALS, published_loss
 from hnn_vi_ros.models import Checkpoint, load_checkpoint, turn_matrices
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from hnn_vi_ros.simulation import Simulation

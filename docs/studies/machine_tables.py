@@ -19,10 +19,11 @@ from hnn_vi_ros.learning.data.motions import train_and_test
 from hnn_vi_ros.learning.families.choices import AUTO
 from hnn_vi_ros.learning.families.mechanical import PlainNetwork
 from hnn_vi_ros.learning.fit.config import find_config, MachineConfig
-from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
+from hnn_vi_ros.learning.fit.machine import fit_network, scales_of
+from hnn_vi_ros.learning.fit.model_files import describe_machine
 from hnn_vi_ros.learning.judging.evaluation import (
     Predict, predicted_by, score, simulated, simulation_of, variance_of)
-from hnn_vi_ros.learning.tasks.machine import describe, fix_scale, learn
+from hnn_vi_ros.learning.tasks.machine import learn, with_scale
 from hnn_vi_ros.models import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 import numpy as np
@@ -302,16 +303,16 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
     if model == PLAIN:
         plain = PlainNetwork([coordinate.kind for coordinate in config.coordinates],
                              config.hidden, scales_of(motions.train), seed)
-        MachineProblem(plain, config, motions.train).fit()
+        plain = fit_network(plain, config, motions.train).module
         return case.measure(predicted_by(plain), motions.test, data)
     config = config.model_copy(update={'family': config.family.model_copy(update={
         'prior': AUTO if model == DEFAULT else case.prior if rigid else None,
         'residual': model != RIGID_BODY})})
-    network, losses = learn(config, motions.train)
+    fitted = learn(config, motions.train)
     if not any(motion.tau.any() for motion in motions.train):
-        fix_scale(network, motions.train)
-    checkpoint = describe(network, config, motions.train, motions.description, losses,
-                          case.config, '')
+        fitted = with_scale(fitted, motions.train)
+    checkpoint = describe_machine(fitted.module, config, motions.train, motions.description,
+                                  fitted.losses, case.config)
     with tempfile.TemporaryDirectory() as folder:
         # Effects read the learned forces of a model from a file.
         file = Path(folder) / 'model.safetensors'

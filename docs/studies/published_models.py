@@ -141,7 +141,8 @@ def _train(training: Training, seed: int, table: np.ndarray, family: dict[str, A
     # Imported late: torch takes seconds, and errors should appear at once.
     from hnn_vi_ros.learning.data.sources import make_dataset
     from hnn_vi_ros.learning.fit.config import FieldConfig
-    from hnn_vi_ros.learning.tasks.field import describe, FieldProblem
+    from hnn_vi_ros.learning.fit.field import fit_field
+    from hnn_vi_ros.learning.tasks.field import describe
     names = COORDINATES[(table.shape[1] - 2) // 4]
     momenta = [f'p_{name}' for name in names]
     rates = [[f'd{name}' for name in part] for part in (names, momenta)]
@@ -156,9 +157,8 @@ def _train(training: Training, seed: int, table: np.ndarray, family: dict[str, A
         log, model = Path(folder) / 'orbits.txt', Path(folder) / 'model.safetensors'
         np.savetxt(log, table, fmt='%.17g')
         dataset = make_dataset(config.data, seed, log, [str(log)])
-        problem = FieldProblem(config, dataset)
-        problem.fit()
-        save_checkpoint(model, describe(problem, config, model.stem, 'published_tables'))
+        save_checkpoint(model, describe(
+            None, fit_field(config, dataset), config, model.stem, 'published_tables'))
         effects = {'dgnet': Damping, 'dissipative_hnn': LearnedDissipation}
         kind = effects.get(family['kind']) if family.get('friction', True) else None
         return Model(load_learned(model), () if kind is None else (kind(model=str(model)),))

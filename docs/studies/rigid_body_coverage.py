@@ -72,8 +72,7 @@ def held(runs: Iterable[int], seed: int) -> Iterator[tuple[list[str], list[bool]
             motions = [noisy(motion, random) for motion in excited_motions(
                 ExcitationData.model_validate(_DATA), robot, seed + run)[0]]
             network = MechanicalNetwork(structure, config.hidden, scales_of(motions), 0)
-            identify_inertias(network, config, motions)
-            tree = network.prior
+            tree = identify_inertias(network, config, motions).module.prior
             true_of = dict(zip(tree.names, truth.ravel(), strict=False))
             found = tree.identification.base_parameters
             yield ([next(iter(one.combination)) for one in found],

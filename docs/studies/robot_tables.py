@@ -22,7 +22,8 @@ from hnn_vi_ros.learning.data.motions import train_and_test
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.inertias import force_errors
-from hnn_vi_ros.learning.tasks.machine import describe, learn
+from hnn_vi_ros.learning.fit.model_files import describe_machine
+from hnn_vi_ros.learning.tasks.machine import learn
 from hnn_vi_ros.models import save_checkpoint
 import numpy as np
 from studies.machine_tables import CASES, dfki_errors, predicted
@@ -91,7 +92,7 @@ def _forces(network: MechanicalNetwork, config: MachineConfig, train: list[EvenM
 def _paths(network: MechanicalNetwork, config: MachineConfig, train: list[EvenMotion],
            test: list[EvenMotion], data: Path) -> Measures:
     """Return errors of free simulations, as of the other models of this machine."""
-    checkpoint = describe(network, config, train, '', {}, 'robot', '')
+    checkpoint = describe_machine(network, config, train)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'model.safetensors'
         save_checkpoint(file, checkpoint)
@@ -181,7 +182,7 @@ def measure(name: str, model: str, use: str, data: Path, ur10: Path | None) -> M
         train, test = train_and_test(motions, config.data.test_runs)
         if use == 'choice':
             train, test = _choice(train)
-        network, _ = learn(config, train)
+        network = learn(config, train).module
         if use == 'choice' and name == _DFKI:
             return {robot.chosen_by: _short_error(network, config, train, test)}
         return robot.measure(network, config, train, test, data)
@@ -230,7 +231,7 @@ def _choice(train: list[EvenMotion]) -> tuple[list[EvenMotion], list[EvenMotion]
 def _short_error(network: MechanicalNetwork, config: MachineConfig, train: list[EvenMotion],
                  test: list[EvenMotion]) -> list[float]:
     from hnn_vi_ros.learning.judging.evaluation import score
-    checkpoint = describe(network, config, train, '', {}, 'robot', '')
+    checkpoint = describe_machine(network, config, train)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'model.safetensors'
         save_checkpoint(file, checkpoint)

@@ -23,9 +23,9 @@ from hnn_vi_ros.identify.free_numbers import free_scene, FreeScene, STATES, writ
 from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
 from hnn_vi_ros.learning import (
-    ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FitProblem, Fitted,
-    guessed, input_courses, InputCourses, keys_of, MeasuredColumns, MotionSource, Prediction,
-    read_motions, search, Solution, split_runs, steps_between, Windows)
+    ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FitProblem,
+    FittedNumbers, guessed, input_courses, InputCourses, keys_of, MeasuredColumns, MotionSource,
+    Prediction, read_motions, search, Solution, split_runs, steps_between, Windows)
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build, DifferentiableRun, resolve
@@ -266,7 +266,7 @@ def _seen(scene: Scene, hamiltonian: Hamiltonian, names: Sequence[str],
 
 
 def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace, seen: MeasuredColumns
-         ) -> tuple[Fitted, list[str]]:
+         ) -> tuple[FittedNumbers, list[str]]:
     """
     Return a fit, and a note on the forces before the first samples if it depends on them.
 

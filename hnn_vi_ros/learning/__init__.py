@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.export_module import export
     from hnn_vi_ros.learning.fit.config import load_machine
     from hnn_vi_ros.learning.fit.excitation import ExcitationData
-    from hnn_vi_ros.learning.fit.growing import fit_numbers, Fitted
+    from hnn_vi_ros.learning.fit.growing import fit_numbers, FittedNumbers
     from hnn_vi_ros.learning.fit.input_courses import EVIDENCE, input_courses, InputCourses
     from hnn_vi_ros.learning.fit.noise import covariances, Process, processes
     from hnn_vi_ros.learning.fit.shooting import (

@@ -26,15 +26,14 @@ from hnn_vi_ros.learning.data.sources import (
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import BodyConfig, FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.excitation import ExcitationData
+from hnn_vi_ros.learning.fit.fitted_rigid_body import positions_alone
 from hnn_vi_ros.learning.fit.growing import first_noise
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
-from hnn_vi_ros.learning.fit.rigid_problem import positions_alone
 from hnn_vi_ros.learning.judging.evaluation import (
     as_json, finite, judge, Judging, linear_model, names_of, outside, parts_of, Predict,
     predicted_by, simulated, simulation_of, table, TrajectoryBundle, unaccounted, variance_of,
     verdict, whole_records)
-from hnn_vi_ros.learning.judging.residuals import (
-    errors_text, judged_along, judged_model, STEP)
+from hnn_vi_ros.learning.judging.residuals import errors_text, judged_along, judged_model, STEP
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models import domain_of, load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
@@ -70,6 +69,7 @@ class _Judgement(NamedTuple):
     numbers: dict[str, Any]
     fans: list[TrajectoryBundle]
     coordinates: Sequence[Coordinate]
+    longest: float  # horizon [s]
 
 
 def _judged(arguments: Namespace) -> _Judgement:
@@ -77,9 +77,9 @@ def _judged(arguments: Namespace) -> _Judgement:
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
     names = names_of(hamiltonian)
     motions, description, data = _motions(arguments, arguments.data, hamiltonian.coordinates)
-    for option, usual in Judging().paced(motions)._asdict().items():
-        if getattr(arguments, option) is None:
-            setattr(arguments, option, usual)
+    judging = Judging().paced(motions)
+    judging = judging._replace(**{option: given for option in judging._fields
+                                  if (given := getattr(arguments, option)) is not None})
     if arguments.held_out:
         motions = train_and_test(motions, data.test_runs)[1]
         description += ', only the runs held out by a training with this configuration'
@@ -112,11 +112,11 @@ def _judged(arguments: Namespace) -> _Judgement:
         said = '\n' + errors_text(residuals, noise, card.coordinates)
     others = _baselines(arguments, hamiltonian)
     with elapsed('simulating'):
-        scores, fans = judge(simulation, effects, motions, arguments.horizons, arguments.every,
-                             arguments.longest, others)
+        scores, fans = judge(simulation, effects, motions, judging.horizons, judging.every,
+                             judging.longest, others)
     numbers = as_json(scores) | known
     text = (f'{arguments.model} on {description}, simulated from a measured state every '
-            f'{arguments.every:g} s:\nRMS error at the end of each horizon, median of the valid '
+            f'{judging.every:g} s:\nRMS error at the end of each horizon, median of the valid '
             'prediction time, and energy mismatch\n(change of energy minus work over each '
             'horizon, relative to its range; - if that is below a tenth of the kinetic energy)'
             f'{_left_out(effects)}\n\n'
@@ -130,10 +130,10 @@ def _judged(arguments: Namespace) -> _Judgement:
                             for motion, rms in zip(motions, whole, strict=True)]
     domain = domain_of(hamiltonian)
     if domain is not None:
-        beyond = outside(domain, fans, arguments.horizons)
+        beyond = outside(domain, fans, judging.horizons)
         text += f'\n{beyond.text}'
         numbers['outside'] = beyond.numbers
-    return _Judgement(text, numbers, fans, hamiltonian.coordinates)
+    return _Judgement(text, numbers, fans, hamiltonian.coordinates, max(judging.horizons))
 
 
 def _effects_for(model: str, effects: list[Effect], motions: Sequence[EvenMotion],
@@ -208,7 +208,7 @@ def _write(arguments: Namespace, found: _Judgement, text: str) -> None:
         # The folder may exist by now: --json may have written a file in it.
         arguments.out.mkdir(parents=True, exist_ok=True)
         write_evaluation(arguments.out, Path(arguments.model).stem, text, found.fans,
-                         max(arguments.horizons), found.coordinates)
+                         found.longest, found.coordinates)
         print(f'\nreport: {arguments.out}')
 
 

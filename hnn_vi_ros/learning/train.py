@@ -11,6 +11,7 @@ same machine. A family supplies its data, loss, card and judgement (learning/tas
 
 from argparse import Namespace
 from collections.abc import Sequence
+from functools import partial
 import os
 from pathlib import Path
 import shlex
@@ -23,18 +24,19 @@ from hnn_vi_ros.learning.data.arrays import split_runs
 from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.learning.fit.config import (
     AnyConfig, BodyConfig, FieldConfig, find_config, guess_config, load_config, MachineConfig)
-from hnn_vi_ros.learning.fit.loop import Fit, kept, member_files, members_kept, TrainingCheckpoint
+from hnn_vi_ros.learning.fit.loop import (
+    Fitted, kept, member_files, members_kept, trained, TrainingCheckpoint)
 from hnn_vi_ros.learning.judging.ensemble import check_count, combined
 from hnn_vi_ros.learning.judging.report import Outputs, write_report
-from hnn_vi_ros.learning.tasks import TrainingTask
-from hnn_vi_ros.learning.tasks.body import BodyTask
-from hnn_vi_ros.learning.tasks.field import FieldTask
-from hnn_vi_ros.learning.tasks.machine import MachineTask
+from hnn_vi_ros.learning.tasks import Task
+from hnn_vi_ros.learning.tasks.body import BODY
+from hnn_vi_ros.learning.tasks.field import FIELD
+from hnn_vi_ros.learning.tasks.machine import MACHINE
 from hnn_vi_ros.models import averaged_families, Checkpoint, complete_checkpoint, FAMILIES
 import torch
 
-_TASKS: dict[type[AnyConfig], type[TrainingTask]] = {
-    FieldConfig: FieldTask, MachineConfig: MachineTask, BodyConfig: BodyTask}
+_TASKS: dict[type[AnyConfig], Task] = {
+    FieldConfig: FIELD, MachineConfig: MACHINE, BodyConfig: BODY}
 
 
 def main(argv: Sequence[str]) -> None:
@@ -47,38 +49,31 @@ def main(argv: Sequence[str]) -> None:
     if arguments.seed is not None:
         config = config.model_copy(update={'seed': arguments.seed})
     model = arguments.out or Path('models') / f'{source.stem}.safetensors'
-    task_class, count = _TASKS[type(config)], arguments.ensemble or 1
-    outputs = Outputs.beside(model, task_class.picture)
+    task, count = _TASKS[type(config)], arguments.ensemble or 1
+    outputs = Outputs.beside(model, task.picture)
     state = _check_outputs(
         (*outputs, *member_files(model, arguments.ensemble or 0)), arguments.resume)
     command = shlex.join(['hnn', 'train', *(
         part for part in argv if part != '--resume')])
     # Training starts here, including the choice of a model.
-    begun, members = time.perf_counter(), list[Checkpoint]()
-    task = task_class(source, config, arguments.data, count > 1)
+    begun, members, fits = time.perf_counter(), list[Checkpoint](), list[Fitted]()
+    data = task.select(task.read(source, config, arguments.data, count > 1))
+    # The run of an ensemble cannot be resumed.
+    keeper = TrainingCheckpoint(state, config, data.arrays, arguments.device, arguments.resume) \
+        if count == 1 else None
     with members_kept(model, members):
         for k in range(count):
             own = config.model_copy(update={'seed': config.seed + k})
             name = model.stem if count == 1 else f'{model.stem}, member {k + 1}'
-            problem = task.problem(own, arguments.device)
-            fit = Fit(problem, name)
-            if count == 1:
-                keeper = TrainingCheckpoint(state, config, task.arrays(), arguments.device)
-                if arguments.resume:
-                    keeper.load(fit)
-                with keeper.watching():
-                    fit.run(keeper)
-            else:
-                fit.run()
-            members.append(task.describe(problem, own, name, command))
-            if not k:
-                first, history = problem, fit.history
-    checkpoint = members[0] if count == 1 else combined(members, model.stem, task.box)
+            fits.append(task.fit(data, own, arguments.device, partial(
+                trained, name=name, keeper=keeper)))
+            members.append(task.describe(data, fits[k], own, name, command))
+    checkpoint = members[0] if count == 1 else combined(members, model.stem, data.box)
     seconds = time.perf_counter() - begun
     with kept(model, checkpoint):
-        judged = task.judged(checkpoint, first)
+        judged = task.judge(data, checkpoint, fits[0])
         complete_checkpoint(model, judged.checkpoint)
-        write_report(outputs, config, judged, history, seconds, arguments.device)
+        write_report(outputs, config, judged, fits[0].history, seconds, arguments.device)
     print(f'model: {model}\nreport: {outputs.report}\n\n{judged.text}\n'
           f'trained in {seconds:.1f} s')
 

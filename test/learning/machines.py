@@ -8,7 +8,7 @@ from pathlib import Path
 from hnn_vi_ros.learning import EvenMotion, MotionSource, read_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.tasks.machine import describe
+from hnn_vi_ros.learning.fit.model_files import describe_machine
 from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
@@ -59,7 +59,7 @@ def compiled(network: MechanicalNetwork, motions: Sequence[EvenMotion], folder: 
         'coordinates': [{'name': f'x{i}', 'kind': kind}
                         for i, kind in enumerate(network.structure.kinds)],
         'data': {'kind': 'arrays'}, 'family': {'kind': 'mechanical', 'prior': 'none', **family}})
-    checkpoint = describe(network, config, motions, 'none', {}, 'random', '')
+    checkpoint = describe_machine(network, config, motions, name='random')
     save_checkpoint(folder / 'm.safetensors', checkpoint)
     return MechanicalHamiltonian(checkpoint), str(folder / 'm.safetensors')
 

@@ -13,9 +13,11 @@ from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.evaluate import main as evaluate
 from hnn_vi_ros.learning.families.lie_group import BodyStage, LieGroupNetwork
+from hnn_vi_ros.learning.fit import body, loop
+from hnn_vi_ros.learning.fit.body import fit_body, joined, network_of, stages_of
 from hnn_vi_ros.learning.fit.config import BodyConfig, load_config
-from hnn_vi_ros.learning.tasks import body
-from hnn_vi_ros.learning.tasks.body import BodyProblem, joined, network_of, published_loss
+from hnn_vi_ros.learning.fit.loop import TrainingProblem
+from hnn_vi_ros.learning.tasks.body import published_loss
 from hnn_vi_ros.models import load_checkpoint, turn_matrices
 from hnn_vi_ros.simulation import build, Simulation
 from messages import refused
@@ -167,12 +169,15 @@ def test_lbfgs_of_a_body_shortens_a_step_after_which_the_loss_is_no_number(
     with torch.no_grad():
         weight[0, 0] = 0.5
     # The first step would be of length 1, to where there is no logarithm; the minimum is at 0.01.
-    monkeypatch.setattr(body, 'body_loss', lambda network, *_: (
-        weight[0, 0] - 0.01 * weight[0, 0].log()))
+
+    def loss(network: LieGroupNetwork, *_: object) -> torch.Tensor:
+        x = network.potential.linears[0].weight[0, 0]
+        return x - 0.01 * x.log()
+    monkeypatch.setattr(body, 'body_loss', loss)
     stages = settings.model_copy(update={'windows': [BodyStage(intervals=1, lbfgs_steps=40)]})
-    losses = BodyProblem(network, stages, learned).fit()
-    assert losses['lbfgs_1'] == pytest.approx(0.01 * (1.0 - math.log(0.01)), rel=1e-9)
-    assert all(parameter.isfinite().all() for parameter in network.parameters())
+    fitted = loop.trained(TrainingProblem(network, stages_of(stages, learned)))
+    assert fitted.losses['lbfgs_1'] == pytest.approx(0.01 * (1.0 - math.log(0.01)), rel=1e-9)
+    assert all(parameter.isfinite().all() for parameter in fitted.module.parameters())
 
 
 def test_lbfgs_of_a_body_takes_as_many_steps_as_it_is_given(settings, learned, monkeypatch):
@@ -186,7 +191,7 @@ def test_lbfgs_of_a_body_takes_as_many_steps_as_it_is_given(settings, learned, m
     for steps in (20, 400):
         stages = settings.model_copy(update={
             'windows': [BodyStage(intervals=1, lbfgs_steps=steps)]})
-        found[steps] = BodyProblem(network_of(settings, learned), stages, learned).fit()['lbfgs_1']
+        found[steps] = fit_body(stages, learned).losses['lbfgs_1']
     assert found[400] < 1e-3 * found[20]
 
 
@@ -196,4 +201,4 @@ def test_lbfgs_of_a_body_refuses_to_begin_where_no_step_has_a_solution(settings,
         network.potential.linears[-1].weight.mul_(1e9)
     stages = settings.model_copy(update={'windows': [BodyStage(intervals=1, lbfgs_steps=40)]})
     with refused(DataError):
-        BodyProblem(network, stages, learned).fit()
+        loop.trained(TrainingProblem(network, stages_of(stages, learned)))

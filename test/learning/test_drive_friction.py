@@ -9,8 +9,10 @@ from pathlib import Path
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, part_of, smoothed
 from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine_fit import estimated_delay, fit_machine
+from hnn_vi_ros.learning.fit.rigid_body import whole
 from hnn_vi_ros.learning.fit.steps import simulated
-from hnn_vi_ros.learning.tasks.machine import estimated_delay, MachineTask, problem_of, whole
+from hnn_vi_ros.learning.tasks.machine import MACHINE
 from hnn_vi_ros.models.mechanical_card import FrictionCard
 from messages import misfit, refused
 import numpy as np
@@ -66,7 +68,7 @@ ALL = {'coulomb': 1, 'directed': True, 'offset': True, 'fade': True}
 @pytest.fixture(scope='module')
 def fitted():
     setting, motion = config(ALL, records=True), drive()
-    return setting, motion, problem_of(setting, [motion])
+    return setting, motion, fit_machine(setting, [motion])
 
 
 def test_fit_finds_directions_offset_and_fade(fitted):
@@ -84,14 +86,14 @@ def test_fit_finds_directions_offset_and_fade(fitted):
 
 
 def test_compiled_model_moves_as_the_network(fitted):
-    setting, motion, problem = fitted
+    _, motion, problem = fitted
     network = problem.module
     with torch.no_grad():
         forces = network.joint_forces(torch.tensor(motion.forces))[:, None]
         q = simulated(network, 'implicit_midpoint', torch.tensor(motion.q_smooth[:1]),
                       torch.tensor(motion.v_smooth[:1]), forces, SPACING).q[:, 0].numpy()
     # The same method and the same H; equations are solved to 1e-9 and better.
-    assert np.abs(whole(network, setting, motion)[1:] - q).max() <= 1e-7
+    assert np.abs(whole(network, motion)[1:] - q).max() <= 1e-7
 
 
 @pytest.fixture(scope='module')
@@ -99,7 +101,7 @@ def geared():
     # A gear that loses 12 % of the force that it passes on.
     setting = config({'coulomb': 1, 'directed': True, 'load': True})
     motion = drive(0, 0.0, 0.0, LOAD)
-    return setting, motion, problem_of(setting, [motion])
+    return setting, motion, fit_machine(setting, [motion])
 
 
 def test_fit_finds_friction_that_grows_with_the_load(geared):
@@ -113,8 +115,8 @@ def test_fit_finds_friction_that_grows_with_the_load(geared):
 def test_load_friction_holds_under_larger_forces_than_were_learned_from(geared):
     faster, errors = drive(7, 0.0, 0.0, LOAD, size=6.0), []
     for setting, problem in (geared[::2], (config({'coulomb': 1, 'directed': True}), None)):
-        problem = problem or problem_of(setting, [geared[1]])
-        q = whole(problem.module, setting, faster)
+        problem = problem or fit_machine(setting, [geared[1]])
+        q = whole(problem.module, faster)
         errors.append(float(np.sqrt(np.mean((q - faster.q)**2))))
     # After 20 s, 6 mm and 266 mm: a wrong k does not shrink with more data.
     assert errors[0] < 0.1 * errors[1]
@@ -160,9 +162,9 @@ def test_delay_is_told_by_the_model(tmp_path: Path):
     motion = delayed(drive(), -2.0)
     np.savez(tmp_path / 'log.npz', t=motion.t, q=motion.q, dq=motion.v, tau=motion.tau)
     setting = config({'coulomb': 1}, {'delay': 2.0})
-    task = MachineTask(tmp_path / 'x.yaml', setting, [str(tmp_path / 'log.npz')], False)
-    problem = task.problem(setting, 'cpu')
-    card = task.describe(problem, setting, 'x', 'train').card
+    data = MACHINE.select(MACHINE.read(
+        tmp_path / 'x.yaml', setting, [str(tmp_path / 'log.npz')], False))
+    card = MACHINE.describe(data, MACHINE.fit(data, setting, 'cpu'), setting, 'x', 'train').card
     assert card.mechanical.delay == pytest.approx(0.02)
     assert 'forces delayed by 2 samples' in card.dataset
 

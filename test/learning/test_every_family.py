@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Options of train and evaluate that hold for every family, or are refused by its own row."""
 
+from functools import partial
 from pathlib import Path
 
 from helpers import long
@@ -10,8 +11,8 @@ from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.learning import evaluate, train
 from hnn_vi_ros.learning.fit import config as schemas
 from hnn_vi_ros.learning.fit.config import find_config, load_config
-from hnn_vi_ros.learning.fit.loop import Fit, INTERVAL, TrainingCheckpoint
-from hnn_vi_ros.learning.tasks.field import FieldTask
+from hnn_vi_ros.learning.fit.loop import Fitted, INTERVAL, trained, TrainingCheckpoint, TrainingRun
+from hnn_vi_ros.learning.tasks.field import FIELD
 from hnn_vi_ros.models import load_checkpoint
 from messages import refused
 import numpy as np
@@ -82,9 +83,9 @@ def test_every_family_resumes_to_the_same_bits(files: Path, monkeypatch, name: s
     train.main(words(files, name, 'whole'))
     save = TrainingCheckpoint.__call__
 
-    def pause(keeper: TrainingCheckpoint, fit: Fit) -> None:
-        keeper._stopping = fit.step >= stop
-        save(keeper, fit)
+    def pause(keeper: TrainingCheckpoint, run: TrainingRun) -> None:
+        keeper._stopping = run.step >= stop
+        save(keeper, run)
     with monkeypatch.context() as context:
         context.setattr(TrainingCheckpoint, '__call__', pause)
         with pytest.raises(Interrupted):
@@ -104,32 +105,32 @@ def test_every_family_resumes_to_the_same_bits(files: Path, monkeypatch, name: s
       for more in ({}, {'patience': 3})),
     *(long(kind, 60 + INTERVAL, {}) for kind in FIELDS if kind not in ('hnn', 'vin'))])
 def test_each_family_of_fields_resumes_to_the_same_bits(
-        tmp_path: Path, kind: str, stop: int, more: dict):
+        tmp_path: Path, monkeypatch, kind: str, stop: int, more: dict):
     torch.set_num_threads(1)  # as train does
     path = tmp_path / 'm.yaml'
     path.write_text(dump_yaml({
         'coordinates': [{'name': 'x'}], 'hidden': [8], 'adam_steps': 60, 'lbfgs_steps': 80,
         'data': EXACT, 'family': {'kind': kind}} | FIELDS[kind] | more))
     config = load_config(path)
-    task = FieldTask(path, config, [], False)
-    whole, stopped, resumed = (task.problem(config, 'cpu') for _ in range(3))
-    history = Fit(whole)
-    history.run()
+    data = FIELD.read(path, config, [], False)
+    whole = FIELD.fit(data, config, 'cpu')
+    save, steps = TrainingCheckpoint.__call__, []
 
-    def keeper() -> TrainingCheckpoint:
-        return TrainingCheckpoint(tmp_path / 'm.training', config, task.arrays(), 'cpu')
-    keep = keeper()
+    def pause(keeper: TrainingCheckpoint, run: TrainingRun) -> None:
+        keeper._stopping = run.step == stop and not keeper.resumes
+        steps.append(run.step)
+        save(keeper, run)
+    monkeypatch.setattr(TrainingCheckpoint, '__call__', pause)
 
-    def pause(fit: Fit) -> None:
-        keep._stopping = fit.step == stop
-        keep(fit)
+    def fit(resumes: bool) -> Fitted:
+        keeper = TrainingCheckpoint(tmp_path / 'm.training', config, data.arrays, 'cpu', resumes)
+        return FIELD.fit(data, config, 'cpu', partial(trained, keeper=keeper))
     with pytest.raises(Interrupted):
-        Fit(stopped).run(pause)
-    fit = Fit(resumed)
-    keeper().load(fit)
-    assert fit.step == stop
-    fit.run()
-    assert fit.history == history.history
+        fit(False)
+    steps.clear()
+    resumed = fit(True)
+    assert steps[0] == stop
+    assert resumed.history == whole.history
     for one, other in zip(whole.module.parameters(), resumed.module.parameters(), strict=True):
         assert torch.equal(one, other)
 

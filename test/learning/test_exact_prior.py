@@ -9,7 +9,8 @@ from hnn_vi_ros.learning import EvenMotion
 from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.families.priors import ExactPrior
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.tasks.machine import describe, learn
+from hnn_vi_ros.learning.fit.model_files import describe_machine
+from hnn_vi_ros.learning.tasks.machine import learn
 from hnn_vi_ros.models import check_prior, exact_systems
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
@@ -89,9 +90,10 @@ def oscillator(seed: int) -> EvenMotion:
 def test_parameters_of_an_oscillator_are_found(residual):
     motions = [oscillator(seed) for seed in (1, 2)]
     settings = config('harmonic_oscillator', residual=residual)
-    network, losses = learn(settings, motions)
+    fitted = learn(settings, motions)
+    network, losses = fitted.module, fitted.losses
     assert [*losses][:2] == ['rigid_body_forward', 'rigid_body_0.1']
-    checkpoint = describe(network, settings, motions, 'none', {}, 'oscillator', '')
+    checkpoint = describe_machine(network, settings, motions, name='oscillator')
     found = checkpoint.card.mechanical.prior.values
     # The midpoint rule at 10 ms is off by (0.01 omega)^2 / 12, and the filter by more.
     assert found == pytest.approx({'mass': 1.7, 'stiffness': 12.0}, rel=0.01)

@@ -18,8 +18,9 @@ from hnn_vi_ros.learning.families.choices import DiscreteGradientLoss, DiscreteL
 from hnn_vi_ros.learning.families.hnn import DGNet, DGNetChoice, HNN, HNNChoice
 from hnn_vi_ros.learning.families.lagrangian import VIN, VINChoice
 from hnn_vi_ros.learning.fit.config import load_config
+from hnn_vi_ros.learning.fit.field import FieldSamples, FittedField, LOSSES, network_of
 from hnn_vi_ros.learning.fit.steps import step
-from hnn_vi_ros.learning.tasks.field import describe, FieldProblem, judge_energy, LOSSES
+from hnn_vi_ros.learning.tasks.field import FIELD, judge_energy
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models import Checkpoint, load_learned, NeuralHamiltonian, VariationalHamiltonian
 from hnn_vi_ros.simulation import Simulation
@@ -148,11 +149,13 @@ def test_training_refuses_a_lagrangian_that_became_singular(tmp_path):
     path.write_text(DATA.format(data='', model=RUNS['lagrangian'][1]))
     config = load_config(path)
     dataset = sample_exact(config.data, 0)
-    problem = FieldProblem(config, dataset)
+    module = network_of(config, dataset)
     with torch.no_grad():
-        problem.module.network.linears[-1].weight.mul_(1e3)
+        module.network.linears[-1].weight.mul_(1e3)
+    fitted = FittedField(module, {}, samples=FieldSamples.of(config, dataset))
     with refused(HnnViRosError):
-        judge_energy(describe(problem, config, 'small', 'train'), problem.module, config, dataset)
+        judge_energy(FIELD.describe(None, fitted, config, 'small', 'train'), module, config,
+                     dataset)
 
 
 def small_hnn(d: int = 1) -> HNN:

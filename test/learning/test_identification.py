@@ -15,7 +15,8 @@ from hnn_vi_ros.learning.families.priors import RigidTree
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.excitation import excited_motions
 from hnn_vi_ros.learning.fit.inertias import identified_text, with_force_errors
-from hnn_vi_ros.learning.tasks.machine import describe, learn, problem_of
+from hnn_vi_ros.learning.fit.model_files import describe_machine
+from hnn_vi_ros.learning.tasks.machine import learn
 from hnn_vi_ros.learning.tasks.selection import RIGID, selected
 from hnn_vi_ros.models import (
     INERTIAL, load_checkpoint, pseudo_inertia, save_checkpoint, tree_card, values_of)
@@ -120,7 +121,8 @@ def heavier(tmp_path: Path) -> Path:
 
 def test_parameters_of_an_arm_are_found_from_a_wrong_urdf(tmp_path):
     path = heavier(tmp_path)
-    network, losses = learn(config_of({'file': str(path)}), moved(0.01))
+    fitted = learn(config_of({'file': str(path)}), moved(0.01))
+    network, losses = fitted.module, fitted.losses
     found, truth = network.prior.identification, tree_of(ARM).values().detach().numpy()
     true_of = dict(zip(network.prior.names, truth, strict=True))
     # Two inertias, and first moments along and across each link; offsets, which are zero.
@@ -147,7 +149,7 @@ def test_held_parameters_stay_those_of_the_urdf(tmp_path):
     # Motions so slow that all forces are weights: inertia times acceleration, of some 0.01 N m,
     # is less than the noise.
     motions = moved(0.05, fastest=0.02, duration=40.0, interval=0.04)
-    network, _ = learn(config_of(), motions)
+    network = learn(config_of(), motions).module
     told, urdf = network.prior.identification, tree_of(ARM).values().detach().numpy()
     in_urdf = dict(zip(network.prior.names, urdf, strict=True))
     weak = {next(iter(one.combination)): one for one in told.weak}
@@ -158,13 +160,13 @@ def test_held_parameters_stay_those_of_the_urdf(tmp_path):
 
 
 def _model(network, motions):
-    checkpoint = describe(network, config_of(), motions, 'none', {}, 'arm', '')
+    checkpoint = describe_machine(network, config_of(), motions, name='arm')
     return with_force_errors(checkpoint, network, motions)
 
 
 def test_model_runs_as_others_do_and_keeps_its_energy(tmp_path):
     motions = moved(0.001)
-    network, _ = learn(config_of(), motions)
+    network = learn(config_of(), motions).module
     save_checkpoint(tmp_path / 'arm.safetensors', _model(network, motions))
     checkpoint = load_checkpoint(tmp_path / 'arm.safetensors')
     assert all(error < 1e-3 for error in
@@ -192,7 +194,7 @@ def test_model_runs_as_others_do_and_keeps_its_energy(tmp_path):
 def test_networks_add_to_the_body_what_was_chosen(residual):
     config = config_of({'residual': residual}, hidden=[6], loss={
         'kind': 'inverse', 'steps': 2, 'lbfgs_steps': 0})
-    network, _ = learn(config, moved(0.01, runs=1, duration=2.0))
+    network = learn(config, moved(0.01, runs=1, duration=2.0)).module
     rows = torch.tensor(np.random.default_rng(0).normal(size=(4, 2)))
     with torch.no_grad():
         L, slope = network._factor(rows), network._potential_slope(rows)
@@ -253,7 +255,7 @@ def test_auto_adds_no_networks_to_a_robot_that_is_one():
         'kind': 'trajectory', 'batch': 64, 'forward_steps': 20,
         'windows': [{'duration': 0.1, 'steps': 10}]}, data={'kind': 'arrays'})
     assert not config.structure().residual
-    chosen, card = selected(config, moved(0.02), problem_of)
+    chosen, card = selected(config, moved(0.02))
     assert [one.name for one in card.candidates] == [
         RIGID, 'rigid body and a network of V', 'rigid body and networks']
     assert not any(one.failed for one in card.candidates)

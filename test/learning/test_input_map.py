@@ -78,7 +78,7 @@ def build_simulation(hamiltonian: MechanicalHamiltonian, effects: list) -> Simul
 def test_map_of_one_motor_on_two_joints_is_learned():
     config = MachineConfig.model_validate(BELT | {
         'loss': {'kind': 'forward', 'steps': 300, 'lbfgs_steps': 300}})
-    network, _ = learn(config, [motion_by_a_belt(seed) for seed in (1, 2)])
+    network = learn(config, [motion_by_a_belt(seed) for seed in (1, 2)]).module
     with torch.no_grad():
         found = network.input_map().numpy()
         masses = network.masses(torch.zeros(1, 2, dtype=torch.float64))[0].numpy()
@@ -97,7 +97,7 @@ def test_map_is_learned_with_a_prior_whose_scale_its_norm_fixes():
     config = machine_config(more={'loss': {
         'kind': 'trajectory', 'windows': [{'duration': 0.1, 'steps': 1}]}}, prior='pendulum',
         residual=False, input_map='learned', friction={'coulomb': 0})
-    network, _ = learn(config, [motion])
+    network = learn(config, [motion]).module
     with torch.no_grad():
         assert network.input_map().tolist() == [[-1.0]]
         # In units of twice the torque. The midpoint rule at 10 ms is off by (0.01 omega)^2 / 12.

@@ -16,11 +16,12 @@ from hnn_vi_ros.learning.data.motions import smoothed, train_and_test
 from hnn_vi_ros.learning.families.choices import combination, FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import (
-    acceleration_loss, balanced_step, discrete_loss, MachineProblem, mean_forces, runge_kutta,
+    acceleration_loss, balanced_step, discrete_loss, fit_network, mean_forces, runge_kutta,
     samples_of, scales_of)
 from hnn_vi_ros.learning.judging.evaluation import constant_velocity, predicted_by, score
-from hnn_vi_ros.learning.tasks.machine import fix_scale
+from hnn_vi_ros.learning.tasks.machine import with_scale
 from hnn_vi_ros.simulation import Simulation
 from machines import compiled, driven, from_file, machine_config, shaken
 from messages import misfit, refused
@@ -107,7 +108,7 @@ def test_scale_of_energy_is_fixed_by_a_norm_and_changes_no_motion():
     q, v = (torch.tensor(getattr(motions[0], name)) for name in ('q_smooth', 'v_smooth'))
     with torch.no_grad():
         before = network.accelerations(q, v, torch.zeros_like(q))
-        fix_scale(network, motions)
+        network = with_scale(Fitted(network, {}), motions).module
         after = network.accelerations(q, v, torch.zeros_like(q))
     assert float(network.masses(q).detach()[:, 0, 0].mean()) == pytest.approx(1.0, rel=1e-12)
     assert torch.allclose(before, after, rtol=1e-11, atol=1e-11)
@@ -147,7 +148,8 @@ def fitted(motions: list[EvenMotion], hidden: int, loss: dict, **family: object
     config = machine_config(more={'hidden': [hidden], 'loss': loss},
                             **{'mass': 'constant', **family})
     network = MechanicalNetwork(config.structure(), [hidden], scales_of(motions), 0)
-    return network, MachineProblem(network, config, motions).fit()
+    found = fit_network(network, config, motions)
+    return found.module, found.losses
 
 
 @pytest.mark.parametrize('loss', [
@@ -207,7 +209,7 @@ def test_what_lbfgs_is_judged_by_is_held_back_from_adam():
         network = MechanicalNetwork(config.structure(), [4], scales_of(motions), 0)
         asked, whole = [], network.accelerations
         network.accelerations = lambda q, *others: (asked.append(q.detach()), whole(q, *others))[1]
-        losses = MachineProblem(network, config, motions).fit()
+        losses = fit_network(network, config, motions).losses
         assert 'forward_lbfgs' in losses and np.isfinite([*losses.values()]).all()
         q = torch.tensor(motions[0].q_smooth)
         by_adam = torch.unique(torch.cat(asked[:20]))
@@ -437,7 +439,7 @@ def test_plain_network_learns_what_it_is_compared_by():
     before = network.accelerations(q, v, tau)
     # To rounding.
     assert (network.accelerations(q + 2.0 * np.pi, v, tau) - before).abs().max() < 1e-12
-    MachineProblem(network, config, train).fit()
+    network = fit_network(network, config, train).module
     found, still = (score(what, test, [0.5], 0.25, 1.0).horizons[0.5]
                     for what in (predicted_by(network), constant_velocity))
     assert found < 0.2 * still
@@ -452,8 +454,8 @@ def test_stage_may_have_a_rate_of_its_own():
             'windows': [{'duration': 0.02, 'steps': 2, 'learning_rate': rate}]}})
         network = MechanicalNetwork(config.structure(), [8], scales_of(motions), 0)
         first = torch.nn.utils.parameters_to_vector(network.parameters()).detach().clone()
-        MachineProblem(network, config, motions).fit()
-        after = torch.nn.utils.parameters_to_vector(network.parameters()).detach()
+        found = fit_network(network, config, motions).module
+        after = torch.nn.utils.parameters_to_vector(found.parameters()).detach()
         moved.append(float((after - first).abs().max()))
     # Adam moves no number by more than about its rate in a step: first one of 0.01, then two of
     # a fifth of that, or of the stage's own.

@@ -8,13 +8,14 @@ from pathlib import Path
 from helpers import alarm_of
 from hnn_vi_ros.learning.data.motions import EvenMotion, of_positions, smoothed
 from hnn_vi_ros.learning.families.choices import AUTO, Structure
-from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit import rigid_body
 from hnn_vi_ros.learning.fit.config import guess_config, MachineConfig
-from hnn_vi_ros.learning.fit.machine import Fading, scales_of
-from hnn_vi_ros.learning.tasks.machine import as_selected, MachineTask, problem_of
+from hnn_vi_ros.learning.fit.loop import Fitted
+from hnn_vi_ros.learning.fit.machine import Fading
+from hnn_vi_ros.learning.fit.machine_fit import fit_machine
+from hnn_vi_ros.learning.tasks.machine import as_selected, MACHINE
 from hnn_vi_ros.learning.tasks.selection import (
-    best_of, held_out, OF_VELOCITIES, RIGID, selected)
+    best_of, Candidate, held_out, OF_VELOCITIES, RIGID, selected)
 from hnn_vi_ros.models.domain import CandidateCard, Domain, DomainCard
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
 from hnn_vi_ros.simulation.guards.base import GuardState
@@ -96,11 +97,12 @@ def test_of_several_runs_whole_ones_are_held_out():
     (1.01, 0.7, 'other'), (1.03, 0.5, RIGID)])
 def test_networks_must_gain_and_be_no_worse_near_and_far_away(
         ordinary: float, furthest: float, chosen: str):
-    cards = [CandidateCard(name=name, ordinary={'0.1': [0.01 * near]},
-                           furthest={'0.1': [0.02 * far]})
-             for name, near, far in ((RIGID, 1.0, 1.0), ('other', ordinary, furthest))]
-    assert best_of(cards).name == chosen
-    assert best_of(cards[1:]).name == 'other'
+    config = machine_config()
+    rigid, other = (Candidate(config, None, Fitted(None, {}), CandidateCard(
+        name=name, ordinary={'0.1': [0.01 * near]}, furthest={'0.1': [0.02 * far]}))
+        for name, near, far in ((RIGID, 1.0, 1.0), ('other', ordinary, furthest)))
+    assert best_of(rigid, [other]).card.name == chosen
+    assert best_of(rigid._replace(fitted=None), [other]) is other
 
 
 def test_networks_do_not_fade_at_the_few_samples_of_fast_motions():
@@ -109,8 +111,7 @@ def test_networks_do_not_fade_at_the_few_samples_of_fast_motions():
     angle = np.interp(t, [250.0, 250.3], [0.1, 4.0])[:, None] + 0.1 * np.sin(t)[:, None]
     run = smoothed('turn', t, angle, np.gradient(angle, t, axis=0), 0.0 * angle, 40.0)
     structure = Structure(['continuous'], [[1.0]], [[1.0]], prior='planar_chain', angles=[[1.0]])
-    network = MechanicalNetwork(structure, [4], scales_of([run]), 0)
-    fading = Fading(network, [run], 0.0, 1.0)
+    fading = Fading(structure, [run], 0.0, 1.0)
     weights = fading.weights(torch.tensor([[0.0], [1.0], [2.0], [3.0], [-1.1]]))
     assert (weights[:4] < 0.1).all() and weights[4] > 0.7
 
@@ -123,13 +124,13 @@ def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
             'kind': 'trajectory', 'forward_steps': 40, 'forward_lbfgs_steps': 0, 'batch': 64,
             'windows': [{'duration': 0.1, 'steps': 40}]},
         'family': {'kind': 'mechanical', 'friction': {'coulomb': 0}}})
-    chosen, card = selected(config, [cart_and_pole(seed) for seed in (1, 2, 3)], problem_of)
+    chosen, card = selected(config, [cart_and_pole(seed) for seed in (1, 2, 3)])
     first, *_, alone = card.candidates
     assert first.name == RIGID and chosen.family.prior is not None
     assert all(own < other for horizon, errors in first.furthest.items()
                for own, other in zip(errors, alone.furthest[horizon], strict=True))
     assert f'**{card.chosen}**' in card.text and 'Trust it for motions like' in card.text
-    prior = problem_of(chosen, [cart_and_pole(1)]).module.card().prior
+    prior = fit_machine(chosen, [cart_and_pole(1)]).module.card().prior
     # The midpoint rule at 10 ms is off by (0.01 omega)^2 / 12, the filter by less than 1 %.
     assert [prior.values[name] for name in ('inertia1', 'inertia2', 'coupling12', 'gravity2')] == (
         pytest.approx([CART + POLE, POLE * LENGTH**2, POLE * LENGTH, POLE * GRAVITY * LENGTH],
@@ -162,7 +163,7 @@ def sliding(**family: object) -> MachineConfig:
 @pytest.mark.parametrize(('back', 'directed'), [(2.5, True), (1.0, False)])
 def test_friction_has_the_terms_that_held_out_motions_need(back: float, directed: bool):
     motions = [carriage(seed, back) for seed in (1, 2, 3)]
-    chosen, card = selected(sliding(), motions, problem_of)
+    chosen, card = selected(sliding(), motions)
     assert chosen.family.friction.directed is directed
     assert ('friction with' in card.held_out) is directed
     assert card.candidates[0].name == RIGID
@@ -178,7 +179,7 @@ def test_more_friction_never_fits_windows_worse_than_less(monkeypatch):
         more = physical.network.friction.choice.directed
         return (np.nan * numbers if more else numbers), loss
     monkeypatch.setattr(rigid_body, '_first', diverging)
-    errors = [[*problem_of(sliding(prior='planar_chain', residual=False, friction=friction),
+    errors = [[*fit_machine(sliding(prior='planar_chain', residual=False, friction=friction),
                            [carriage(1, 2.5)]).losses.values()][-1]
               for friction in ({}, {'directed': True, 'offset': True, 'load': True})]
     # Its friction is 2.5 N back and 1 N ahead.
@@ -187,7 +188,7 @@ def test_more_friction_never_fits_windows_worse_than_less(monkeypatch):
 
 def test_fit_of_a_weight_and_an_offset_that_are_one_force_is_not_lost_in_rounding():
     """Their columns are the same: what they have in common was 1e13 N, with rounding of 1 mN."""
-    problem = problem_of(sliding(prior='planar_chain', residual=False, friction={
+    problem = fit_machine(sliding(prior='planar_chain', residual=False, friction={
         'offset': True, 'directed': True}), [carriage(1, 1.0)])
     card = problem.module.card()
     assert abs(card.friction.offset[0]) < 1e3
@@ -196,15 +197,15 @@ def test_fit_of_a_weight_and_an_offset_that_are_one_force_is_not_lost_in_roundin
 
 def test_springs_are_added_where_held_out_motions_need_them():
     motions = [carriage(seed, 1.0, 60.0, 0.1) for seed in (1, 2, 3)]
-    chosen, card = selected(sliding(friction={'coulomb': 1}), motions, problem_of)
+    chosen, card = selected(sliding(friction={'coulomb': 1}), motions)
     assert chosen.family.springs
     assert any('without springs' in one.name for one in card.candidates)
-    prior = problem_of(chosen, motions).module.card().prior
+    prior = fit_machine(chosen, motions).module.card().prior
     # Noise of 0.2 mm, smoothed at 40 Hz, is 0.2 % of the motion.
     assert [prior.values[name] for name in ('inertia1', 'stiffness1', 'gravity1')] == (
         pytest.approx([2.0, 60.0, -6.0], rel=0.02))
     chosen, card = selected(sliding(friction={'coulomb': 1}), [
-        carriage(seed, 1.0) for seed in (1, 2, 3)], problem_of)
+        carriage(seed, 1.0) for seed in (1, 2, 3)])
     assert not chosen.family.springs
 
 
@@ -212,14 +213,14 @@ def test_springs_are_added_where_held_out_motions_need_them():
 def test_springs_that_positions_do_not_show_are_left_out(stiffness: float):
     motions = of_positions([carriage(seed, 1.0, stiffness) for seed in (1, 2)])
     config = sliding(prior='planar_chain', residual=False, springs=True)
-    prior = problem_of(config, motions).module.card().prior
+    prior = fit_machine(config, motions).module.card().prior
     assert (prior.values['stiffness1'] == 0.0) is (stiffness == 0.0)
 
 
 def test_intervals_are_wider_where_residuals_exceed_the_noise():
     """One width of friction instead of two: residuals of 5.8 times the noise."""
     motions = of_positions([carriage(seed, 1.0) for seed in (1, 2)])
-    problem = problem_of(sliding(prior='planar_chain', residual=False, friction={'coulomb': 1}),
+    problem = fit_machine(sliding(prior='planar_chain', residual=False, friction={'coulomb': 1}),
                          motions)
     found = problem.estimates(sliding().coordinates, None)
     for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5)):
@@ -240,7 +241,7 @@ def test_rigid_body_is_enough_unless_accelerations_show_a_force(magnet: float, c
     config = machine_config('a', 'revolute', {'hidden': [4], 'loss': {
         'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
         'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
-    selected(config, [smoothed('run', t, q, None, 0.0 * q, 5.0)], problem_of)
+    selected(config, [smoothed('run', t, q, None, 0.0 * q, 5.0)])
     assert ('nothing more is tried' in capsys.readouterr().out) is (magnet == 0.0)
 
 
@@ -259,7 +260,7 @@ def test_velocities_that_a_filter_delays_are_left_out():
     config = machine_config('a', 'revolute', {'hidden': [4], 'loss': {
         'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
         'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
-    chosen, card = selected(config, [motion], problem_of)
+    chosen, card = selected(config, [motion])
     assert chosen.data.velocities == 'none' and 'from positions alone' in card.held_out
     right, wrong, *_ = card.candidates
     # The noise of the positions is a part of the errors.
@@ -288,11 +289,11 @@ def test_smooth_forces_at_rare_samples_bias_no_number(delay: float):
         'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
         'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
     motions = [smoothed('run', times, q, None, force(times + 0.05 * delay)[:, None], 8.0)]
-    chosen, card = selected(config, motions, problem_of)
+    chosen, card = selected(config, motions)
     assert chosen.data.inputs == 'spline' and 'between samples as spline' in card.held_out
     # The noise over the speed, 2e-3 / 0.5 s / sqrt(400), is .004 of a sample; found to 0.01.
     assert chosen.data.delay == pytest.approx(delay, abs=0.02)
-    problem = problem_of(chosen, as_selected(motions, chosen.data, chosen.data.delay))
+    problem = fit_machine(chosen, as_selected(motions, chosen.data, chosen.data.delay))
     for name, number in problem.estimates(chosen.coordinates, None).items():
         if name in ('inertia1', 'gravity1'):
             low, high = number.interval
@@ -317,14 +318,14 @@ def test_forces_that_act_earlier_or_later_than_logged_are_moved(delay: float):
         'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
         'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
     motions = [smoothed('run', t, q, None, force(t + 0.02 * delay)[:, None], 5.0)]
-    chosen, card = selected(config, motions, problem_of)
+    chosen, card = selected(config, motions)
     assert chosen.data.delay == pytest.approx(delay, abs=0.1)
     assert f'delayed by {chosen.data.delay:g} samples' in card.held_out
     (moved,) = as_selected(motions, chosen.data, chosen.data.delay)
     assert np.abs(moved.tau[5:-5, 0] - force(t[5:-5])).max() < 0.05
     stated = config.model_copy(update={'data': config.data.model_validate(
         {'kind': 'arrays', 'delay': 0.0})})
-    assert selected(stated, motions, problem_of)[0].data.delay == 0.0
+    assert selected(stated, motions)[0].data.delay == 0.0
 
 
 @pytest.mark.long
@@ -356,11 +357,12 @@ def test_chords_that_whole_motions_alone_show_are_found_in_a_chaotic_motion(tmp_
     np.savetxt(log, np.column_stack([times, q, forces(times).T]), delimiter=',', comments='',
                header='t,q1 [rad],q2 [rad],tau1 [N m],tau2 [N m]')
     config, _ = guess_config([str(log)])
-    task = MachineTask(tmp_path / 'x.yaml', config, [str(log)], False)
-    problem = task.problem(config, 'cpu')
-    assert task.describe(problem, config, 'x', 'train').card.mechanical.inputs == 'spline'
+    data = MACHINE.select(MACHINE.read(tmp_path / 'x.yaml', config, [str(log)], False))
+    fitted = MACHINE.fit(data, config, 'cpu')
+    assert MACHINE.describe(
+        data, fitted, config, 'x', 'train').card.mechanical.inputs == 'spline'
     # Those of chords were 1.9, 2.1, 1.3, 1.7 and 3.8 half-widths off.
-    for truth, number in zip((I1, I2, C, G1, G2), problem.estimates(
+    for truth, number in zip((I1, I2, C, G1, G2), fitted.estimates(
             config.coordinates, None).values(), strict=False):
         low, high = number.interval
         assert abs(number.value - truth) < 1.5 * 0.5 * (high - low)
@@ -369,7 +371,7 @@ def test_chords_that_whole_motions_alone_show_are_found_in_a_chaotic_motion(tmp_
 @pytest.mark.long
 def test_friction_that_is_named_is_left_as_it_is():
     motions = [carriage(seed, 2.5) for seed in (1, 2, 3)]
-    chosen, card = selected(sliding(friction={'coulomb': 1}), motions, problem_of)
+    chosen, card = selected(sliding(friction={'coulomb': 1}), motions)
     assert not chosen.family.friction.directed
     assert not any('friction' in one.name for one in card.candidates)
 
@@ -378,7 +380,7 @@ def test_motions_too_short_to_choose_by_train_networks_alone(capsys):
     whole = carriage(1, 1.0)
     short = smoothed(
         'short', whole.t[:60], whole.q[:60], whole.v_smooth[:60], whole.tau[:60], 40.0)
-    chosen, card = selected(sliding(), [short], problem_of)
+    chosen, card = selected(sliding(), [short])
     assert card is None and chosen.family.prior is None
     assert '1 motions are too short for a selection' in capsys.readouterr().out
 
@@ -389,7 +391,7 @@ def test_windows_last_as_many_steps_however_rare_samples_are():
     config = sliding(prior='none', friction={})
     free = config.model_copy(update={'loss': None})
     for given, durations in ((free, [0.5, 1.25]), (config, [0.3])):
-        chosen, _ = selected(given, [rare], problem_of)
+        chosen, _ = selected(given, [rare])
         assert [stage.duration for stage in chosen.windows.windows] == pytest.approx(durations)
 
 

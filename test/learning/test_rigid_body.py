@@ -13,12 +13,13 @@ from hnn_vi_ros.learning.data.motions import cutoff_of, Motion, smoothed
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine_fit import fit_machine
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import momentum
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.residuals import (
     followed, is_noise, judged_along, judged_model, noise_text)
-from hnn_vi_ros.learning.tasks.machine import learn, problem_of
+from hnn_vi_ros.learning.tasks.machine import learn
 from hnn_vi_ros.models import CoordinateCard
 from hnn_vi_ros.simulation import Simulation
 from machines import driven, machine_config
@@ -76,7 +77,8 @@ def config(names: str = 'ab', **family) -> MachineConfig:
 
 @pytest.mark.parametrize('noise', [long(0.0), 1e-3])
 def test_parameters_of_a_double_pendulum_are_found(noise):
-    network, losses = learn(config(residual=False), motions(noise=noise))
+    fitted = learn(config(residual=False), motions(noise=noise))
+    network, losses = fitted.module, fitted.losses
     assert losses.keys() == {'rigid_body_forward', 'rigid_body_0.1'}
     assert parameters(network) == pytest.approx(EXPECTED, rel=SHARE)
     v = torch.tensor([[2.0, -2.0]], dtype=torch.float64)
@@ -88,7 +90,7 @@ def test_parameters_of_a_double_pendulum_are_found(noise):
 
 @pytest.mark.long
 def test_free_motions_tell_all_but_one_common_factor():
-    network, _ = learn(config(residual=False), motions(forced=False))
+    network = learn(config(residual=False), motions(forced=False)).module
     found = parameters(network)
     ratio = {name: value / found['inertia1'] for name, value in found.items()}
     expected = {name: value / EXPECTED['inertia1'] for name, value in EXPECTED.items()}
@@ -97,7 +99,8 @@ def test_free_motions_tell_all_but_one_common_factor():
 
 @pytest.mark.long
 def test_networks_beside_a_prior_that_is_right_stay_small():
-    network, losses = learn(config(), motions())
+    fitted = learn(config(), motions())
+    network, losses = fitted.module, fitted.losses
     assert losses.keys() == {'rigid_body_forward', 'rigid_body_0.1', 'forward', 'windows_0.1'}
     assert parameters(network) == pytest.approx(EXPECTED, rel=2 * SHARE)
     # In units of a twentieth of the inertias, and of the forces that they make.
@@ -114,8 +117,8 @@ def test_friction_that_accelerations_do_not_show_is_found_by_windows():
     motion = smoothed('run', t, q, v, np.zeros_like(q), 40.0)
     # Accelerations that tell of a friction below zero: where it begins, it could be held for good.
     noisy = replace(motion, a_smooth=FRICTION * v - np.sin(q))
-    network, _ = learn(config('a', prior='pendulum', mass_depends_on=None, residual=False,
-                              friction={'coulomb': 0}), [noisy])
+    network = learn(config('a', prior='pendulum', mass_depends_on=None, residual=False,
+                           friction={'coulomb': 0}), [noisy]).module
     viscous = float(network.friction.coefficients()[0].detach())
     assert viscous / parameters(network)['inertia1'] == pytest.approx(FRICTION, rel=SHARE)
 
@@ -136,7 +139,7 @@ PENDULUM = {'prior': 'pendulum', 'mass_depends_on': None, 'residual': False}
 @pytest.mark.long
 def test_noise_of_positions_biases_neither_gravity_nor_friction():
     motion, setting = swing(0.5), config('a', **PENDULUM, friction={'coulomb': 2})
-    problem = problem_of(setting, [motion])
+    problem = fit_machine(setting, [motion])
     found, inertia = parameters(problem.module), parameters(problem.module)['inertia1']
     # Of 600 samples; derivatives of noise would make ten times the friction.
     assert found['gravity1'] / inertia == pytest.approx(9.0, rel=0.005)
@@ -156,10 +159,10 @@ def test_input_map_is_given_with_the_norm_that_the_model_has():
                   [0.5, 0.0], t_eval=t, rtol=1e-9, atol=1e-9).y[:1].T
     q += 1e-3 * np.random.default_rng(0).normal(size=q.shape)
     motion = smoothed('run', t, q, None, np.sin(2.0 * t)[:, None], 5.0)
-    problem = problem_of(config('a', **PENDULUM, friction={'coulomb': 0}, input_map='learned'),
+    problem = fit_machine(config('a', **PENDULUM, friction={'coulomb': 0}, input_map='learned'),
                          [motion])
     # The model is the same with any multiple of its raw map.
-    problem.fitted.solution.values[-1] = 784.0
+    problem.numbers.solution.values[-1] = 784.0
     found = problem.estimates([CoordinateCard(name='a', q_unit='rad', p_unit='N m s')], None)
     one = found['input map of a']
     assert [one.value, *one.interval] == pytest.approx([1.0, 1.0, 1.0])
@@ -167,7 +170,7 @@ def test_input_map_is_given_with_the_norm_that_the_model_has():
 
 def test_intervals_of_a_fit_to_positions_are_those_of_the_noise():
     motion = swing(0.5)
-    problem = problem_of(config('a', **PENDULUM, friction={'coulomb': 0}), [motion])
+    problem = fit_machine(config('a', **PENDULUM, friction={'coulomb': 0}), [motion])
     coordinates = [CoordinateCard(name='a', q_unit='rad', p_unit='N m s')]
     found = problem.estimates(coordinates, motion.q_smooth)
     assert [(name, one.unit) for name, one in found.items()] == [
@@ -202,7 +205,7 @@ def test_what_a_rigid_body_misses_is_not_taken_for_noise():
         'data': {'kind': 'arrays'}, 'hidden': [8],
         'family': {'kind': 'mechanical', 'prior': 'planar_chain', 'residual': False,
                    'friction': {'coulomb': 0}}})
-    problem = problem_of(slide, [motion])
+    problem = fit_machine(slide, [motion])
     # Residuals of the shortest windows are 34 px; polynomials leave a few of their motion.
     assert 0.9 < problem.noise.item() < 3.0
     assert not is_noise(judged_along(problem.known(), [motion], problem.noise)[0])
@@ -225,8 +228,8 @@ def test_states_of_a_chaotic_motion_are_those_of_windows_that_grew():
 @pytest.mark.long
 def test_force_that_is_missing_is_named_with_what_it_goes_with():
     motion = swing(0.02)
-    network, _ = learn(config('a', **PENDULUM, friction={'viscous': False, 'coulomb': 0}),
-                       [motion])
+    network = learn(config('a', **PENDULUM, friction={'viscous': False, 'coulomb': 0}),
+                    [motion]).module
     said = missing_force(network, [motion], ['angle'])
     assert said.startswith('On angle a force of ') and 'goes with velocity' in said
 

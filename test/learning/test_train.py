@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training: reproduced, interrupted, resumed, ended early, reported; shipped and real models."""
 
+from functools import partial
 import math
 import os
 from pathlib import Path
@@ -16,12 +17,13 @@ from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.hnn import HNN, HNNChoice
 from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
+from hnn_vi_ros.learning.fit.field import FieldSamples, fit_field, mean_square, nonlinearity
 from hnn_vi_ros.learning.fit.loop import (
-    Fit, Interrupted, LossHistory, Stage, TrainingCheckpoint, TrainingProblem)
-from hnn_vi_ros.learning.tasks.field import FieldProblem, mean_square, nonlinearity
+    Interrupted, LossHistory, Stage, trained, TrainingCheckpoint, TrainingProblem)
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models import load_checkpoint, NeuralHamiltonian
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from messages import refused
 import numpy as np
 import pytest
@@ -321,17 +323,17 @@ def test_ctrl_c_keeps_the_run_and_resume_ends_it_as_if_nothing_had_been(
         tmp_path, monkeypatch, capsys):
     arguments = ['--config', str(tiny(tmp_path, PENDULUM)), '--out']
     main([*arguments, str(tmp_path / 'whole.safetensors')])
-    look, looks = FieldProblem.validation_loss, []
+    look, looks = FieldSamples.validation_loss, []
 
-    def interrupted(problem: FieldProblem) -> float:
-        looks.append(problem)
+    def interrupted(samples: FieldSamples, family: torch.nn.Module) -> float:
+        looks.append(family)
         if len(looks) == 5:
             signal.raise_signal(signal.SIGINT)
-        return look(problem)
+        return look(samples, family)
 
     out = str(tmp_path / 'm.safetensors')
     with monkeypatch.context() as context:
-        context.setattr(FieldProblem, 'validation_loss', interrupted)
+        context.setattr(FieldSamples, 'validation_loss', interrupted)
         with refused(Interrupted):
             main([*arguments, out])
     assert not (tmp_path / 'm.safetensors').exists()
@@ -358,7 +360,7 @@ def test_resume_refuses_what_it_cannot_go_on_with_in_one_line(tmp_path):
     keeper = TrainingCheckpoint(tmp_path / 'm.training', config, arrays, 'cpu')
     keeper._stopping = True
     with pytest.raises(Interrupted):
-        keeper(Fit(FieldProblem(config, dataset)))
+        fit_field(config, dataset, train=partial(trained, keeper=keeper))
     with refused(ParameterError):
         main([*arguments, '--seed', '7'])
 
@@ -368,12 +370,10 @@ def test_early_stopping_ends_with_the_weights_of_the_least_validation_loss(tmp_p
     text = PENDULUM.replace('noise: 0.0', 'noise: 0.3').replace('[8, 5]', '[40]').replace(
         'lbfgs_steps: 80', 'lbfgs_steps: 800')
 
-    def trained(text: str) -> tuple[float, LossHistory]:
-        problem = FieldProblem(*prepared(tiny(tmp_path, text)))
-        fit = Fit(problem)
-        fit.run()
-        return problem.validation_loss(), fit.history
-    (loss, history), (through, _) = trained(text + 'patience: 3\n'), trained(text)
+    def found(text: str) -> tuple[float, LossHistory]:
+        fitted = fit_field(*prepared(tiny(tmp_path, text)))
+        return fitted.samples.validation_loss(fitted.module), fitted.history
+    (loss, history), (through, _) = found(text + 'patience: 3\n'), found(text)
     assert history.train_step[-1] < 860
     assert loss == min(history.validation) < through
     assert history.validation[history.validation_step.index(history.best_step)] == loss
@@ -435,24 +435,24 @@ class Valley(torch.nn.Module):
         return torch.where(self.x.abs() < self.limit, self.x.square(), math.inf)
 
     def stage(self, rate: float, retries: int) -> Stage:
-        return Stage('fall', self.loss, 40, rate, lambda: float(self.loss().detach()), 40,
-                     retries=retries)
+        return Stage('fall', lambda valley, _: valley.loss, 40, rate,
+                     lambda valley: float(valley.loss().detach()), 40, retries=retries)
 
 
 def test_stage_that_gains_nothing_begins_again_at_lower_rates(capsys):
     """Adam moves by its rate at first: at 1 and .25 it only leaves the valley's ground."""
     module = Valley(0.01)
-    losses = TrainingProblem(module, [module.stage(1.0, 3)]).fit()
+    fitted = trained(TrainingProblem(module, [module.stage(1.0, 3)]))
     told = capsys.readouterr().out.splitlines()
     assert told[:1] == ['fall: no improvement at learning rate 1']
-    assert abs(module.x.item()) < 0.01 and losses['fall'] <= 1e-4
+    assert abs(fitted.module.x.item()) < 0.01 and fitted.losses['fall'] <= 1e-4
 
 
 @pytest.mark.parametrize('limit', [math.inf, 0.05])
 def test_stage_never_ends_worse_than_it_began(limit, capsys):
     module = Valley(1e-9, limit)
-    TrainingProblem(module, [module.stage(1.0, 1)]).fit()
-    assert module.x.item() == 1e-9
+    fitted = trained(TrainingProblem(module, [module.stage(1.0, 1)]))
+    assert fitted.module.x.item() == 1e-9
     assert capsys.readouterr().out.splitlines() == [
         'fall: no improvement at learning rate 1', 'fall: no improvement at learning rate 0.25']
 
@@ -460,7 +460,7 @@ def test_stage_never_ends_worse_than_it_began(limit, capsys):
 def test_stages_that_are_judged_in_another_way_begin_with_their_own_best():
     """The second stage is judged by the distance from one, of which the first knows nothing."""
     module = Valley(0.3)
-    other = Stage('rise', lambda: (module.x - 1.0).square(), 200, 0.1,
-                  lambda: float((module.x - 1.0).square().detach()), 200)
-    TrainingProblem(module, [module.stage(0.1, 0), other]).fit()
-    assert module.x.item() == pytest.approx(1.0, abs=1e-2)
+    other = Stage('rise', lambda valley, _: lambda: (valley.x - 1.0).square(), 200, 0.1,
+                  lambda valley: float((valley.x - 1.0).square().detach()), 200)
+    fitted = trained(TrainingProblem(module, [module.stage(0.1, 0), other]))
+    assert fitted.module.x.item() == pytest.approx(1.0, abs=1e-2)

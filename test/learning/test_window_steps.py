@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps of variational methods in torch, and the losses of windows and of whole motions."""
 
-from copy import deepcopy
 from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
@@ -14,12 +13,12 @@ from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import Linearised, MechanicalNetwork
 from hnn_vi_ros.learning.fit import steps as window_steps
-from hnn_vi_ros.learning.fit.loop import TrainingProblem
+from hnn_vi_ros.learning.fit.loop import trained, TrainingProblem
 from hnn_vi_ros.learning.fit.machine import (
     Samples, samples_of, scales_of, window_loss, WindowSettings)
+from hnn_vi_ros.learning.fit.machine_fit import fit_machine
+from hnn_vi_ros.learning.fit.records import Records
 from hnn_vi_ros.learning.fit.steps import METHODS, simulated, Solutions
-from hnn_vi_ros.learning.tasks.machine import describe, problem_of
-from hnn_vi_ros.learning.tasks.records import Records
 from hnn_vi_ros.simulation import Simulation
 from machines import compiled, machine_config, shaken, slopes_along
 import numpy as np
@@ -193,37 +192,30 @@ def pendulum(seed: int) -> EvenMotion:
 
 
 @pytest.fixture(scope='module')
-def records() -> tuple[TrainingProblem, Records]:
+def records() -> tuple[MechanicalNetwork, Records]:
     motions = [pendulum(1), pendulum(2)]
-    problem = problem_of(CONFIG, motions)
-    problem.fit()
-    found = Records(problem.module, CONFIG.windows, motions, lambda: describe(
-        problem.module, CONFIG, motions, '', {}, 'draft', ''), lambda: torch.zeros(()))
-    found.begin()
-    return problem, found
+    return fit_machine(CONFIG, motions).module, Records(CONFIG, motions)
 
 
 @pytest.mark.parametrize('steps', [40, long(1000)])
 def test_gradient_of_motions_is_that_of_differences(records, steps: int):
-    problem, loss = records
-    parts = [part for name, part in problem.module.named_parameters() if 'linears' in name]
-    found, expected = slopes_along(lambda: loss.loss(steps), parts, 1e-3)
+    network, loss = records
+    parts = [part for name, part in network.named_parameters() if 'linears' in name]
+    found, expected = slopes_along(lambda: loss.loss(network, steps), parts, 1e-3)
     # What order 6 cuts off is below 1e-11 here; second derivatives of forces are differences.
     assert found == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.long
 def test_whole_motions_improve_and_end_no_worse(records):
-    problem, loss = records
-    before = loss.whole()
-    losses = TrainingProblem(problem.module, loss.stages()).fit()
-    assert [*losses] == ['records_0.25', 'records_0.5', 'records_1']
+    network, loss = records
+    fitted = trained(TrainingProblem(network, loss.stages()))
+    assert [*fitted.losses] == ['records_0.25', 'records_0.5', 'records_1']
     # Windows of 0.2 s leave small errors of forces, which 6 s add up: 1.0e-5, then 9e-8.
-    assert loss.whole() < 0.1 * before
+    assert loss.whole(fitted.module) < 0.1 * loss.whole(network)
     # A stage that finds nothing better leaves the weights as they were.
-    best = deepcopy(problem.module.state_dict())
-    away = replace(loss.stages()[0], loss=lambda: sum(
-        part.square().sum() for part in problem.module.tensors().values()))
-    TrainingProblem(problem.module, [away]).fit()
-    after = problem.module.state_dict()
-    assert all(torch.equal(part, after[name]) for name, part in best.items())
+    away = replace(loss.stages()[0], begin=lambda network, _: lambda: sum(
+        part.square().sum() for part in network.tensors().values()))
+    after = trained(TrainingProblem(fitted.module, [away])).module.state_dict()
+    assert all(torch.equal(part, after[name])
+               for name, part in fitted.module.state_dict().items())

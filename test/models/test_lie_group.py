@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.families.lie_group import HeldBody, LieGroupNetwork
-from hnn_vi_ros.learning.tasks.body import BodyState, LieSteps
+from hnn_vi_ros.learning.fit.body import BodyState, LieSteps
 from hnn_vi_ros.models import LieGroupCard, load_learned, save_checkpoint, turn_matrices
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from hnn_vi_ros.simulation import Simulation

@@ -3,6 +3,7 @@
 """Lie group network: mass, potential, dissipation and input map of a rotating body."""
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -223,16 +224,17 @@ class LieGroupNetwork(torch.nn.Module):
         """Return the networks for the model file."""
         return {name: getattr(self, name).layers() for name in self.features}
 
-    def multiply(self, factor: float) -> 'LieGroupCard':
-        """Scale M, V, D and B by a factor, which leaves motions unchanged; return the card."""
+    def scaled(self, factor: float) -> 'LieGroupNetwork':
+        """Return M, V, D and B times a factor, which leaves motions unchanged."""
+        other = deepcopy(self)
         with torch.no_grad():
-            self.scale.mul_(factor**-0.5)
-            self.potential.output_scale.mul_(factor)
+            other.scale.mul_(factor**-0.5)
+            other.potential.output_scale.mul_(factor)
             for name, share in (('dissipation', factor**0.5), ('input_map', factor)):
-                if name in self.features:
-                    getattr(self, name).output_scale.mul_(share)
-        self.card = self.card.model_copy(update={'mass_scale': self.scale.tolist()})
-        return self.card
+                if name in other.features:
+                    getattr(other, name).output_scale.mul_(share)
+        other.card = other.card.model_copy(update={'mass_scale': other.scale.tolist()})
+        return other
 
 
 class HeldBody:

@@ -3,6 +3,7 @@
 """Networks of machines, trained on (q, v, tau): mass, potential, friction; and a plain one."""
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 import math
 from typing import Any, NamedTuple
 
@@ -160,13 +161,6 @@ class JointFrictionModule(torch.nn.Module):
         identity = torch.eye(v.shape[1], dtype=v.dtype)
         return torch.stack([one * unit for one in found for unit in identity], dim=-1) \
             if found else v[:, :, None][:, :, :0]
-
-    def scale(self, factor: float) -> None:
-        """Multiply the friction by a factor."""
-        for unit in (self.viscous_unit, self.force_unit):
-            unit *= factor
-        if self.structure.friction_features is not None:
-            self.network.output_scale *= math.sqrt(factor)
 
     def card(self) -> FrictionCard:
         """Return the coefficients for the model card."""
@@ -433,22 +427,32 @@ class MechanicalNetwork(torch.nn.Module):
                 # log(1 + exp(-80)) is below the rounding error of any other inertia.
                 self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
 
-    def begin_with(self, rigid: 'MechanicalNetwork') -> None:
-        """Copy and freeze the prior and friction of a fitted rigid body; shrink the networks."""
-        assert self.prior is not None and rigid.prior is not None
+    def with_prior_of(self, rigid: 'MechanicalNetwork') -> 'MechanicalNetwork':
+        """Return small networks on the prior and friction of a fitted rigid body, both frozen."""
+        other = deepcopy(self)
+        assert other.prior is not None and rigid.prior is not None
         with torch.no_grad():
             known = dict(rigid.named_parameters())
-            for name, parameter in self.named_parameters():
+            for name, parameter in other.named_parameters():
                 if name.startswith(('prior.', 'friction.raw_', 'raw_map', 'raw_fade')):
                     # Far from the data, where networks fade, the least-squares result remains.
                     parameter.copy_(known[name]).requires_grad_(False)
-            states = self.random_states(256, torch.Generator().manual_seed(0))
-            inertia = self.prior.mass(states, self.prior.values()).mean(dim=0)
-            self.root_inertia.copy_((_ADDED * torch.diagonal(inertia)).sqrt())
-            if 'mass' not in self.structure.left_out:
-                self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
-            self.potential.linears[-1].weight.mul_(0.1)
-        self.prior.identification = rigid.prior.identification
+            states = other.random_states(256, torch.Generator().manual_seed(0))
+            inertia = other.prior.mass(states, other.prior.values()).mean(dim=0)
+            other.root_inertia.copy_((_ADDED * torch.diagonal(inertia)).sqrt())
+            if 'mass' not in other.structure.left_out:
+                other.mass.linears[-1].bias.copy_(-1.5 * other.on_diagonal)
+            other.potential.linears[-1].weight.mul_(0.1)
+        other.prior.identification = rigid.prior.identification
+        return other
+
+    def with_parameters(self, parameters: Mapping[str, torch.Tensor]) -> 'MechanicalNetwork':
+        """Return a copy with other values of some parameters, by name."""
+        other = deepcopy(self)
+        with torch.no_grad():
+            for name, values in parameters.items():
+                other.get_parameter(name).copy_(values)
+        return other
 
     def random_states(self, count: int, generator: torch.Generator, reach: float = 1.0
                       ) -> torch.Tensor:
@@ -650,13 +654,18 @@ class MechanicalNetwork(torch.nn.Module):
         determinant = 0.5 * (entries * adjugate).sum(dim=1, keepdim=True)
         return (adjugate.view_as(matrix) @ right[:, :, None])[:, :, 0] / determinant
 
-    def scale_energy(self, factor: float) -> None:
-        """Multiply M, V and friction by a factor, which leaves motions without tau unchanged."""
-        self.root_inertia *= math.sqrt(factor)
-        self.friction.scale(factor)
-        self.potential.output_scale *= factor
-        if isinstance(self.prior, PlanarChain):
-            self.prior.unit *= factor
+    def scaled(self, factor: float) -> 'MechanicalNetwork':
+        """Return M, V and friction times a factor, which leaves motions without tau unchanged."""
+        other = deepcopy(self)
+        other.root_inertia *= math.sqrt(factor)
+        for unit in (other.friction.viscous_unit, other.friction.force_unit):
+            unit *= factor
+        if other.structure.friction_features is not None:
+            other.friction.network.output_scale *= math.sqrt(factor)
+        other.potential.output_scale *= factor
+        if isinstance(other.prior, PlanarChain):
+            other.prior.unit *= factor
+        return other
 
     @property
     def _perceptrons(self) -> dict[str, Perceptron]:
@@ -700,7 +709,7 @@ class MechanicalNetwork(torch.nn.Module):
         return PriorCard(
             kind=structure.prior, parameters=self.prior.quantities(p_units), tree=structure.tree,
             angles=structure.angles, identification=self.prior.identification,
-            estimates=dict(self.prior.estimates), alone=not structure.residual)
+            alone=not structure.residual)
 
 
 def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | RigidTree | None:

@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Priors of a mechanical network in torch: rigid bodies, planar links, and exact systems."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 import operator
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models import (
-    EACH, exact_system, FittedNumber, force_unit, functions_of, Identification, INERTIAL,
+    EACH, exact_system, force_unit, functions_of, Identification, INERTIAL,
     is_spring, parameter_names, parameter_places, pseudo_inertia, Quantity, TreeCard, unit_terms)
 import numpy as np
 import torch
@@ -35,8 +35,6 @@ class PriorModule(torch.nn.Module):
     linear = False
     # Identification result of a robot, once available.
     identification: Identification | None = None
-    # Numbers of links with intervals, once fitted to positions.
-    estimates: Mapping[str, FittedNumber] = {}
 
     def mass(self, q: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""

@@ -8,10 +8,9 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.hamiltonians import momentum
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.noise import covariances, likeliest, Process
-from hnn_vi_ros.learning.fit.shooting import FitProblem, search, Solution, TOLERANCE
+from hnn_vi_ros.learning.fit.shooting import FAILED, FitProblem, search, Solution, TOLERANCE
 from hnn_vi_ros.learning.fit.windows import (
     CannotFollow, cut_windows, MeasuredColumns, ParametricModel, Prediction, refined, Windows)
 import numpy as np
@@ -68,7 +67,7 @@ def first_length(motions: Sequence[EvenMotion]) -> float:
     return max(4.0 * pace, (least - 1) * motions[0].spacing)
 
 
-class Fitted(NamedTuple):
+class FittedNumbers(NamedTuple):
     """
     Fit of a model.
 
@@ -119,7 +118,7 @@ class Fitted(NamedTuple):
 
 def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion],
                 horizon: float | None, robust: bool, seen: MeasuredColumns | None = None,
-                tolerance: float = TOLERANCE) -> Fitted:
+                tolerance: float = TOLERANCE) -> FittedNumbers:
     """
     Fit the free numbers in growing windows: short ones first, because they have no false minima.
 
@@ -158,9 +157,9 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
     length = longest if whole else min(first_length(motions) * share, wanted)
     least = (2 * _LEAST_SAMPLES - 1) * motions[0].spacing * share
     noise = first_noise(motions)
-    alive: list[tuple[ParametricModel, Fitted | None]] = [(model, None) for model in models]
+    alive: list[tuple[ParametricModel, FittedNumbers | None]] = [(model, None) for model in models]
     while True:
-        found: list[tuple[Fitted, Fitted | None]] = []
+        found: list[tuple[FittedNumbers, FittedNumbers | None]] = []
         for model, before in alive:
             try:
                 found.append((fit_longer_windows(
@@ -210,8 +209,7 @@ def _searched(model: ParametricModel, windows: Windows, noise: np.ndarray, start
         for k in range(_PLACES + 1):
             q, v = windows.start.swapaxes(0, 1) + hidden * seen.spread * random.normal(
                 size=(2, len(starts), d)) * np.array([1.0, 4.0 / length])[:, None, None]
-            tried = starts if not k else np.hstack([
-                q, momentum(prediction.hamiltonian, q, v, np.zeros_like(q))])
+            tried = starts if not k else prediction.starts(q, v)
             ended, residuals, _ = problem.descend(prediction, tried)
             cost = problem.cost(residuals)
             better = cost < best
@@ -277,8 +275,8 @@ def with_states_of(model: ParametricModel, motions: Sequence[EvenMotion], fitted
     return found
 
 
-def refitted(fitted: Fitted, model: ParametricModel, values: np.ndarray, tolerance: float
-             ) -> Fitted:
+def refitted(fitted: FittedNumbers, model: ParametricModel, values: np.ndarray, tolerance: float
+             ) -> FittedNumbers:
     """Return the fit of another model in the same windows, searched from given values."""
     (length, last, problem), shorter = fitted.fits[-1], fitted.fits[:-1]
     solution, problem = fit_with_noise(model, last.windows, last.noise, last.starts, values,
@@ -291,17 +289,18 @@ def cost_at_start(model: ParametricModel, motions: Sequence[EvenMotion]) -> floa
     windows = cut_windows(motions, min(first_length(motions), max(
         motion.t[-1] - motion.t[0] for motion in motions)))
     values = np.array([number.start for number in model.numbers])
-    problem = FitProblem(model, windows, first_noise(motions),
-                         _starts(model, values, windows, None), False)
-    problem.tolerance = 1.0
-    cost = float(problem.cost(problem.residuals(values)[:-len(values)].reshape(
-        windows.measured.shape)).sum())
+    prediction = Prediction(model, values, windows)
+    starts = prediction.starts(*windows.start.swapaxes(0, 1))
+    problem = FitProblem(model, windows, first_noise(motions), starts, False, tolerance=1.0)
+    _, residuals, _ = problem.descend(prediction, starts)
+    cost = float(problem.cost(np.nan_to_num(residuals, nan=FAILED)).sum())
     return cost if math.isfinite(cost) else math.inf
 
 
 def fit_longer_windows(model: ParametricModel, motions: Sequence[EvenMotion], length: float,
-                       noise: np.ndarray, robust: bool, tolerance: float, before: Fitted | None,
-                       seen: MeasuredColumns | None = None) -> Fitted:
+                       noise: np.ndarray, robust: bool, tolerance: float,
+                       before: FittedNumbers | None, seen: MeasuredColumns | None = None
+                       ) -> FittedNumbers:
     """Return the fit in windows of this length [s], from that in shorter ones."""
     values = np.array([number.start for number in model.numbers]) if before is None else \
         before.solution.values
@@ -314,10 +313,10 @@ def fit_longer_windows(model: ParametricModel, motions: Sequence[EvenMotion], le
         model, windows, noise if before is None else before.solution.noise, starts, values,
         robust, tolerance, before is None)
     fits, sensor = ([], []) if before is None else (before.fits, before.sensor)
-    return Fitted([*fits, (length, solution, problem)], [], sensor)
+    return FittedNumbers([*fits, (length, solution, problem)], [], sensor)
 
 
-def _judged(fitted: Fitted) -> Fitted:
+def _judged(fitted: FittedNumbers) -> FittedNumbers:
     """Return a fit with the noise of its sensors, and its stages."""
     sensor = fitted.sensor
     if not sensor or excess_of(fitted.solution, fitted.problem, sensor) < _SMALLER:
@@ -349,11 +348,11 @@ def fit_with_noise(model: ParametricModel, windows: Windows, noise: np.ndarray, 
         if not squares and np.ptp(np.log(ratio)) < _SETTLED and not (
                 robust and abs(np.log(ratio)).max() > _SETTLED):
             break
-    problem.noise = noise
     return replace(
         solution, residuals=solution.residuals / ratio, noise=noise,
         by_starts=solution.by_starts / ratio[:, None],
-        parameter_jacobian=solution.parameter_jacobian / ratio[:, None]), problem
+        parameter_jacobian=solution.parameter_jacobian / ratio[:, None]), replace(
+            problem, noise=noise)
 
 
 def noise_of(solution: Solution, robust: bool) -> np.ndarray:
@@ -407,12 +406,11 @@ def excess_of(solution: Solution, problem: FitProblem, sensor: Sequence[Process]
 
 
 def _starts(model: ParametricModel, values: np.ndarray, windows: Windows,
-            before: Fitted | None) -> np.ndarray:
+            before: FittedNumbers | None) -> np.ndarray:
     """Return initial guesses: the starts of shorter windows, or smoothed measurements."""
     q, v = windows.start.swapaxes(0, 1)
     if before is None:
-        prediction = Prediction(model, values, windows)
-        return np.hstack([q, momentum(prediction.hamiltonian, q, v, np.zeros_like(q))])
+        return Prediction(model, values, windows).starts(q, v)
     solution = before.solution
     states = Prediction(model, values, solution.windows).states(solution.starts[:, None])[:, 0]
     found = np.empty((len(q), 2 * q.shape[1]))

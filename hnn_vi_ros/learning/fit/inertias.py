@@ -11,7 +11,6 @@ Acceleration noise biases this estimate towards zero; a fit of simulated windows
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
@@ -21,7 +20,9 @@ from hnn_vi_ros.learning.families.choices import Inverse, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.priors import RigidTree
 from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.fitted_rigid_body import FittedRigidBody
 from hnn_vi_ros.learning.fit.machine import acceleration_errors, samples_of
+from hnn_vi_ros.learning.fit.model_files import with_prior
 from hnn_vi_ros.learning.fit.rigid_body import fit_errors, loss_of, spread, window_fits
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, RigidUnknowns
 from hnn_vi_ros.learning.fit.steps import Solutions
@@ -30,7 +31,8 @@ from hnn_vi_ros.models import (
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares, OptimizeResult
-from scipy.stats import norm, t as student_t
+from scipy.stats import norm
+from scipy.stats import t as student_t
 import torch
 
 # Half-width of a 95 % interval of the normal distribution, in standard deviations.
@@ -47,10 +49,8 @@ def with_force_errors(checkpoint: Checkpoint, network: MechanicalNetwork,
         return checkpoint
     error, share = force_errors(network, motions)
     update = {'force_error': error} | ({'residual_share': share} if share else {})
-    prior = mechanical.prior.model_copy(update={
-        'identification': mechanical.prior.identification.model_copy(update=update)})
-    return replace(checkpoint, card=checkpoint.card.model_copy(update={
-        'mechanical': mechanical.model_copy(update={'prior': prior})}))
+    return with_prior(checkpoint, identification=mechanical.prior.identification.model_copy(
+        update=update))
 
 
 def force_errors(network: MechanicalNetwork, motions: Sequence[EvenMotion]
@@ -248,15 +248,14 @@ class Information(NamedTuple):
 
 def identify_inertias(network: MechanicalNetwork, config: MachineConfig,
                       motions: Sequence[EvenMotion], rotors: bool = False, offsets: bool = True
-                      ) -> dict[str, float]:
+                      ) -> FittedRigidBody:
     """
     Identify the inertias and friction of a tree; the friction widths stay fixed.
 
     Parameters
     ----------
     network : MechanicalNetwork
-        Network with a RigidTree and without residual networks; changed in place. The result is
-        stored in ``prior.identification``.
+        Network with a RigidTree and without residual networks.
     config : MachineConfig
         Configuration of the fit.
     motions : sequence of EvenMotion
@@ -266,8 +265,9 @@ def identify_inertias(network: MechanicalNetwork, config: MachineConfig,
 
     Returns
     -------
-    dict
-        Loss after each fit, inf where a window diverged.
+    FittedRigidBody
+        With the loss after each fit, inf where a window diverged; its network has the summary in
+        ``prior.identification``.
 
     Raises
     ------
@@ -293,9 +293,10 @@ def identify_inertias(network: MechanicalNetwork, config: MachineConfig,
     if not isinstance(config.loss, Inverse):
         x, found, covariance = _fit_windows(unknowns, whitened, config.windows, motions, x)
         losses |= found
-    unknowns.give(x * unknowns.scale)
-    unknowns.tree.identification = _summary(unknowns, known, weak, covariance, x)
-    return losses
+    fitted = unknowns.network_at(x * unknowns.scale)
+    assert fitted.prior is not None
+    fitted.prior.identification = _summary(unknowns, known, weak, covariance, x)
+    return FittedRigidBody(fitted, losses)
 
 
 def equations_of(network: MechanicalNetwork, motions: Sequence[EvenMotion]) -> Equations:

@@ -13,7 +13,8 @@ import signal
 import sys
 from tempfile import mkdtemp
 import time
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, Interrupted, ModelError, ParameterError, RecordingError)
@@ -44,6 +45,10 @@ _SLOWER = 0.25
 _REMEDY = 'reduce learning_rate, and check the data for outliers'
 
 
+# Start of a stage: returns the loss of a module, with the source of random numbers.
+Begin = Callable[[Any, torch.Generator], Callable[[], torch.Tensor]]
+
+
 @dataclass(frozen=True)
 class Stage:
     """
@@ -53,15 +58,15 @@ class Stage:
     ----------
     name : str
         Name for the model card and the progress bar.
-    loss : callable
-        Callable that returns the scalar loss: for Adam on a new batch at each call, for L-BFGS a
-        function of the parameters alone.
+    begin : callable
+        ``begin(module, generator)`` returns the scalar loss as a function: for Adam on a new batch
+        at each call, for L-BFGS a function of the parameters alone. It may draw random numbers.
     steps : int
         Maximum number of steps.
     rate : float, optional
         Initial learning rate of Adam, annealed to zero along a cosine; None selects L-BFGS.
     held_out : callable, optional
-        Callable that returns the loss on held-out data.
+        ``held_out(module)`` returns the loss on held-out data.
     patience : int, optional
         Number of evaluations of ``held_out`` without improvement after which the stage ends; the
         best parameters are then restored. If None, the last ones are kept.
@@ -75,23 +80,22 @@ class Stage:
         History size of L-BFGS, and maximum number of loss evaluations per step.
     remedy : str
         Advice in the error message for a loss that is not finite.
-    begin, ended : callable
-        Callbacks at the start, where the stage may draw random numbers, and at the end.
+    ended : callable
+        Callback at the end.
 
     """
 
     name: str
-    loss: Callable[[], torch.Tensor]
+    begin: Begin
     steps: int
     rate: float | None = None
-    held_out: Callable[[], float] | None = None
+    held_out: Callable[[Any], float] | None = None
     patience: int | None = None
     retries: int = 0
     clip: bool = False
     pairs: int = 50
     evaluations: int = 10
     remedy: str = _REMEDY
-    begin: Callable[[], None] = lambda: None
     ended: Callable[[], None] = lambda: None
 
 
@@ -111,62 +115,116 @@ class LossHistory:
     begins: dict[str, int] = field(default_factory=dict)
 
 
-class TrainingProblem:
+class TrainingProblem(NamedTuple):
     """
     A module and the stages that fit it.
 
     Parameters
     ----------
     module : torch.nn.Module
-        Trained in place.
+        Module at which the training begins.
     stages : sequence of Stage
         Stages in order. The best parameters by held-out data are passed on to the next stage if
         it is judged in the same way.
-    generator : torch.Generator, optional
-        Source of randomness of the batches.
+    seed : int
+        Seed of the batches.
     losses : mapping of str to float
         Losses of preceding fits.
 
     """
 
-    def __init__(self, module: Any, stages: Sequence[Stage] = (),
-                 generator: torch.Generator | None = None,
-                 losses: Mapping[str, float] | None = None):
-        self.module, self.stages, self.generator = module, [*stages], generator
-        self.losses = dict(losses or {})
-        # Noise of each measured quantity, where a fit has estimated it.
-        self.noise: np.ndarray | None = None
-
-    def fit(self) -> dict[str, float]:
-        """Run all stages; return their final losses."""
-        return Fit(self).run()
+    module: Any
+    stages: Sequence[Stage] = ()
+    seed: int = 0
+    losses: Mapping[str, float] = MappingProxyType({})
 
 
-class Fit:
+@dataclass(frozen=True)
+class Fitted:
+    """
+    A fitted model.
+
+    Parameters
+    ----------
+    module : torch.nn.Module
+        The trained module; the one at which the training began is unchanged.
+    losses : mapping of str to float
+        Final loss of each fit and stage: for Adam the mean of the last tenth of the steps; with
+        patience the loss at the best parameters.
+    history : LossHistory
+        Losses over the steps.
+    noise : np.ndarray, optional
+        Noise of each measured quantity, if the fit has estimated it.
+
+    """
+
+    module: Any
+    losses: Mapping[str, float]
+    history: LossHistory = field(default_factory=LossHistory)
+    noise: np.ndarray | None = None
+
+
+# Trains the module of a problem.
+Train = Callable[[TrainingProblem], Fitted]
+
+
+def trained(problem: TrainingProblem, name: str = '', keeper: 'TrainingCheckpoint | None' = None
+            ) -> Fitted:
+    """
+    Run all stages on a copy of the module.
+
+    Parameters
+    ----------
+    problem : TrainingProblem
+        The module and its stages.
+    name : str
+        Name for the progress bar.
+    keeper : TrainingCheckpoint, optional
+        File of the run, from which it is resumed if requested.
+
+    Raises
+    ------
+    DataError
+        The loss is not finite.
+
+    """
+    run = TrainingRun(problem, name)
+    if keeper is None:
+        run.to_end()
+    else:
+        if keeper.resumes:
+            keeper.load(run)
+        with keeper.watching():
+            run.to_end(keeper)
+    return Fitted(run.module, run.losses, run.history)
+
+
+class TrainingRun:
     """
     A training run, from the first step or resumed.
 
     Parameters
     ----------
     problem : TrainingProblem
-        Problem whose module is trained in place.
+        Problem, of whose module a copy is trained.
     name : str
         Name for the progress bar.
 
     Attributes
     ----------
+    module : torch.nn.Module
+        The copy.
     history : LossHistory
         Losses over the steps.
     losses : dict of str to float
-        Final loss of each stage: for Adam the mean of the last tenth of the steps; with patience
-        the loss at the best parameters.
+        Final loss of each stage; see Fitted.
 
     """
 
     def __init__(self, problem: TrainingProblem, name: str = ''):
-        self.module, self.stages = problem.module, problem.stages
-        self.history, self.losses = LossHistory(), problem.losses
-        self._name, self._generator = name, problem.generator
+        self.module, self.stages = deepcopy(problem.module), problem.stages
+        self.history, self.losses = LossHistory(), dict(problem.losses)
+        self._name, self._generator = name, torch.Generator().manual_seed(problem.seed)
         self._parameters = [part for part in self.module.parameters() if part.requires_grad]
         self._stage = self._taken = self._waited = self._retried = 0
         self._gained = False
@@ -179,9 +237,9 @@ class Fit:
         """Return the index of the next step, counted from the start of the first stage."""
         return sum(stage.steps for stage in self.stages[:self._stage]) + self._taken
 
-    def run(self, pause: Callable[['Fit'], None] = lambda fit: None) -> dict[str, float]:
+    def to_end(self, pause: Callable[['TrainingRun'], None] = lambda run: None) -> None:
         """
-        Train to the end; return the losses of the stages.
+        Train to the end.
 
         Parameters
         ----------
@@ -218,7 +276,6 @@ class Fit:
                     self._least, self._best = math.inf, None
             self._gained = False
             self._begin()
-        return self.losses
 
     def _rate(self, stage: Stage) -> float:
         """Return the learning rate of Adam."""
@@ -231,8 +288,8 @@ class Fit:
             return
         stage = self.stages[self._stage]
         self.history.begins.setdefault(stage.name, self.step)
-        self._drawn_from = None if self._generator is None else self._generator.get_state()
-        stage.begin()
+        self._drawn_from = self._generator.get_state()
+        self._loss = stage.begin(self.module, self._generator)
         if stage.rate is None:
             self._optimiser: torch.optim.Optimizer = torch.optim.LBFGS(
                 self._parameters, max_iter=INTERVAL, max_eval=stage.evaluations * INTERVAL,
@@ -243,13 +300,13 @@ class Fit:
         self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimiser, stage.steps)
 
     def _find_valley(self, stage: Stage, adam: torch.optim.Optimizer,
-                     pause: Callable[['Fit'], None]) -> None:
+                     pause: Callable[['TrainingRun'], None]) -> None:
         while self._taken < stage.steps:
             look = self._taken % INTERVAL == 0
             if look:
                 pause(self)
             adam.zero_grad()
-            loss = stage.loss()
+            loss = self._loss()
             loss.backward()
             if self._note(stage, float(loss.detach()), look):
                 break
@@ -264,10 +321,10 @@ class Fit:
         self._end(stage, float(np.mean(self.history.train[-max(1, stage.steps // 10):])))
 
     def _descend_valley(self, stage: Stage, lbfgs: torch.optim.LBFGS,
-                        pause: Callable[['Fit'], None]) -> None:
+                        pause: Callable[['TrainingRun'], None]) -> None:
         def closure() -> torch.Tensor:
             lbfgs.zero_grad()
-            loss = LBFGS_SCALE * stage.loss()
+            loss = LBFGS_SCALE * self._loss()
             if not loss.isfinite():
                 # Stepping with a NaN gradient would destroy the parameters.
                 for parameter in self._parameters:
@@ -277,7 +334,7 @@ class Fit:
             return loss
 
         if math.isinf(self._before):
-            self._before = float(stage.loss().detach())
+            self._before = float(self._loss().detach())
             self._note(stage, self._before, True)
         while self._taken < stage.steps:
             pause(self)
@@ -285,7 +342,7 @@ class Fit:
             lbfgs.param_groups[0]['max_iter'] = steps
             lbfgs.step(closure)
             self._taken += steps
-            after = float(stage.loss().detach())
+            after = float(self._loss().detach())
             if self._note(stage, after, True) or not (
                     self._before - after >= LEAST_GAIN * after):
                 break
@@ -320,7 +377,7 @@ class Fit:
     def _look(self, stage: Stage, loss: float) -> bool:
         """Record the held-out loss; return True if patience is exhausted."""
         assert stage.held_out is not None
-        history, step, held_out = self.history, self.step, stage.held_out()
+        history, step, held_out = self.history, self.step, stage.held_out(self.module)
         history.validation.append(held_out)
         history.validation_step.append(step)
         if stage.patience is None:
@@ -342,8 +399,7 @@ class Fit:
                 'weights': self.module.state_dict(), 'history': asdict(self.history),
                 'losses': self.losses, 'optimiser': self._optimiser.state_dict(),
                 'schedule': self._schedule.state_dict() if adam else None,
-                'drawn_from': self._drawn_from,
-                'generator': None if self._generator is None else self._generator.get_state()}
+                'drawn_from': self._drawn_from, 'generator': self._generator.get_state()}
 
     @state.setter
     def state(self, state: Mapping[str, Any]) -> None:
@@ -353,15 +409,13 @@ class Fit:
         self.losses.update(state['losses'])
         for name in _KEPT:
             setattr(self, f'_{name}', state[name])
-        if self._generator is not None:
-            # Reproduce the random draws of the stage; then restore the generator of the batches.
-            self._generator.set_state(state['drawn_from'])
+        # Reproduce the random draws of the stage; then restore the generator of the batches.
+        self._generator.set_state(state['drawn_from'])
         self._begin()
         self._optimiser.load_state_dict(state['optimiser'])
         if state['schedule'] is not None:
             self._schedule.load_state_dict(state['schedule'])
-        if self._generator is not None:
-            self._generator.set_state(state['generator'])
+        self._generator.set_state(state['generator'])
 
 
 # Wall time between saved states [s].
@@ -385,19 +439,22 @@ class TrainingCheckpoint:
         The training data.
     device : str
         Device of the training.
+    resumes : bool
+        True if the saved run is to be resumed.
 
     """
 
     def __init__(self, path: Path, config: TrainingConfig, arrays: Iterable[np.ndarray],
-                 device: str):
-        self.path, self._saved, self._stopping = path, time.monotonic(), False
+                 device: str, resumes: bool = False):
+        self.path, self.resumes = path, resumes
+        self._saved, self._stopping = time.monotonic(), False
         digest = sha256(
             f'{config.model_dump_json()} {device} {torch.__version__} {_KEPT}'.encode())
         for part in arrays:
             digest.update(np.ascontiguousarray(part).tobytes())
         self._digest = digest.hexdigest()
 
-    def load(self, fit: Fit) -> None:
+    def load(self, run: TrainingRun) -> None:
         """
         Restore the saved run.
 
@@ -420,9 +477,9 @@ class TrainingCheckpoint:
             raise ParameterError(f'--resume: {self.path} is from another configuration, other '
                                  'data, another device or version; use those again, or remove it '
                                  'and start again')
-        fit.state = saved['state']
+        run.state = saved['state']
 
-    def __call__(self, fit: Fit) -> None:
+    def __call__(self, run: TrainingRun) -> None:
         """
         Save the state if the period has elapsed.
 
@@ -436,16 +493,16 @@ class TrainingCheckpoint:
             return
         try:
             with replacing(self.path) as temporary:
-                torch.save({'digest': self._digest, 'state': fit.state}, temporary)
+                torch.save({'digest': self._digest, 'state': run.state}, temporary)
         except (OSError, RuntimeError) as problem:  # torch raises its own error for a full disk
             if self._stopping:
-                raise ParameterError(f'stopped at step {fit.step}; its state cannot be written '
+                raise ParameterError(f'stopped at step {run.step}; its state cannot be written '
                                      f'to {self.path} ({one_line(problem)})') from problem
             print(f'warning: {self.path}: the state of the run cannot be written '
                   f'({one_line(problem)}); training continues', file=sys.stderr, flush=True)
         self._saved = time.monotonic()
         if self._stopping:
-            raise Interrupted(f'stopped at step {fit.step}, state in {self.path}; resume with the '
+            raise Interrupted(f'stopped at step {run.step}, state in {self.path}; resume with the '
                               'same command and --resume')
 
     @contextmanager

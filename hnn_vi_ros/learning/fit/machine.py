@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Losses and stages that fit the network of a machine to measured motions."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 import math
 from typing import Any, NamedTuple
@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.choices import (
-    Discrete, Forward, Inverse, MotionScales, TrajectoryLoss, WindowMethod, WindowStage)
+    Discrete, Forward, Inverse, MotionScales, Structure, TrajectoryLoss, WindowMethod, WindowStage)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.fit.loop import Stage, TrainingProblem
+from hnn_vi_ros.learning.fit.loop import Begin, Fitted, Stage, Train, trained, TrainingProblem
 from hnn_vi_ros.learning.fit.steps import simulated, Solutions
 import numpy as np
 import torch
@@ -33,8 +33,8 @@ _BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS = 50, 10, 6, 20000
 _JUDGED, _RETRIES = 256, 2
 
 Network = MechanicalNetwork | PlainNetwork
-# Loss of the samples with the given row indices.
-Value = Callable[[torch.Tensor], torch.Tensor]
+# Loss of a network at the samples with the given row indices; the generator is for penalties.
+Value = Callable[[Any, torch.Tensor, torch.Generator], torch.Tensor]
 
 
 class Samples(NamedTuple):
@@ -329,8 +329,8 @@ class Fading:
 
     Parameters
     ----------
-    network : MechanicalNetwork
-        Network with a prior.
+    structure : Structure
+        Structure of the network.
     motions : sequence of EvenMotion
         Training motions.
     seen_weight, fade_weight : float
@@ -338,13 +338,12 @@ class Fading:
 
     """
 
-    def __init__(self, network: MechanicalNetwork, motions: Sequence[EvenMotion],
+    def __init__(self, structure: Structure, motions: Sequence[EvenMotion],
                  seen_weight: float, fade_weight: float):
-        self._network = network
         self._weights = seen_weight, fade_weight
         q, v = (np.concatenate([getattr(motion, name) for motion in motions])
                 for name in ('q_smooth', 'v_smooth'))
-        self._turns = torch.tensor([kind == 'continuous' for kind in network.structure.kinds])
+        self._turns = torch.tensor([kind == 'continuous' for kind in structure.kinds])
         self._unit = torch.where(self._turns, _NEAR_ANGLE, _NEAR_SHARE * torch.tensor(
             np.where(np.ptp(q, axis=0) > 0.0, 0.5 * np.ptp(q, axis=0), 1.0)))
         # Taking every n-th sample would leave gaps where motions are fast.
@@ -353,9 +352,9 @@ class Fading:
         self._seen = torch.tensor(q[seen[::1 + len(seen) // _SEEN]])
         self._fastest = torch.tensor(np.abs(v).max(axis=0))
 
-    def __call__(self, generator: torch.Generator) -> torch.Tensor:
-        """Return the penalty at newly drawn states."""
-        network, large = self._network, self._weights[1]
+    def __call__(self, network: MechanicalNetwork, generator: torch.Generator) -> torch.Tensor:
+        """Return the penalty of a network at newly drawn states."""
+        large = self._weights[1]
         q = network.random_states(_STATES, generator, reach=2.0)
         rows = torch.randint(len(self._seen), (_STATES,), generator=generator)
         share = 2.0 * torch.rand(_STATES, network.d, generator=generator,
@@ -373,9 +372,20 @@ class Fading:
         return large + (usual - large) * torch.exp(-0.5 * nearest)
 
 
-class MachineProblem(TrainingProblem):
+# Penalty of a network, at states that the generator draws.
+Penalty = Callable[[Any, torch.Generator], torch.Tensor]
+
+
+def fit_network(network: Network, config: MachineConfig, motions: Sequence[EvenMotion],
+                train: Train = trained) -> Fitted:
+    """Fit a network to motions; see stages_of."""
+    return train(TrainingProblem(network, stages_of(config, motions), config.seed))
+
+
+def stages_of(config: MachineConfig, motions: Sequence[EvenMotion], penalty: Penalty | None = None
+              ) -> list[Stage]:
     """
-    A network and the stages that fit it to motions, at single samples or on simulated windows.
+    Return the stages that fit a network to motions, at single samples or on simulated windows.
 
     Accelerations estimated from measured motions are noisy, and their errors say little about
     the error of a simulated motion. They only initialise the network; then windows are simulated
@@ -384,17 +394,13 @@ class MachineProblem(TrainingProblem):
 
     Parameters
     ----------
-    network : MechanicalNetwork or PlainNetwork
-        Trained in place. A plain network has no masses and supports only the losses on
-        accelerations and windows.
     config : MachineConfig
-        Loss, learning rate and seed.
+        Loss, learning rate and seed. A plain network has no masses and supports only the losses on
+        accelerations and windows.
     motions : sequence of EvenMotion
         Training motions.
     penalty : callable, optional
         Penalty added to the loss of networks on top of a prior; disables forward L-BFGS.
-    losses : mapping of str to float
-        Losses of preceding fits.
 
     Raises
     ------
@@ -402,95 +408,96 @@ class MachineProblem(TrainingProblem):
         All motions are shorter than a window.
 
     """
+    loss = config.loss_of(motions)
+    return _on_windows(config, loss, motions, penalty) if isinstance(loss, TrajectoryLoss) else \
+        _on_samples(config, loss, motions, penalty)
 
-    def __init__(self, network: Network, config: MachineConfig, motions: Sequence[EvenMotion],
-                 penalty: Callable[[torch.Generator], torch.Tensor] | None = None,
-                 losses: Mapping[str, float] | None = None):
-        super().__init__(network, (), torch.Generator().manual_seed(config.seed), losses)
-        self._config, self._penalty = config, penalty
-        loss = config.loss_of(motions)
-        self.stages = self._on_windows(loss, motions) if isinstance(loss, TrajectoryLoss) else \
-            self._on_samples(loss, motions)
 
-    def _batches(self, value: Value, rows: torch.Tensor, size: int
-                 ) -> Callable[[], torch.Tensor]:
-        return lambda: value(rows[torch.randint(
-            len(rows), (size,), generator=self.generator)])
+def _batches(value: Value, rows: torch.Tensor, size: int) -> Begin:
+    """Return the start of a stage whose loss is that of randomly drawn rows."""
+    return lambda network, generator: lambda: value(
+        network, rows[torch.randint(len(rows), (size,), generator=generator)], generator)
 
-    def _penalised(self, loss: torch.Tensor, anew: bool = True) -> torch.Tensor:
-        """Add the penalty to a loss, at new random states or always at the same ones."""
-        return loss if self._penalty is None else loss + self._penalty(
-            self.generator if anew else torch.Generator().manual_seed(self._config.seed))
 
-    def _on_samples(self, loss: Forward | Inverse | Discrete, motions: Sequence[EvenMotion]
-                    ) -> list[Stage]:
-        step_size = motions[0].spacing
-        if isinstance(loss, Discrete):
-            step_size = loss.step_size or balanced_step(motions)
-        samples = samples_of(motions, step_size)
-        at: Callable[..., torch.Tensor] = {
-            'forward': acceleration_loss, 'inverse': force_loss, 'discrete': discrete_loss,
-        }[loss.kind]
-        ahead = 2 * samples.every if isinstance(loss, Discrete) else 0
-        rows = torch.nonzero(samples.left >= ahead)[:, 0]
-        if not len(rows):
-            raise DataError('no motion has three samples at intervals of step_size; reduce '
-                            'step_size')
+def _penalised(loss: torch.Tensor, penalty: Penalty | None, network: Any,
+               generator: torch.Generator) -> torch.Tensor:
+    return loss if penalty is None else loss + penalty(network, generator)
 
-        def value(rows: torch.Tensor) -> torch.Tensor:
-            # Use the same random states: L-BFGS needs a deterministic function.
-            return self._penalised(at(self.module, samples, rows), anew=False)
-        return [Stage(loss.kind, self._batches(value, rows, loss.batch), loss.steps,
-                      self._config.learning_rate, clip=True),
-                *_polish(loss.kind, value, rows, loss.lbfgs_steps)]
 
-    def _on_windows(self, loss: TrajectoryLoss, motions: Sequence[EvenMotion]) -> list[Stage]:
-        samples = samples_of(motions, loss.step_size)
-        rows = torch.arange(len(samples.q))
+def _on_samples(config: MachineConfig, loss: Forward | Inverse | Discrete,
+                motions: Sequence[EvenMotion], penalty: Penalty | None) -> list[Stage]:
+    step_size = motions[0].spacing
+    if isinstance(loss, Discrete):
+        step_size = loss.step_size or balanced_step(motions)
+    samples = samples_of(motions, step_size)
+    at: Callable[..., torch.Tensor] = {
+        'forward': acceleration_loss, 'inverse': force_loss, 'discrete': discrete_loss}[loss.kind]
+    ahead = 2 * samples.every if isinstance(loss, Discrete) else 0
+    rows = torch.nonzero(samples.left >= ahead)[:, 0]
+    if not len(rows):
+        raise DataError('no motion has three samples at intervals of step_size; reduce '
+                        'step_size')
 
-        def value(rows: torch.Tensor) -> torch.Tensor:
-            return self._penalised(acceleration_loss(self.module, samples, rows))
-        longest = max(loss.windows, key=lambda stage: stage.duration)
-        windows, starts = windows_of(loss, longest, samples)
-        chosen = starts[::1 + len(starts) // _JUDGED]
+    def value(network: Any, rows: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        # Use the same random states: L-BFGS needs a deterministic function.
+        return _penalised(at(network, samples, rows), penalty, network,
+                          torch.Generator().manual_seed(config.seed))
+    return [Stage(loss.kind, _batches(value, rows, loss.batch), loss.steps,
+                  config.learning_rate, clip=True),
+            *_polish(loss.kind, value, rows, loss.lbfgs_steps)]
 
-        def judged() -> float:
-            with torch.no_grad():
-                errors = window_loss(self.module, samples, chosen, windows, Solutions())
-                return float(self._penalised(errors, anew=False))
-        # On samples that Adam fitted too, L-BFGS would seem to overfit at once.
-        polishes = self._penalty is None and loss.forward_lbfgs_steps > 0
-        learnt = rows[~_left_out(rows)] if polishes else rows
-        found = [Stage('forward', self._batches(value, learnt, loss.forward_batch),
-                       loss.forward_steps, self._config.learning_rate, clip=True)]
-        if self._penalty is not None:
-            # With a prior, the initial model is already good.
-            found[0] = replace(found[0], held_out=judged, patience=loss.forward_steps)
-        if polishes:
-            found += _polish('forward', value, rows, loss.forward_lbfgs_steps)
-        return found + [replace(
-            self._windows(loss, stage, samples), held_out=judged, patience=stage.steps,
-            retries=_RETRIES) for stage in loss.windows]
 
-    def _windows(self, loss: TrajectoryLoss, stage: WindowStage, samples: Samples) -> Stage:
-        windows, starts = windows_of(loss, stage, samples)
-        alone: list[int] = []
+def _on_windows(config: MachineConfig, loss: TrajectoryLoss, motions: Sequence[EvenMotion],
+                penalty: Penalty | None) -> list[Stage]:
+    samples = samples_of(motions, loss.step_size)
+    rows = torch.arange(len(samples.q))
 
-        def value(chosen: torch.Tensor) -> torch.Tensor:
-            solutions = Solutions()
-            errors = window_loss(self.module, samples, chosen, windows, solutions)
-            alone.append(solutions.alone)
-            return self._penalised(errors)
+    def value(network: Any, rows: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        return _penalised(acceleration_loss(network, samples, rows), penalty, network, generator)
+    longest = max(loss.windows, key=lambda stage: stage.duration)
+    windows, starts = windows_of(loss, longest, samples)
+    chosen = starts[::1 + len(starts) // _JUDGED]
 
-        def ended() -> None:
-            if any(alone):
-                print(f'windows of {stage.duration:g} s: {sum(alone)} of '
-                      f'{len(alone) * loss.batch} were solved step by step, which is slower',
-                      flush=True)
-        share = _RATE if self._penalty is None else 2.0 * _RATE
-        return Stage(f'windows_{stage.duration:g}', self._batches(value, starts, loss.batch),
-                     stage.steps, stage.learning_rate or share * self._config.learning_rate,
-                     clip=True, ended=ended)
+    def judged(network: Any) -> float:
+        with torch.no_grad():
+            errors = window_loss(network, samples, chosen, windows, Solutions())
+            return float(_penalised(errors, penalty, network,
+                                    torch.Generator().manual_seed(config.seed)))
+    # On samples that Adam fitted too, L-BFGS would seem to overfit at once.
+    polishes = penalty is None and loss.forward_lbfgs_steps > 0
+    learnt = rows[~_left_out(rows)] if polishes else rows
+    found = [Stage('forward', _batches(value, learnt, loss.forward_batch),
+                   loss.forward_steps, config.learning_rate, clip=True)]
+    if penalty is not None:
+        # With a prior, the initial model is already good.
+        found[0] = replace(found[0], held_out=judged, patience=loss.forward_steps)
+    if polishes:
+        found += _polish('forward', value, rows, loss.forward_lbfgs_steps)
+    return found + [replace(
+        _windows(config, loss, stage, samples, penalty), held_out=judged, patience=stage.steps,
+        retries=_RETRIES) for stage in loss.windows]
+
+
+def _windows(config: MachineConfig, loss: TrajectoryLoss, stage: WindowStage, samples: Samples,
+             penalty: Penalty | None) -> Stage:
+    windows, starts = windows_of(loss, stage, samples)
+    alone: list[int] = []
+
+    def value(network: Any, chosen: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        solutions = Solutions()
+        errors = window_loss(network, samples, chosen, windows, solutions)
+        alone.append(solutions.alone)
+        return _penalised(errors, penalty, network, generator)
+
+    def ended() -> None:
+        if any(alone):
+            print(f'windows of {stage.duration:g} s: {sum(alone)} of '
+                  f'{len(alone) * loss.batch} were solved step by step, which is slower',
+                  flush=True)
+    share = _RATE if penalty is None else 2.0 * _RATE
+    return Stage(f'windows_{stage.duration:g}', _batches(value, starts, loss.batch),
+                 stage.steps, stage.learning_rate or share * config.learning_rate,
+                 clip=True, ended=ended)
 
 
 def _polish(name: str, value: Value, rows: torch.Tensor, steps: int) -> list[Stage]:
@@ -501,11 +508,11 @@ def _polish(name: str, value: Value, rows: torch.Tensor, steps: int) -> list[Sta
     learnt = rows[~left_out]
     learnt = learnt[::max(1, len(learnt) // _MOST_ROWS)]
 
-    def held_out() -> float:
+    def held_out(network: Any) -> float:
         with torch.no_grad():
-            return float(value(rows[left_out]))
-    return [Stage(f'{name}_lbfgs', lambda: value(learnt), steps, held_out=held_out,
-                  patience=_PATIENCE)]
+            return float(value(network, rows[left_out], torch.Generator()))
+    return [Stage(f'{name}_lbfgs', lambda network, generator: lambda: value(
+        network, learnt, generator), steps, held_out=held_out, patience=_PATIENCE)]
 
 
 def _left_out(rows: torch.Tensor) -> torch.Tensor:

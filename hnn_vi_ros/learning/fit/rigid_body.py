@@ -14,19 +14,21 @@ from dataclasses import replace
 from functools import partial
 import math
 
+from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import Structure, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.fit.growing import cost_at_start, excess_of, fit_numbers, Fitted, refitted
+from hnn_vi_ros.learning.fit.fitted_rigid_body import (
+    downsampled, FittedRigidBody, positions_alone, sensors_of)
+from hnn_vi_ros.learning.fit.growing import (
+    cost_at_start, excess_of, fit_numbers, FittedNumbers, refitted)
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.noise import covariances
-from hnn_vi_ros.learning.fit.rigid_model import ABOVE, PriorUnknowns, RigidModel
-from hnn_vi_ros.learning.fit.rigid_problem import (
-    downsampled, positions_alone, RigidProblem, sensors_of)
+from hnn_vi_ros.learning.fit.rigid_model import ABOVE, parts_of_card, PriorUnknowns, RigidModel
 from hnn_vi_ros.learning.fit.shooting import projected, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.learning.fit.windows import CannotFollow
+from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows, KnownModel, Prediction
 from hnn_vi_ros.models import chain_angles, PLANAR_CHAIN
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
@@ -54,14 +56,14 @@ _TOLERANCE = 1e-5
 
 
 def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
-                   motions: Sequence[EvenMotion]) -> RigidProblem | None:
+                   motions: Sequence[EvenMotion]) -> FittedRigidBody | None:
     """
     Fit prior and friction of the best of some networks; the friction widths stay fixed.
 
     Parameters
     ----------
     networks : sequence of MechanicalNetwork
-        Networks with a prior and without residual networks; the best one is changed in place.
+        Networks with a prior and without residual networks.
     loss : Trajectory
         Windows to simulate. Without ``records``, those of positions alone have initial states as
         unknowns and grow up to whole motions, as long as the residuals do not.
@@ -70,7 +72,7 @@ def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
 
     Returns
     -------
-    RigidProblem or None
+    FittedRigidBody or None
         None if none of them follows the motions.
 
     """
@@ -79,17 +81,13 @@ def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
             return _fit_positions(networks, loss, motions)
         except CannotFollow:
             return None
-    found = [(fit_smoothed(network, loss, motions), network) for network in networks]
-    usable = [(losses, network) for losses, network in found
-              if np.isfinite([*losses.values()]).all()]
-    if not usable:
-        return None
-    losses, network = min(usable, key=lambda one: _last(one[0]))
-    return RigidProblem(network, losses)
+    found = [fit_smoothed(network, loss, motions) for network in networks]
+    usable = [one for one in found if np.isfinite([*one.losses.values()]).all()]
+    return min(usable, key=lambda one: _last(one.losses), default=None)
 
 
 def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
-                   motions: Sequence[EvenMotion]) -> RigidProblem:
+                   motions: Sequence[EvenMotion]) -> FittedRigidBody:
     """Fit the best of some networks in windows whose initial states are unknowns."""
     motions = [replace(motion, v=None) for motion in motions]
     cutoff, models = cutoff_of(motions, motions[0].spacing), []
@@ -108,12 +106,12 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
         models, thin, None, True, tolerance=_TOLERANCE))
     model = fitted.problem.model
     assert isinstance(model, RigidModel)
-    model.give(fitted.solution.values)
-    return RigidProblem(model.unknowns.network, {
-        f'rigid_body_{length:.3g}': misfit for length, misfit in fitted.stages}, fitted)
+    return FittedRigidBody(model.network_at(fitted.solution.values), {
+        f'rigid_body_{length:.3g}': misfit for length, misfit in fitted.stages},
+        noise=fitted.noise, numbers=fitted)
 
 
-def _without_idle_numbers(fitted: Fitted) -> Fitted:
+def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
     """
     Return the fit without the friction and the springs that the data do not show.
 
@@ -149,8 +147,8 @@ def _without_idle_numbers(fitted: Fitted) -> Fitted:
         fitted, model.without(idle), np.delete(np.maximum(x, low), idle), limit)
 
 
-def _refitted_without(fitted: Fitted, model: RigidModel, values: np.ndarray, limit: float
-                      ) -> Fitted:
+def _refitted_without(fitted: FittedNumbers, model: RigidModel, values: np.ndarray, limit: float
+                      ) -> FittedNumbers:
     """
     Return the fit of a model without some numbers in the longest windows where it is no worse.
 
@@ -170,14 +168,14 @@ def _refitted_without(fitted: Fitted, model: RigidModel, values: np.ndarray, lim
 
 
 def fit_smoothed(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequence[EvenMotion]
-                 ) -> dict[str, float]:
+                 ) -> FittedRigidBody:
     """
     Fit a network in windows that start from smoothed states; the friction widths stay fixed.
 
     Parameters
     ----------
     network : MechanicalNetwork
-        Network with a prior and without residual networks; changed in place.
+        Network with a prior and without residual networks.
     loss : Trajectory
         Windows to simulate.
     motions : sequence of EvenMotion
@@ -185,8 +183,8 @@ def fit_smoothed(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequ
 
     Returns
     -------
-    dict
-        Loss after each fit, inf if windows diverge at its initial values.
+    FittedRigidBody
+        With the loss after each fit, inf if windows diverge at its initial values.
 
     """
     samples, physical = samples_of(motions, loss.step_size), PriorUnknowns(network)
@@ -202,8 +200,7 @@ def fit_smoothed(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequ
         if _last(least) < _last(losses):
             found, losses = _in_windows(
                 physical, _with_more_friction(physical, plain, numbers), loss, samples)
-    physical.give(found)
-    return {'rigid_body_forward': first} | losses
+    return FittedRigidBody(physical.network_at(found), {'rigid_body_forward': first} | losses)
 
 
 def _in_windows(physical: PriorUnknowns, found: np.ndarray, loss: TrajectoryLoss, samples: Samples
@@ -231,46 +228,56 @@ def _last(losses: Mapping[str, float]) -> float:
     return [*losses.values()][-1]
 
 
-def fit_records(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequence[EvenMotion],
-                simulate: Callable[[EvenMotion], np.ndarray]) -> float:
+def fit_records(network: MechanicalNetwork, loss: TrajectoryLoss, motions: Sequence[EvenMotion]
+                ) -> tuple[MechanicalNetwork, float]:
     """
     Fit prior and friction of a network to the positions of whole motions (output error).
 
     Parameters
     ----------
     network : MechanicalNetwork
-        Network with a prior and without residual networks; changed in place only if it improves.
+        Network with a prior and without residual networks.
     loss : Trajectory
         Source of the step size to which motions are downsampled; forces are averaged.
     motions : sequence of EvenMotion
         Training motions.
-    simulate : callable
-        ``simulate(motion)`` returns positions, shape (N, d), of the current network, from
-        the first smoothed state of a motion.
 
     Returns
     -------
-    float
-        Root mean square error, in units of the standard deviation of each coordinate.
+    MechanicalNetwork and float
+        The best network, and its root mean square error in units of the standard deviation of each
+        coordinate.
 
     """
     physical, (records, size) = PriorUnknowns(network), downsampled(motions, loss.step_size)
     scale = physical.scale
 
     def errors(x: np.ndarray) -> np.ndarray:
-        physical.give((x - 1.0) * scale)
-        return np.concatenate([(simulate(motion) - motion.q) / size for motion in records]).ravel()
+        own = physical.network_at((x - 1.0) * scale)
+        return np.concatenate([(whole(own, motion) - motion.q) / size
+                               for motion in records]).ravel()
     # All numbers are shifted by one, so that difference steps have similar sizes.
     least, most, start = (1.0 + part for part in (
         physical.least, physical.most, physical.now() / scale))
     fit = least_squares(errors, np.maximum(start, least + ABOVE), diff_step=_DIFFERENCE,
                         bounds=(least, most), x_scale='jac', max_nfev=_EVALUATIONS // 2)
-    return float(np.sqrt(np.mean(errors(fit.x)**2)))
+    return physical.network_at((fit.x - 1.0) * scale), float(np.sqrt(np.mean(fit.fun**2)))
+
+
+def whole(network: MechanicalNetwork, motion: EvenMotion) -> np.ndarray:
+    """Simulate a rigid body from the first smoothed state of a motion; return q, shape (N, d)."""
+    parts = parts_of_card(network.card(), motion.spacing, True)._replace(
+        integrator=ImplicitMidpoint())
+    windows = cut_windows([motion], len(motion.t) * motion.spacing)
+    prediction = Prediction(KnownModel(RigidModel.name, parts), np.zeros(0), windows)
+    states = prediction.states(prediction.starts(*windows.start.swapaxes(0, 1))[:, None])
+    found: np.ndarray = states[0, 0, :, :network.d]
+    return found
 
 
 def best_rigid_body(loss: TrajectoryLoss, motions: Sequence[EvenMotion],
                     structure: Structure | None = None, learns_map: bool = False
-                    ) -> RigidProblem | None:
+                    ) -> FittedRigidBody | None:
     """
     Return a fitted chain with one link per coordinate.
 
@@ -288,7 +295,7 @@ def best_rigid_body(loss: TrajectoryLoss, motions: Sequence[EvenMotion],
 
     Returns
     -------
-    RigidProblem or None
+    FittedRigidBody or None
         None if no chain has that many links, if none follows the motions, or if the forces do not
         act on the joints.
 

@@ -97,16 +97,15 @@ class RigidModel:
         other.numbers = [number for k, number in enumerate(self.numbers) if k not in idle]
         return other
 
-    def give(self, values: np.ndarray) -> None:
-        """Set the network's parameters from values of the numbers."""
+    def network_at(self, values: np.ndarray) -> MechanicalNetwork:
+        """Return the network at values of the numbers."""
         parameters = self._base.copy()
         parameters[[int(number.name) for number in self.numbers]] = values
-        self.unknowns.give(parameters)
+        return self.unknowns.network_at(parameters)
 
     def parts_at(self, values: np.ndarray) -> ModelParts:
         """Return the parts at values of the numbers; see ParametricModel."""
-        self.give(values)
-        network = self.unknowns.network
+        network = self.network_at(values)
         if not all(bool(part.isfinite().all()) for part in network.parameters()):
             raise ModelError('the mass matrix is not positive definite')
         return parts_of_card(network.card(), self._h, self._driven)
@@ -217,11 +216,10 @@ class RigidUnknowns(ABC):
                                  for unit in torch.eye(self.sizes[0], dtype=torch.float64)]
         return found
 
-    def give(self, values: np.ndarray) -> None:
-        """Set the network's parameters from numbers in SI units."""
+    def network_at(self, values: np.ndarray) -> MechanicalNetwork:
+        """Return the network with given numbers in SI units."""
         with torch.no_grad():
-            for name, parameter in self.raw(torch.tensor(values)).items():
-                self.network.get_parameter(name).copy_(parameter)
+            return self.network.with_parameters(self.raw(torch.tensor(values)))
 
 
 class PriorUnknowns(RigidUnknowns):

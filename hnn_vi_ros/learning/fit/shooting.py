@@ -12,7 +12,7 @@ applications, Inverse Problems 19 (2003). H. G. Bock, Recent advances in paramet
 techniques for O.D.E., 1983, on multiple shooting.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.errors import HnnViRosError
@@ -27,7 +27,7 @@ _SOFT = 2.0
 # tolerance of the numbers.
 _INNER, _GAIN = 30, 1e-2
 # Residual assigned to a window that cannot be simulated, in standard deviations.
-_FAILED = 1e6
+FAILED = 1e6
 # Tolerance of the search at the end, and maximum number of evaluations.
 TOLERANCE, _EVALUATIONS = 1e-8, 60
 # Singular values of normalised columns below this are errors of rounding and differences.
@@ -77,9 +77,10 @@ class Solution:
         return math.sqrt(float((self.residuals**2).sum()) / self.freedom)
 
 
+@dataclass(frozen=True, eq=False)
 class FitProblem:
     """
-    Residuals of windows as a function of the free numbers only.
+    Fit of a model to windows.
 
     Parameters
     ----------
@@ -93,49 +94,17 @@ class FitProblem:
         Initial guess of the initial states.
     robust : bool
         True to reduce the weight of outliers, with the loss soft_l1.
+    tolerance : float
+        Relative tolerance of the search.
 
     """
 
-    def __init__(self, model: ParametricModel, windows: Windows, noise: np.ndarray,
-                 starts: np.ndarray, robust: bool):
-        self.model, self.windows, self.noise, self.robust = model, windows, noise, robust
-        self.tolerance = TOLERANCE
-        self._starts, self._at = starts, np.full(len(model.numbers), np.nan)
-        self._slope = np.zeros((*starts.shape, len(model.numbers)))
-        self._solved: Solution | None = None
-        self._key: bytes | None = None
-
-    def residuals(self, values: np.ndarray) -> np.ndarray:
-        """Return the residuals at the best initial states, flat, and n zeros; see ``slopes``."""
-        own = np.nan_to_num(self._at_best(values)[1], nan=_FAILED).ravel()
-        return np.concatenate([own, np.zeros(len(values))])
-
-    def slopes(self, values: np.ndarray) -> np.ndarray:
-        """
-        Return the derivatives of ``residuals`` with respect to the numbers, shape (N + n, n).
-
-        The n zeros get artificial derivatives along directions that the data do not determine.
-        Rounding errors along these would lead the search astray, so it does not move there.
-        """
-        solution = self.solve(values)
-        back = projected(solution, self.weights(solution.residuals))
-        self._starts, self._at = solution.starts, solution.values
-        self._slope = np.einsum(
-            'kwi,wkn->win', self._prediction.directions(solution.starts), back[1])
-        own = back[0].reshape(-1, len(values))
-        units = units_of(solution)
-        sizes, rows, told = identifiable_directions(own / units)
-        held = np.where(told[:, None], 0.0, rows) * sizes.max(initial=1e-300)
-        return np.concatenate([own / units @ rows[told].T @ rows[told], held]) * units
-
-    def solve(self, values: np.ndarray) -> Solution:
-        """Return the solution at given values of the numbers."""
-        starts, residuals, by_starts = self._at_best(values)
-        if self._solved is None or not np.array_equal(self._solved.values, values):
-            jacobian = np.nan_to_num(self._scaled(self._prediction.parameter_jacobian(starts)))
-            self._solved = Solution(np.array(values), starts, residuals, by_starts, jacobian,
-                                    self.noise, self.windows)
-        return self._solved
+    model: ParametricModel
+    windows: Windows
+    noise: np.ndarray
+    starts: np.ndarray
+    robust: bool
+    tolerance: float = TOLERANCE
 
     def weights(self, residuals: np.ndarray) -> np.ndarray:
         """Return the weight of each residual, 1 without outliers."""
@@ -153,35 +122,16 @@ class FitProblem:
         """Return the misfit of a solution of these windows, in which outliers count less."""
         return math.sqrt(float(self.cost(solution.residuals).sum()) / solution.freedom)
 
-    def _scaled(self, values: np.ndarray) -> np.ndarray:
+    def scaled(self, values: np.ndarray) -> np.ndarray:
         """Return the scaled derivatives in standard deviations, 0 for missing samples."""
         shape = (1, 1, -1) + (1,) * (values.ndim - 3)
         there = self.windows.there.reshape(self.windows.there.shape + (1,) * (values.ndim - 2))
         return np.where(there, values / self.noise.reshape(shape), 0.0)
 
-    def _at_best(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the best initial states, the residuals, and their derivatives by the states."""
-        key = np.asarray(values, dtype=float).tobytes()
-        if key != self._key:
-            starts = self._starts
-            if np.isfinite(self._at).all():
-                starts = starts + self._slope @ (values - self._at)
-            try:
-                self._prediction = Prediction(self.model, values, self.windows)
-                *best, slopes = self.descend(self._prediction, starts)
-                self._best = *best, np.nan_to_num(slopes)
-            except HnnViRosError:
-                # The values are invalid for the model, for example a negative mass.
-                shape = self.windows.measured.shape
-                self._best = (self._starts, np.full(shape, np.nan),
-                              np.zeros((*shape, self._starts.shape[1])))
-            self._key = key
-        return self._best
-
     def _evaluate(self, prediction: Prediction, starts: np.ndarray,
                   only: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         predicted, slopes = prediction.by_starts(starts, only)
-        return self._scaled(predicted - self.windows.measured), self._scaled(slopes)
+        return self.scaled(predicted - self.windows.measured), self.scaled(slopes)
 
     def descend(self, prediction: Prediction, starts: np.ndarray
                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -218,6 +168,70 @@ class FitProblem:
             slopes = np.where(better[:, None, None, None], new_slopes, slopes)
             cost = np.where(better, new_cost, cost)
         return starts, residuals, slopes
+
+
+class _Residuals:
+    """Residuals of a problem as a function of the free numbers only; the last ones are kept."""
+
+    def __init__(self, problem: FitProblem):
+        self._problem = problem
+        self._starts, self._at = problem.starts, np.full(len(problem.model.numbers), np.nan)
+        self._slope = np.zeros((*problem.starts.shape, len(problem.model.numbers)))
+        self._solved: Solution | None = None
+        self._key: bytes | None = None
+
+    def residuals(self, values: np.ndarray) -> np.ndarray:
+        """Return the residuals at the best initial states, flat, and n zeros; see ``slopes``."""
+        own = np.nan_to_num(self._at_best(values)[1], nan=FAILED).ravel()
+        return np.concatenate([own, np.zeros(len(values))])
+
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """
+        Return the derivatives of ``residuals`` with respect to the numbers, shape (N + n, n).
+
+        The n zeros get artificial derivatives along directions that the data do not determine.
+        Rounding errors along these would lead the search astray, so it does not move there.
+        """
+        solution = self.solve(values)
+        back = projected(solution, self._problem.weights(solution.residuals))
+        self._starts, self._at = solution.starts, solution.values
+        self._slope = np.einsum(
+            'kwi,wkn->win', self._prediction.directions(solution.starts), back[1])
+        own = back[0].reshape(-1, len(values))
+        units = units_of(solution)
+        sizes, rows, told = identifiable_directions(own / units)
+        held = np.where(told[:, None], 0.0, rows) * sizes.max(initial=1e-300)
+        return np.concatenate([own / units @ rows[told].T @ rows[told], held]) * units
+
+    def solve(self, values: np.ndarray) -> Solution:
+        """Return the solution at given values of the numbers."""
+        starts, residuals, by_starts = self._at_best(values)
+        if self._solved is None or not np.array_equal(self._solved.values, values):
+            jacobian = np.nan_to_num(self._problem.scaled(
+                self._prediction.parameter_jacobian(starts)))
+            self._solved = Solution(np.array(values), starts, residuals, by_starts, jacobian,
+                                    self._problem.noise, self._problem.windows)
+        return self._solved
+
+    def _at_best(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the best initial states, the residuals, and their derivatives by the states."""
+        key = np.asarray(values, dtype=float).tobytes()
+        if key != self._key:
+            starts = self._starts
+            if np.isfinite(self._at).all():
+                starts = starts + self._slope @ (values - self._at)
+            try:
+                self._prediction = Prediction(
+                    self._problem.model, values, self._problem.windows)
+                *best, slopes = self._problem.descend(self._prediction, starts)
+                self._best = *best, np.nan_to_num(slopes)
+            except HnnViRosError:
+                # The values are invalid for the model, for example a negative mass.
+                shape = self._problem.windows.measured.shape
+                self._best = (self._starts, np.full(shape, np.nan),
+                              np.zeros((*shape, self._starts.shape[1])))
+            self._key = key
+        return self._best
 
 
 def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -270,19 +284,20 @@ def identifiable_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 def search(problem: FitProblem, values: np.ndarray, tolerance: float = TOLERANCE,
            evaluations: int = _EVALUATIONS) -> Solution:
     """Return the best values of the numbers, searched from an initial guess."""
-    problem.tolerance = tolerance
-    first = problem.residuals(values)
+    problem = replace(problem, tolerance=tolerance)
+    found = _Residuals(problem)
+    first = found.residuals(values)
     if not values.size:
-        return problem.solve(values)
-    if (first == _FAILED).any():
+        return found.solve(values)
+    if (first == FAILED).any():
         raise CannotFollow(
             f'{problem.model.name} cannot be simulated over all windows with its current values; '
             'change them in the scene, or shorten --horizon')
     low, high = np.array([[number.low, number.high] for number in problem.model.numbers]).T
     # Not from the projected derivatives: they would scale up directions of pure rounding.
-    units = 1.0 / units_of(problem.solve(values))
-    found = least_squares(
-        problem.residuals, values, problem.slopes, bounds=(low, high), x_scale=units,
+    units = 1.0 / units_of(found.solve(values))
+    best = least_squares(
+        found.residuals, values, found.slopes, bounds=(low, high), x_scale=units,
         loss='soft_l1' if problem.robust else 'linear', f_scale=_SOFT, ftol=tolerance,
         xtol=tolerance, gtol=tolerance, max_nfev=evaluations)
-    return problem.solve(found.x)
+    return found.solve(best.x)

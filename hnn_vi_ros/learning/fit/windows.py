@@ -4,15 +4,15 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 import math
 from typing import NamedTuple, Protocol
 
 from hnn_vi_ros.effects import Effect, ExternalForce, PeriodicDrive, Place
-from hnn_vi_ros.errors import (
-    DataError, HnnViRosError, ModelError, StateError, UnsupportedSystem)
-from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.errors import DataError, HnnViRosError, ModelError, StateError, UnsupportedSystem
+from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
 from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.data.sampling import steps_between
@@ -284,9 +284,11 @@ class Prediction:
         own = model.parts_at(values)
         self.hamiltonian, self._integrator, self._effects = (
             own.hamiltonian, own.integrator, [*own.effects])
-        if self.hamiltonian.loops is not None:
+        loops = self.hamiltonian.loops
+        if loops is not None:
             # The search leaves the loops; each initial state is moved onto them.
-            self.hamiltonian.loops = self.hamiltonian.loops._replace(assemble=True)
+            self.hamiltonian = copy(self.hamiltonian)
+            self.hamiltonian.loops = loops._replace(assemble=True)
         self._delay, self._on_failure = own.delay, own.on_failure
         self._per_sample = steps_between(windows.spacing, own.step_size)
         self._h = windows.spacing / self._per_sample
@@ -350,6 +352,10 @@ class Prediction:
         if all(effect.place(self._integrator) is not Place.ENERGY for effect in self._effects):
             return self.hamiltonian
         return System(self.hamiltonian, self._effects, self._integrator).hamiltonian
+
+    def starts(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the states (q, p), shape (W, 2 d), with velocities v at coordinates q, (W, d)."""
+        return np.hstack([q, momentum(self.hamiltonian, q, v, np.zeros_like(q))])
 
     def states(self, starts: np.ndarray, only: np.ndarray | None = None) -> np.ndarray:
         """

@@ -2,22 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ensembles: resampled data, members in one model file, calibration of their spread."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
-import warnings
 
-from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure
+from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError, StepFailure
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
 from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
 from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
-from hnn_vi_ros.models import (
-    Box, Checkpoint, EnsembleCard, mean_card, ModelCard, MOST_MEMBERS, save_checkpoint)
+from hnn_vi_ros.learning.fit.model_files import drafted
+from hnn_vi_ros.models import Box, Checkpoint, EnsembleCard, mean_card, ModelCard, MOST_MEMBERS
 from hnn_vi_ros.run import AccompaniedSimulation, deviation, member_scenes, Members
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build, simulate_many
@@ -216,16 +212,6 @@ def ensemble_text(card: ModelCard) -> str:
     factors = ', '.join(f'{factor:.3g}' for factor in ensemble.factors)
     return (f'{count}; bands of {100.0 * ensemble.level:g} %: {factors} times the spread of q and '
             f'p, with a coverage of {100.0 * ensemble.coverage:.1f} % ({ensemble.calibration})')
-
-
-@contextmanager
-def drafted(checkpoint: Checkpoint) -> Iterator[str]:
-    """Write a model to a temporary file that scenes and effects can read."""
-    with TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter('ignore', AlarmWarning)
-        draft = Path(folder) / 'draft.safetensors'
-        save_checkpoint(draft, checkpoint)
-        yield str(draft)
 
 
 def _scores(error: np.ndarray, spread: np.ndarray) -> np.ndarray:

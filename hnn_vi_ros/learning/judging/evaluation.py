@@ -78,23 +78,24 @@ def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: EvenMot
         No momentum corresponds to some velocity.
 
     """
-    state = EffectState.empty(len(effects), hamiltonian.dimension)
-    # Resolve all effects: some use the gauge of a magnetic field.
-    resolved = [(effect, effect.resolve(hamiltonian.coordinates, state)) for effect in effects]
-    forces = [(effect, own) for effect, own in resolved if isinstance(effect, Force)]
     q = motion.q_smooth
     p = momentum(hamiltonian, q, motion.v_smooth, np.zeros_like(q))
     # A command is constant over an interval; friction may depend on it.
-    ends = [_power(hamiltonian, forces, motion.t[rows], q[rows], p[rows], motion.forces)
+    ends = [_power(hamiltonian, effects, motion.t[rows], q[rows], p[rows], motion.forces)
             for rows in (slice(None, -1), slice(1, None))]
     steps = 0.5 * motion.spacing * (ends[0] + ends[1])
     return EnergyBalance(hamiltonian.energy(q, p), np.concatenate([[0.0], np.cumsum(steps)]),
                          0.5 * (motion.v_smooth * p).sum(axis=1))
 
 
-def _power(hamiltonian: Hamiltonian, forces: Sequence[tuple[Any, Any]], t: np.ndarray,
-           q: np.ndarray, p: np.ndarray, commands: np.ndarray) -> np.ndarray:
+def _power(hamiltonian: Hamiltonian, effects: Sequence[Effect], t: np.ndarray, q: np.ndarray,
+           p: np.ndarray, commands: np.ndarray) -> np.ndarray:
     """Return the power of forces at states under these commands, shape (N,) [W]."""
+    state = EffectState.empty(len(effects), hamiltonian.dimension)
+    # Resolve all effects: some use the gauge of a magnetic field.
+    resolved = [(effect, effect.resolve(hamiltonian.coordinates, state)) for effect in effects]
+    forces: list[tuple[Any, Any]] = [
+        (effect, own) for effect, own in resolved if isinstance(effect, Force)]
     power = np.zeros(len(q))
     if not forces:
         return power

@@ -9,8 +9,8 @@ from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.fit.fitted_rigid_body import downsampled
 from hnn_vi_ros.learning.fit.growing import fits_by_length, with_states_of
-from hnn_vi_ros.learning.fit.rigid_problem import downsampled
 from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts, ParametricModel
 import numpy as np
 

@@ -2,62 +2,47 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training tasks: the parts that each group of families supplies to the common trainer."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
-from hnn_vi_ros.learning.fit.loop import TrainingProblem
+from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.judging.report import Judged
-from hnn_vi_ros.models import Box, Checkpoint, CoordinateCard, Layers, ModelCard, widths_of
-from hnn_vi_ros.version import __version__
-import numpy as np
+from hnn_vi_ros.models import Checkpoint
 
 # Note on the energy scale for model cards.
 OPEN_BY_MAP = ('; the energy scale is arbitrary, since the input map was learned: the mean square '
                'of its columns is 1')
 
 
-class TrainingTask(ABC):
+class Task(NamedTuple):
     """
-    Base class of a task: data, loss, card and judgement of models of some families.
+    Functions that train models of some families, called in this order.
 
-    Arguments: the path of a configuration, the configuration, data files from the command line
-    that override the configured ones, and whether an ensemble is trained; an ensemble holds out
-    some data for calibration.
+    Parameters
+    ----------
+    picture : str
+        Name of the picture in the report.
+    read : callable
+        ``read(source, config, given, ensemble)`` returns the data of a configuration at a path, or
+        of given files in their place; an ensemble holds out some data for calibration. Data have
+        ``arrays``, which identify an interrupted run, and ``box``, the training domain of an
+        ensemble (None: the mean of its members' boxes).
+    select : callable
+        ``select(data)`` returns the data with the configuration of the model that suits them.
+    fit : callable
+        ``fit(data, config, device, train)`` returns a fitted model; for an ensemble, on data
+        resampled by the seed of the configuration.
+    describe : callable
+        ``describe(data, fitted, config, name, command)`` returns the model with its card.
+    judge : callable
+        ``judge(data, checkpoint, fitted)`` returns the model, judged on unseen data.
+
     """
 
-    # Name of the picture in the report.
-    picture: ClassVar[str]
-    # Training domain of an ensemble; default: the mean of its members' boxes.
-    box: Box | None = None
-
-    @abstractmethod
-    def __init__(self, source: Path, config: Any, given: Sequence[str], ensemble: bool):
-        """Read the data."""
-
-    @abstractmethod
-    def arrays(self) -> Iterable[np.ndarray]:
-        """Return the data arrays, which identify an interrupted run."""
-
-    @abstractmethod
-    def problem(self, config: Any, device: str) -> TrainingProblem:
-        """Return a new model with its stages; for an ensemble, on data resampled by the seed."""
-
-    @abstractmethod
-    def describe(self, problem: Any, config: Any, name: str, command: str) -> Checkpoint:
-        """Return a trained model with its card."""
-
-    @abstractmethod
-    def judged(self, checkpoint: Checkpoint, problem: Any) -> Judged:
-        """Return the model, judged on unseen data."""
-
-
-def described(config: Any, networks: Mapping[str, Layers], name: str, command: str,
-              **entries: Any) -> Checkpoint:
-    """Return a trained model with its card; ``entries`` are task-specific card entries."""
-    coordinates = [CoordinateCard(name=one.name, q_unit=one.q_unit, p_unit=one.p_unit)
-                   for one in config.coordinates]
-    return Checkpoint(ModelCard(
-        name=name, coordinates=coordinates, seed=config.seed, training_command=command,
-        package_version=__version__, **widths_of(networks), **entries), networks)
+    picture: str
+    read: Callable[[Path, Any, Sequence[str], bool], Any]
+    select: Callable[[Any], Any]
+    fit: Callable[..., Fitted]
+    describe: Callable[[Any, Any, Any, str, str], Checkpoint]
+    judge: Callable[[Any, Checkpoint, Any], Judged]

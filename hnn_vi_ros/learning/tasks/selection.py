@@ -15,9 +15,10 @@ from hnn_vi_ros.learning.data.motions import (
 from hnn_vi_ros.learning.families.choices import (
     AUTO, MechanicalChoice, RigidBodyChoice, TrajectoryLoss)
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.fit.loop import TrainingProblem
+from hnn_vi_ros.learning.fit.fitted_rigid_body import FittedRigidBody, positions_alone
+from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of, slowness
-from hnn_vi_ros.learning.fit.rigid_problem import positions_alone, RigidProblem
+from hnn_vi_ros.learning.fit.machine_fit import fit_machine, MOST_DELAY
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.residuals import (
     is_noise, judged_along, noise_text, ONLY_NOISE, Residuals)
@@ -26,9 +27,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 import torch
 
-# Largest estimated delay in samples; the resolution is a tenth of a sample. Most rounds in which
-# the delay and the course of forces are found.
-MOST_DELAY, _ROUNDS = 5.0, 4
+# Most rounds in which the delay and the course of forces are found.
+_ROUNDS = 4
 # Number of pieces into which motions are cut, and their maximum duration [s].
 _PIECES, _LONGEST = 40, 2.0
 # Share of the time held out as extreme in speed, range and force, each; one in _ORDINARY of the
@@ -39,10 +39,8 @@ _RUNS = 4
 # Shares of training steps and windows per step for candidates; horizons at which they are
 # judged, and time between starts [s].
 _SHARE, _BATCH, _HORIZONS, _EVERY = 0.5, 0.125, (0.1, 0.5), 0.05
-# Candidates may have errors on ordinary and on extreme motions larger than the rigid body's by
-# _WORSE on average.
-# Networks, or more friction, must reduce the mean error by more than _GAIN: smaller gains on
-# held-out motions do not show that a candidate is better beyond the data.
+# Evidence for a candidate with more terms or networks; see Candidate.is_better_than. Smaller gains
+# on held-out motions do not show that it is better beyond the data.
 _WORSE, _GAIN = 0.02, 0.08
 # Initial friction terms of a rigid body, as in its configuration. A term is dropped if that
 # increases the mean error by no more than _NEEDED, and other forces between samples are taken if
@@ -61,11 +59,9 @@ _CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
         RIGID: {'residual': []},
         'rigid body and a network of V': {'residual': ['potential']},
         'rigid body and networks': {'residual': ['potential', 'friction', 'mass']}}}
-# Factory of a problem; the last argument is a previously fitted rigid body.
-Make = Callable[[MachineConfig, Sequence[EvenMotion], RigidProblem | None], TrainingProblem]
 
 
-def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
+def selected(config: MachineConfig, motions: Sequence[EvenMotion]
              ) -> tuple[MachineConfig, SelectionCard | None]:
     """
     Return a configuration with the prior chosen, and the selection record if it was auto.
@@ -76,8 +72,6 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
         Configuration of the training. Its default windows are longer if samples are rare.
     motions : sequence of EvenMotion
         Training motions.
-    make : callable
-        Factory of the problem of a configuration on motions.
 
     Raises
     ------
@@ -94,16 +88,15 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
     if not rigid_body and not (
             chain_angles(kinds) and isinstance(config.loss, TrajectoryLoss | None)):
         return _named(config, ALONE), None
-    trials, else_takes = _Trials.cut(make, motions, motions), RIGID if rigid_body else ALONE
+    trials, else_takes = _Trials.cut(motions, motions), RIGID if rigid_body else ALONE
     if not trials.enough:
         print(f'{AUTO}: {len(motions)} motions are too short for a selection; using '
               f'{else_takes}', flush=True)
         return _named(config, else_takes), None
-    config, found = _candidates(config, trials)
-    if all(card.failed for card in found):
-        raise DataError(f'{AUTO}: {found[-1].failed}')
-    best = best_of([card for card in found if card.name in _CANDIDATES[family.kind]])
-    text = trials.text
+    best, tried = _candidates(config, trials)
+    if best.fitted is None:
+        raise DataError(f'{AUTO}: {tried[-1].card.failed}')
+    config, text = best.config, trials.text
     if config.family.friction != family.friction:
         terms = ', '.join(term for term in _TERMS if getattr(config.family.friction, term))
         text += f'; friction with {terms}, selected on the same motions'
@@ -114,14 +107,67 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
         delay = config.data.delay
         forces = _Forces(config.data.inputs or 'linear', 0.0 if isinstance(delay, str) else delay)
         text += f'; forces between samples as {forces}, which fits them better'
-    return _named(config, best.name), SelectionCard(
-        held_out=text, candidates=found, chosen=best.name, trust=_trust(best, config))
+    return config, SelectionCard(
+        held_out=text, candidates=[one.card for one in tried], chosen=best.card.name,
+        trust=_trust(best.card, config))
+
+
+class Candidate(NamedTuple):
+    """
+    A model that was fitted to a part of the motions, and judged on the others.
+
+    Parameters
+    ----------
+    config : MachineConfig
+        Its configuration.
+    trials : _Trials
+        The motions.
+    fitted : Fitted or None
+        The fitted model; None if the fit failed.
+    card : CandidateCard
+        Its errors, or the reason of the failure.
+    explained : bool
+        True if it leaves nothing but noise.
+
+    """
+
+    config: MachineConfig
+    trials: '_Trials'
+    fitted: Fitted | None
+    card: CandidateCard
+    explained: bool = False
+
+    @property
+    def error(self) -> float:
+        """Return the mean error on ordinary and extreme motions."""
+        return _size(self.card, 'ordinary', 'furthest')
+
+    @property
+    def rigid(self) -> FittedRigidBody | None:
+        """Return the rigid body, None for other models."""
+        return self.fitted if isinstance(self.fitted, FittedRigidBody) else None
+
+    def named(self, name: str) -> 'Candidate':
+        """Return the candidate with another name on its card."""
+        return self._replace(card=self.card.model_copy(update={'name': name}))
+
+    def is_better_than(self, other: 'Candidate') -> bool:
+        """
+        Return True if held-out motions show that this model is better than a simpler one.
+
+        Its mean error must be smaller by more than _GAIN, and those on ordinary and on extreme
+        motions not larger by more than _WORSE, each.
+        """
+        return self.fitted is not None and (
+            other.fitted is None or (
+                self.error < (1.0 - _GAIN) * other.error and all(
+                    _size(self.card, part) <= (1.0 + _WORSE) * _size(other.card, part)
+                    for part in ('ordinary', 'furthest'))))
 
 
 class _Trials(NamedTuple):
     """Training motions of candidates, the pieces that judge them, and what ranks these."""
 
-    make: Make
     ranked: Sequence[EvenMotion]
     motions: Sequence[EvenMotion]
     kept: list[EvenMotion]
@@ -129,10 +175,9 @@ class _Trials(NamedTuple):
     ordinary: list[EvenMotion]
 
     @classmethod
-    def cut(cls, make: Make, ranked: Sequence[EvenMotion], motions: Sequence[EvenMotion]
-            ) -> '_Trials':
+    def cut(cls, ranked: Sequence[EvenMotion], motions: Sequence[EvenMotion]) -> '_Trials':
         """Cut motions into the pieces that others, of the same samples, are ranked by."""
-        return cls(make, ranked, motions, *held_out(ranked, motions))
+        return cls(ranked, motions, *held_out(ranked, motions))
 
     @property
     def enough(self) -> bool:
@@ -150,132 +195,127 @@ class _Trials(NamedTuple):
                 'those with the largest speed, range or force, and ordinary ones; trained with '
                 'half of the steps')
 
-    def tried(self, name: str, own: MachineConfig, rigid: RigidProblem | None = None
-              ) -> tuple[CandidateCard, TrainingProblem | None]:
-        """Return a candidate's result and its problem; `rigid` is a rigid body fitted before."""
+    def candidate(self, name: str, config: MachineConfig, rigid: FittedRigidBody | None = None
+                  ) -> Candidate:
+        """Fit a model with half of the steps and judge it; `rigid` was fitted before."""
         try:
-            problem = self.make(_short(own, self.motions), self.kept, rigid)
-            problem.fit()
-            own_trials, residuals = self.following(problem)
+            fitted = fit_machine(_short(config, self.motions), self.kept, rigid)
+            judged, residuals = self.following(fitted)
             card = CandidateCard(
                 name=name, residuals=residuals,
-                furthest=errors_of(problem.module, own_trials.furthest),
-                ordinary=errors_of(problem.module, own_trials.ordinary))
+                furthest=errors_of(fitted.module, judged.furthest),
+                ordinary=errors_of(fitted.module, judged.ordinary))
         except DataError as reason:
-            problem, card = None, CandidateCard(name=name, failed=str(reason)[:1000])
+            fitted, card = None, CandidateCard(name=name, failed=str(reason)[:1000])
         print(f'{name}: ' + (card.failed or (
-            f'RMS error {_line(card.ordinary, own)}; furthest motions '
-            f'{_line(card.furthest, own)}')), flush=True)
-        return card, problem
+            f'RMS error {_line(card.ordinary, config)}; furthest motions '
+            f'{_line(card.furthest, config)}')), flush=True)
+        return Candidate(config, self, fitted, card)
 
-    def explained(self, config: MachineConfig, rigid: RigidProblem, card: CandidateCard) -> bool:
-        """
-        Return True if a rigid body leaves nothing but noise in these pieces.
-
-        They are short: friction and initial states may make up for a force that is missing. If one
-        shows in the accelerations, the fit to whole motions decides.
-        """
-        if not is_noise(card.residuals):
-            return False
-        if not missing_force(rigid.module, [*self.furthest, *self.ordinary], [
-                one.name for one in config.coordinates]):
-            return True
-        try:
-            whole = self.make(_short(_named(config, RIGID), self.motions), self.motions, None)
-        except DataError:
-            return False
-        fitted = whole.fitted if isinstance(whole, RigidProblem) else None
-        return fitted is not None and fitted.stages[-1][1] <= ONLY_NOISE
-
-    def following(self, problem: TrainingProblem) -> tuple['_Trials', Residuals]:
+    def following(self, fitted: Fitted) -> tuple['_Trials', Residuals]:
         """
         Return the trials with initial states that a rigid body gives, and its residuals.
 
         Another model, and one of measured velocities, is judged from the states that there are.
         """
-        if not isinstance(problem, RigidProblem) or problem.noise is None:
+        if not isinstance(fitted, FittedRigidBody) or fitted.noise is None:
             return self, {}
-        model, noise = problem.known(), problem.noise
-        residuals, pieces = judged_along(model, [*self.furthest, *self.ordinary], noise)
+        residuals, pieces = judged_along(
+            fitted.known(), [*self.furthest, *self.ordinary], fitted.noise)
         far = len(self.furthest)
         return self._replace(furthest=pieces[:far], ordinary=pieces[far:]), residuals
 
     def with_forces(self, forces: '_Forces') -> '_Trials':
         """Return the same pieces with forces of this course and delay."""
-        return self.cut(self.make, self.ranked, [
+        return self.cut(self.ranked, [
             delayed(replace(motion, inputs=forces.course), forces.delay)
             for motion in self.motions])
 
     def of_positions(self) -> '_Trials':
         """Return the same pieces as if velocities had not been measured."""
-        return self.cut(self.make, self.ranked, of_positions(self.motions))
+        return self.cut(self.ranked, of_positions(self.motions))
 
 
-def _candidates(config: MachineConfig, trials: _Trials
-                ) -> tuple[MachineConfig, list[CandidateCard]]:
-    """Return a configuration with fitting angles and friction, and all candidates' results."""
-    kind = config.family.kind
-    config, trials, rigid, found, explained = _rigid_bodies(config, trials)
-    if isinstance(rigid, RigidProblem):
-        trials, _ = trials.following(rigid)
-        first, *others = found
-        config = _with_angles(config, rigid)
-        if explained:
-            print(f'{RIGID}: {noise_text(first.residuals)}; nothing more is tried', flush=True)
-            return config, found
+def _candidates(config: MachineConfig, trials: _Trials) -> tuple[Candidate, list[Candidate]]:
+    """Return the best candidate, and all in the order in which the card lists them."""
+    rigid, *tried = _rigid_bodies(config, trials)
+    if rigid.rigid is not None:
+        rigid = rigid._replace(config=_with_angles(rigid.config, rigid.rigid),
+                               trials=rigid.trials.following(rigid.rigid)[0])
+        if rigid.explained:
+            print(f'{RIGID}: {noise_text(rigid.card.residuals)}; nothing more is tried',
+                  flush=True)
+            return rigid, [rigid, *tried]
         if 'friction' not in config.family.model_fields_set:
-            config, rigid, found = _with_friction(config, trials, first, rigid)
-            found += others
-    else:
-        rigid = None
-    for name in [*_CANDIDATES[kind]][1:]:
-        found.append(CandidateCard(name=name, failed=f'no {RIGID} fits these motions')
-                     if rigid is None and name != ALONE else trials.tried(
-                         name, _named(config, name), None if name == ALONE else rigid)[0])
-    return config, found
+            rigid, *more = _with_friction(rigid)
+            tried = [*more, *tried]
+    networks = [_with_networks(rigid, name) for name in [*_CANDIDATES[config.family.kind]][1:]]
+    return best_of(rigid, networks), [rigid, *tried, *networks]
 
 
-class RigidBodyStage(NamedTuple):
-    """A configuration, its trials, a rigid body with the cards of all, and if it explains all."""
-
-    config: MachineConfig
-    trials: _Trials
-    rigid: TrainingProblem | None
-    cards: list[CandidateCard]
-    explained: bool
+def best_of(rigid: Candidate, others: Sequence[Candidate]) -> Candidate:
+    """Return the best of some candidates that are better than the rigid body, or that one."""
+    return min((one for one in others if one.is_better_than(rigid)), key=lambda one: one.error,
+               default=rigid)
 
 
-def _rigid_bodies(config: MachineConfig, trials: _Trials) -> RigidBodyStage:
+def _with_networks(rigid: Candidate, name: str) -> Candidate:
+    """Return a candidate with networks on top of a rigid body, or alone."""
+    config = _named(rigid.config, name)
+    if rigid.rigid is None and name != ALONE:
+        return Candidate(config, rigid.trials, None, CandidateCard(
+            name=name, failed=f'no {RIGID} fits these motions'))
+    return rigid.trials.candidate(name, config, None if name == ALONE else rigid.rigid)
+
+
+def _rigid_bodies(config: MachineConfig, trials: _Trials) -> list[Candidate]:
     """
-    Return the rigid body that predicts held-out motions best, of positions alone or of velocities.
+    Return rigid bodies, the best one first: of positions alone, or of velocities too.
 
     Filtered velocities are late or too small. Without them, initial states are better, and the
     fit is not biased.
     """
-    both = _rigid_body(config, trials, *trials.tried(RIGID, _named(config, RIGID)))
+    both = _rigid_body(trials.candidate(RIGID, _named(config, RIGID)))
     if not isinstance(config.family, MechanicalChoice) or positions_alone(trials.motions):
         return both
     print('from positions alone:', flush=True)
-    config, trials = _with_data(config, velocities=NONE), trials.of_positions()
-    alone = _rigid_body(config, trials, *trials.tried(RIGID, _named(config, RIGID)))
-    if _total(alone.cards[0]) < (1.0 - _GAIN) * _total(both.cards[0]):
-        return alone._replace(cards=[*alone.cards, *(card.model_copy(update={
-            'name': card.name.replace(RIGID, OF_VELOCITIES)}) for card in both.cards)])
-    return both._replace(cards=[*both.cards, alone.cards[0].model_copy(
-        update={'name': OF_POSITIONS})])
+    config = _named(_with_data(config, velocities=NONE), RIGID)
+    alone = _rigid_body(trials.of_positions().candidate(RIGID, config))
+    if alone[0].is_better_than(both[0]):
+        return [*alone, *(one.named(one.card.name.replace(RIGID, OF_VELOCITIES)) for one in both)]
+    return [*both, alone[0].named(OF_POSITIONS)]
 
 
-def _rigid_body(config: MachineConfig, trials: _Trials, first: CandidateCard,
-                rigid: TrainingProblem | None) -> RigidBodyStage:
-    """Return a rigid body that was tried, with other inputs and springs if it needs them."""
-    if not isinstance(rigid, RigidProblem):
-        return RigidBodyStage(config, trials, rigid, [first], False)
-    config, trials, first, rigid, others = _with_forces(config, trials, first, rigid)
-    before, explained, found = rigid, trials.explained(config, rigid, first), [first]
-    if not explained and not getattr(config.family, 'springs', True):
-        config, rigid, found = _with_springs(config, trials, first, rigid)
-        explained = rigid is not before and trials.explained(config, rigid, found[0])
-    return RigidBodyStage(config, trials, rigid, [*found, *others], explained)
+def _rigid_body(first: Candidate) -> list[Candidate]:
+    """Return a rigid body with other forces and springs if it needs them, then those before."""
+    if first.rigid is None:
+        return [first]
+    best, *others = _with_forces(first)
+    best = best._replace(explained=_is_explained(best))
+    if best.explained or getattr(best.config.family, 'springs', True):
+        return [best, *others]
+    return [*_with_springs(best), *others]
+
+
+def _is_explained(candidate: Candidate) -> bool:
+    """
+    Return True if a rigid body leaves nothing but noise in the pieces that judge it.
+
+    They are short: friction and initial states may make up for a force that is missing. If one
+    shows in the accelerations, the fit to whole motions decides.
+    """
+    trials, config, rigid = candidate.trials, candidate.config, candidate.rigid
+    if rigid is None or not is_noise(candidate.card.residuals):
+        return False
+    if not missing_force(rigid.module, [*trials.furthest, *trials.ordinary], [
+            one.name for one in config.coordinates]):
+        return True
+    try:
+        whole = fit_machine(_short(config, trials.motions), trials.motions)
+    except DataError:
+        return False
+    numbers = whole.numbers if isinstance(whole, FittedRigidBody) else None
+    return numbers is not None and numbers.stages[-1][1] <= ONLY_NOISE
 
 
 class _Forces(NamedTuple):
@@ -294,19 +334,21 @@ class _Forces(NamedTuple):
         return self.course + (f', delayed by {self.delay:g} samples' if self.delay else '')
 
 
-def _with_forces(config: MachineConfig, trials: _Trials, first: CandidateCard, rigid: RigidProblem
-                 ) -> tuple[MachineConfig, _Trials, CandidateCard, RigidProblem,
-                            list[CandidateCard]]:
+def _with_forces(first: Candidate) -> list[Candidate]:
     """
-    Change the course and the delay of forces if others fit better, unless they are given.
+    Return a rigid body with another course and delay of forces if they fit better, and all before.
 
     Held forces are almost linear ones half a sample later, so both are found together. Without the
     delay a fit has wrong friction, and with that another best delay, so they are found in rounds.
     """
-    base, given, cards = trials, config.data, list[CandidateCard]()
-    now, free = _Forces(trials.motions[0].inputs, 0.0), 'delay' not in given.model_fields_set
+    base, given, found = first.trials, first.config.data, [first]
+    now, free = _Forces(base.motions[0].inputs, 0.0), 'delay' not in given.model_fields_set
     courses = [now.course] if given.inputs or now.course == 'held' else INPUTS
-    while rigid.is_driven(base.kept) and len(cards) < _ROUNDS:
+    while len(found) <= _ROUNDS:
+        last, config = found[0], found[0].config
+        rigid = last.rigid
+        if rigid is None or not rigid.is_driven(base.kept):
+            break
         misfit = cache(partial(_misfit, rigid, base, config))
         near = _best_delay(misfit, now) if free else now
         best = min((one for course in courses for one in near.like(course, free)), key=misfit)
@@ -320,17 +362,19 @@ def _with_forces(config: MachineConfig, trials: _Trials, first: CandidateCard, r
         moved = base.with_forces(best)
         if gain < _NEEDED and best.delay == now.delay:
             # Less than what another trial could show.
-            return own, moved, first, rigid, cards
-        print(f'forces between samples as {best}:', flush=True)
-        card, problem = moved.tried(RIGID, _named(own, RIGID))
-        if not isinstance(problem, RigidProblem) or _total(card) > _total(first):
+            found[0] = last._replace(config=own, trials=moved)
             break
-        cards.insert(0, first.model_copy(update={'name': f'{RIGID}, forces {now}'}))
-        config, trials, first, rigid, now = own, moved, card, problem, best
-    return config, trials, first, rigid, cards
+        print(f'forces between samples as {best}:', flush=True)
+        other = moved.candidate(RIGID, own)
+        if other.rigid is None or other.error > last.error:
+            break
+        found[:1] = [other, last.named(f'{RIGID}, forces {now}')]
+        now = best
+    return found
 
 
-def _misfit(rigid: RigidProblem, base: _Trials, config: MachineConfig, forces: _Forces) -> float:
+def _misfit(rigid: FittedRigidBody, base: _Trials, config: MachineConfig, forces: _Forces
+            ) -> float:
     return rigid.misfit_with(base.with_forces(forces).kept, config.windows)
 
 
@@ -358,28 +402,26 @@ def _with_data(config: MachineConfig, **changes: object) -> MachineConfig:
     return config.model_copy(update={'data': config.data.model_copy(update=changes)})
 
 
-def _with_springs(
-        config: MachineConfig, trials: _Trials, plain: CandidateCard, rigid: RigidProblem
-        ) -> tuple[MachineConfig, RigidProblem, list[CandidateCard]]:
-    """Return a configuration, its rigid body and cards, with springs if they are needed."""
-    own = config.model_copy(update={'family': config.family.model_copy(update={'springs': True})})
-    card, problem = trials.tried(f'{RIGID} with springs', _named(own, RIGID))
-    if not isinstance(problem, RigidProblem) or best_of([plain, card]) is plain:
-        return config, rigid, [plain, card]
-    return own, problem, [card.model_copy(update={'name': RIGID}), plain.model_copy(
-        update={'name': f'{RIGID} without springs'})]
+def _with_springs(plain: Candidate) -> list[Candidate]:
+    """Return a rigid body with springs if they are needed, and the other one."""
+    config = plain.config.model_copy(update={
+        'family': plain.config.family.model_copy(update={'springs': True})})
+    springs = plain.trials.candidate(f'{RIGID} with springs', config)
+    if springs.rigid is None or not springs.is_better_than(plain):
+        return [plain, springs]
+    return [springs.named(RIGID)._replace(explained=_is_explained(springs)),
+            plain.named(f'{RIGID} without springs')]
 
 
-def _with_friction(
-        config: MachineConfig, trials: _Trials, plain: CandidateCard, rigid: RigidProblem
-        ) -> tuple[MachineConfig, RigidProblem, list[CandidateCard]]:
+def _with_friction(plain: Candidate) -> list[Candidate]:
     """
-    Return a configuration with the friction that held-out motions support, its rigid body, cards.
+    Return a rigid body with the friction that held-out motions support, and all others.
 
     Backward elimination: start with all terms and drop each one that errors do not need.
-    Plain viscous and Coulomb friction is kept unless the result reduces errors by _GAIN.
+    Plain viscous and Coulomb friction is kept unless the result is better.
     """
-    driven = any(motion.tau.any() for motion in trials.motions)
+    config = plain.config
+    driven = any(motion.tau.any() for motion in plain.trials.motions)
     motors = driven and isinstance(config.family, MechanicalChoice)
     # For a sliding joint, and with springs, the rigid body already contains a constant force.
     holds = any(coordinate.kind == 'prismatic' for coordinate in config.coordinates) or (
@@ -387,33 +429,25 @@ def _with_friction(
     may_be = {'load': driven, 'directed': True, 'stribeck': True, 'fade': motors,
               'offset': motors and not holds}
     names = [name for name in _TERMS if may_be[name]]
-    cards: list[CandidateCard] = []
 
-    def without(terms: Sequence[str]
-                ) -> tuple[CandidateCard, TrainingProblem | None, MachineConfig]:
-        friction = config.family.friction.model_copy(update={
-            name: value for name, value in _TERMS.items() if name in names and name not in terms})
-        own = config.model_copy(update={'family': config.family.model_copy(update={
-            'friction': friction})})
-        left = ', '.join(name for name in names if name not in terms)
-        card, problem = trials.tried(f'{RIGID}, friction with {left}', _named(own, RIGID))
-        cards.append(card)
-        return card, problem, own
-    left_out: list[str] = []
-    best = without([])
+    def with_terms(terms: Sequence[str]) -> Candidate:
+        friction = config.family.friction.model_copy(update={name: _TERMS[name] for name in terms})
+        return plain.trials.candidate(
+            f'{RIGID}, friction with {", ".join(terms)}', config.model_copy(update={
+                'family': config.family.model_copy(update={'friction': friction})}))
+    kept, tried = names, [with_terms(names)]
+    best = tried[0]
     for name in names:
-        if len(left_out) + 1 == len(names):
+        if len(kept) == 1:
             break
-        other = without([*left_out, name])
-        if _total(other[0]) <= (1.0 + _NEEDED) * _total(best[0]):
-            left_out.append(name)
-            best = other
-    card, problem, own = best
-    if not isinstance(problem, RigidProblem) or best_of([plain, card]) is plain:
-        return config, rigid, [plain, *cards]
-    plain = plain.model_copy(update={'name': f'{RIGID}, plain friction'})
-    return own, problem, [card.model_copy(update={'name': RIGID}), plain, *(
-        one for one in cards if one is not card)]
+        fewer = [one for one in kept if one != name]
+        tried.append(with_terms(fewer))
+        if tried[-1].error <= (1.0 + _NEEDED) * best.error:
+            kept, best = fewer, tried[-1]
+    if best.rigid is None or not best.is_better_than(plain):
+        return [plain, *tried]
+    return [best.named(RIGID), plain.named(f'{RIGID}, plain friction'), *(
+        one for one in tried if one is not best)]
 
 
 def _paced(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfig:
@@ -428,7 +462,7 @@ def _paced(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfi
     return config.model_copy(update={'loss': loss.model_copy(update={'windows': windows})})
 
 
-def _with_angles(config: MachineConfig, rigid: RigidProblem) -> MachineConfig:
+def _with_angles(config: MachineConfig, rigid: FittedRigidBody) -> MachineConfig:
     """Return a configuration with the link angles of a fitted rigid body."""
     if not isinstance(config.family, MechanicalChoice):
         return config
@@ -527,32 +561,11 @@ def errors_of(network: Network, pieces: Sequence[EvenMotion]) -> Errors:
     return found
 
 
-def best_of(found: Sequence[CandidateCard]) -> CandidateCard:
-    """
-    Return the candidate with the least mean error if it is better than the rigid body by _GAIN.
-
-    Its mean errors on ordinary and on extreme motions may not exceed the rigid body's by more than
-    _WORSE, each. Without a rigid body, the best candidate on average is returned.
-    """
-    tried = [card for card in found if not card.failed]
-    rigid = next((card for card in tried if card.name == RIGID), None)
-    if rigid is None:
-        return min(tried, key=_total)
-    best = min((card for card in tried if card is rigid or all(
-        _size(card, part) <= (1.0 + _WORSE) * _size(rigid, part)
-        for part in ('ordinary', 'furthest'))), key=_total)
-    return best if _total(best) < (1.0 - _GAIN) * _total(rigid) else rigid
-
-
 def _size(card: CandidateCard, *parts: str) -> float:
     """Return the geometric mean of a candidate's errors, inf if it failed."""
     errors = [x for part in parts for errors in getattr(card, part).values() for x in errors]
     return math.exp(np.mean(np.log([math.inf if x is None else max(x, 1e-12)
                                     for x in errors]))) if errors else math.inf
-
-
-def _total(card: CandidateCard) -> float:
-    return _size(card, 'ordinary', 'furthest')
 
 
 def _named(config: MachineConfig, name: str) -> MachineConfig:

@@ -2,17 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A fitted rigid body: its numbers with intervals, and how well other inputs would fit."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.learning.data.motions import EvenMotion, part_of
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
-from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.fit.growing import Fitted
+from hnn_vi_ros.learning.fit.growing import FittedNumbers
 from hnn_vi_ros.learning.fit.input_courses import (
     EVIDENCE, evidence_of, input_courses, InputCourses, misfit_with)
-from hnn_vi_ros.learning.fit.loop import TrainingProblem
+from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import samples_of
 from hnn_vi_ros.learning.fit.noise import covariances, Process
 from hnn_vi_ros.learning.fit.rigid_model import RigidModel
@@ -27,67 +26,63 @@ import numpy as np
 _QUANTILE, _OPEN = 1.96, 1e-12
 
 
-class RigidProblem(TrainingProblem):
+@dataclass(frozen=True)
+class FittedRigidBody(Fitted):
     """
-    A fitted rigid body, of which nothing is left to train.
+    A fitted rigid body.
 
     Parameters
     ----------
-    network : MechanicalNetwork
-        The rigid body.
-    losses : mapping of str to float
-        Losses of its fits; of positions the residuals in units of the noise.
-    fitted : Fitted or None
-        The fit to positions, None if velocities were measured.
+    module, losses, history, noise
+        See Fitted; the losses are of positions the residuals in units of the noise.
+    numbers : FittedNumbers, optional
+        The fit to positions; None if velocities were measured.
 
     """
 
-    def __init__(self, network: MechanicalNetwork, losses: Mapping[str, float],
-                 fitted: Fitted | None = None):
-        super().__init__(network, losses=losses)
-        self.fitted, self.noise = fitted, None if fitted is None else fitted.noise
+    numbers: FittedNumbers | None = None
 
     def is_driven(self, motions: Sequence[EvenMotion]) -> bool:
         """Return True if it was fitted to positions under forces."""
-        return self.fitted is not None and any(motion.tau.any() for motion in motions)
+        return self.numbers is not None and any(motion.tau.any() for motion in motions)
 
     def known(self) -> KnownModel:
         """Return a rigid body that was fitted to positions as a model without free numbers."""
-        assert self.fitted is not None
-        model = self.fitted.problem.model
-        return KnownModel(model.name, model.parts_at(self.fitted.solution.values))
+        assert self.numbers is not None
+        model = self.numbers.problem.model
+        return KnownModel(model.name, model.parts_at(self.numbers.solution.values))
 
     def courses(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss, stated: bool
                 ) -> InputCourses:
         """Return how well other courses of the forces fit, of a fit to positions."""
-        assert self.fitted is not None
+        assert self.numbers is not None
         return input_courses(
-            self.fitted.solution, self.fitted.problem, motions[0].inputs, stated,
+            self.numbers.solution, self.numbers.problem, motions[0].inputs, stated,
             lambda other: downsampled([replace(motion, inputs=other) for motion in motions],
                                       loss.step_size)[0])
 
     def is_evidence(self, gain: float) -> bool:
         """Return True if residuals that are smaller by this share are three sigma smaller."""
-        return self.fitted is not None and (
-            evidence_of(self.fitted.solution.freedom, 1.0 - gain) > EVIDENCE)
+        return self.numbers is not None and (
+            evidence_of(self.numbers.solution.freedom, 1.0 - gain) > EVIDENCE)
 
     def misfit_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
         """Return the residuals with other forces, of a fit to positions."""
-        assert self.fitted is not None
-        return misfit_with(self.fitted.solution, self.fitted.problem,
+        assert self.numbers is not None
+        return misfit_with(self.numbers.solution, self.numbers.problem,
                            downsampled(motions, loss.step_size)[0])
 
     def gain_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
         """Return the share by which other forces reduce the residuals."""
-        assert self.fitted is not None
-        return 1.0 - self.misfit_with(motions, loss) / self.fitted.problem.misfit(
-            self.fitted.solution)
+        assert self.numbers is not None
+        return 1.0 - self.misfit_with(motions, loss) / self.numbers.problem.misfit(
+            self.numbers.solution)
 
-    def no_worse(self, other: TrainingProblem) -> float | None:
+    def no_worse(self, other: Fitted) -> float | None:
         """Return the longest windows [s] of both fits if the other is no worse there, or None."""
-        if not isinstance(other, RigidProblem) or self.fitted is None or other.fitted is None:
+        if not isinstance(other, FittedRigidBody) or self.numbers is None or other.numbers is None:
             return None
-        own, others = dict(self.fitted.stages), dict(other.fitted.stages)
+        own, others = dict(self.numbers.stages), dict(other.numbers.stages)
         length = max(own.keys() & others.keys(), default=None)
         return length if length is not None and others[length] <= own[length] else None
 
@@ -104,10 +99,10 @@ class RigidProblem(TrainingProblem):
             Coordinates whose mean first inertia is 1, if no forces fix the scale of the energy.
 
         """
-        assert self.fitted is not None
-        solution, model = self.fitted.solution, self.fitted.problem.model
+        assert self.numbers is not None
+        solution, model = self.numbers.solution, self.numbers.problem.model
         assert isinstance(model, RigidModel)
-        values, covariance = solution.values, covariance_of(self.fitted)
+        values, covariance = solution.values, covariance_of(self.numbers)
         labels = model.unknowns.labels(coordinates)
         own = [labels[int(number.name)] for number in model.numbers]
         if q is not None:
@@ -148,7 +143,7 @@ def downsampled(motions: Sequence[EvenMotion], step_size: float | None
     return found, np.concatenate([motion.q for motion in motions]).std(axis=0)
 
 
-def covariance_of(fitted: Fitted) -> np.ndarray:
+def covariance_of(fitted: FittedNumbers) -> np.ndarray:
     """
     Return the covariance of fitted numbers, shape (n, n).
 
@@ -166,7 +161,7 @@ def covariance_of(fitted: Fitted) -> np.ndarray:
     return (excess / bend)**2 * found / np.outer(units, units)
 
 
-def sensors_of(fitted: Fitted) -> list[list[Process]]:
+def sensors_of(fitted: FittedNumbers) -> list[list[Process]]:
     """Return the noise of the sensors in units of that of the fit."""
     return [[one._replace(variance=one.variance / scale**2)]
             for one, scale in zip(fitted.sensor, fitted.solution.noise, strict=True)]
