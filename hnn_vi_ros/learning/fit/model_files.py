@@ -16,6 +16,7 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.models import (
     Box, Checkpoint, CoordinateCard, DomainCard, Layers, ModelCard, save_checkpoint, widths_of)
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.version import __version__
 import numpy as np
 import torch
@@ -64,3 +65,18 @@ def drafted(checkpoint: Checkpoint) -> Iterator[str]:
         draft = Path(folder) / 'draft.safetensors'
         save_checkpoint(draft, checkpoint)
         yield str(draft)
+
+
+def machine_scene(model: str, card: ModelCard, step_size: float, integrator: str, driven: bool
+                  ) -> Scene:
+    """Return the scene of a machine in a model file, with friction and, if driven, forces."""
+    effects: list[dict[str, object]] = [{'kind': 'learned_friction', 'model': model}]
+    if driven:
+        assert card.mechanical is not None, 'the family has one'
+        effects.append({'kind': 'external_force', 'timeout': 1e9} | (
+            {'coordinates': [one.name for one in card.coordinates]}
+            if card.mechanical.input_map is None else {'model': model}))
+    return Scene.build(
+        hamiltonian={'kind': 'learned', 'model': model, 'confine': False}, effects=effects,
+        integrator=integrator, step_size=step_size, name=card.name,
+        initial_state=(np.mean(card.box.q, axis=1).tolist(), [0.0] * len(card.coordinates)))

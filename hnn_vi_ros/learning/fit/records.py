@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 import math
 
-from hnn_vi_ros.effects import has_map
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
@@ -14,8 +13,7 @@ from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.fitted_rigid_body import downsampled
 from hnn_vi_ros.learning.fit.loop import Stage
 from hnn_vi_ros.learning.fit.machine import Penalty
-from hnn_vi_ros.learning.fit.model_files import describe_machine, drafted
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.learning.fit.model_files import describe_machine, drafted, machine_scene
 from hnn_vi_ros.torch import DifferentiableSimulation
 import numpy as np
 import torch
@@ -68,17 +66,11 @@ class Records:
         fixed = b''.join(part.detach().numpy().tobytes() for name, part in
                          network.named_parameters() if '.linears.' not in name)
         if self._built is None or self._built[0] != fixed:
-            checkpoint, d = describe_machine(network, self._config, self._motions), network.d
+            checkpoint = describe_machine(network, self._config, self._motions)
             with drafted(checkpoint) as model:
-                driven = {'model': model} if has_map(checkpoint) else {
-                    'coordinates': [one.name for one in checkpoint.card.coordinates]}
-                self._built = fixed, DifferentiableSimulation(Scene.build(
-                    hamiltonian={'kind': 'learned', 'model': model, 'confine': False},
-                    integrator=self._config.windows.method,
-                    step_size=self._records[0].spacing,
-                    initial_state=(d * [0.0], d * [0.0]), effects=[
-                        {'kind': 'external_force', 'timeout': 1e9, **driven},
-                        {'kind': 'learned_friction', 'model': model}]), [*network.tensors()])
+                self._built = fixed, DifferentiableSimulation(machine_scene(
+                    model, checkpoint.card, self._records[0].spacing,
+                    self._config.windows.method, True), [*network.tensors()])
         return self._built[1]
 
     def loss(self, network: MechanicalNetwork, steps: int) -> torch.Tensor:

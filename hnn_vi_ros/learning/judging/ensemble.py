@@ -12,7 +12,7 @@ from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
 from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
-from hnn_vi_ros.learning.fit.model_files import drafted
+from hnn_vi_ros.learning.fit.model_files import drafted, machine_scene
 from hnn_vi_ros.models import Box, Checkpoint, EnsembleCard, mean_card, ModelCard, MOST_MEMBERS
 from hnn_vi_ros.run import AccompaniedSimulation, deviation, member_scenes, Members
 from hnn_vi_ros.scene import Scene
@@ -35,8 +35,6 @@ _FINE, _OUTMOST = 50, 1.5
 # For a machine: maximum duration of simulations and time between starts [s], number of samples
 # per simulation, and maximum number of simulations.
 _HORIZON, _EVERY, _INSTANTS, _MOST = 0.5, 0.05, 20, 200
-# Timeout of external_force; commands hold to the end of the simulation [s].
-_FOREVER = 1e9
 
 
 def check_count(count: int) -> None:
@@ -437,8 +435,7 @@ def machine_scores(checkpoint: Checkpoint, motions: Sequence[EvenMotion], most: 
         'ensemble': EnsembleCard(members=ensemble.members)})  # without factors
     with drafted(replace(checkpoint, card=card)) as draft:
         driven = any(motion.tau.any() for motion in motions)
-        scene = _scene(draft, card, spacing, driven)
-        parts = scene.parts()
+        parts = machine_scene(draft, card, spacing, 'implicit_midpoint', driven).parts()
         members = Members(parts)
         simulation = AccompaniedSimulation(build(parts), [members])
         for k, start in starts:
@@ -447,20 +444,6 @@ def machine_scores(checkpoint: Checkpoint, motions: Sequence[EvenMotion], most: 
             if len(scores):
                 found[k].append(scores)
     return found
-
-
-def _scene(model: str, card: ModelCard, spacing: float, driven: bool) -> Scene:
-    effects: list[dict[str, object]] = [{'kind': 'learned_friction', 'model': model}]
-    if driven:
-        assert card.mechanical is not None, 'the family has one'
-        where: dict[str, object] = {'coordinates': [one.name for one in card.coordinates]} \
-            if card.mechanical.input_map is None else {'model': model}
-        effects.append({'kind': 'external_force', 'timeout': _FOREVER, **where})
-    zero = [0.0] * len(card.coordinates)
-    return Scene.build(
-        hamiltonian={'kind': 'learned', 'model': model, 'confine': False}, effects=effects,
-        integrator='implicit_midpoint', step_size=spacing,
-        initial_state=(np.mean(card.box.q, axis=1).tolist(), zero), name=card.name)
 
 
 def _machine_scores(simulation: AccompaniedSimulation, members: Members, box: Box,

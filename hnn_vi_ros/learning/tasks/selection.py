@@ -15,17 +15,17 @@ from hnn_vi_ros.learning.data.motions import (
 from hnn_vi_ros.learning.families.choices import (
     AUTO, MechanicalChoice, RigidBodyChoice, TrajectoryLoss)
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.fit.fitted_rigid_body import FittedRigidBody, positions_alone
+from hnn_vi_ros.learning.fit.fitted_rigid_body import downsampled, FittedRigidBody, positions_alone
 from hnn_vi_ros.learning.fit.loop import Fitted
-from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of, slowness
+from hnn_vi_ros.learning.fit.machine import Network, slowness
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine, MOST_DELAY
+from hnn_vi_ros.learning.judging.evaluation import finite, predicted_by, samples_in, score
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.residuals import (
     is_noise, judged_along, noise_text, ONLY_NOISE, Residuals)
 from hnn_vi_ros.models import CandidateCard, chain_angles, Errors, PLANAR_CHAIN, SelectionCard
 import numpy as np
 from scipy.optimize import minimize_scalar
-import torch
 
 # Most rounds in which the delay and the course of forces are found.
 _ROUNDS = 4
@@ -539,26 +539,13 @@ def _furthest(motions: Sequence[EvenMotion], pieces: Sequence[tuple[EvenMotion, 
 
 def errors_of(network: Network, pieces: Sequence[EvenMotion]) -> Errors:
     """Return prediction errors of a network from many states of pieces; see CandidateCard."""
-    samples, slow = samples_of(pieces, None), slowness(pieces)
-    found: Errors = {}
-    apart = max(1, round(_EVERY / pieces[0].spacing))
-    for horizon in (slow * usual for usual in _HORIZONS):
-        steps = max(1, round(horizon / samples.step_size))
-        starts = torch.nonzero(samples.left >= steps * samples.every)[:, 0]
-        if not len(starts):
-            continue
-        at = starts[::apart]
-        q, v = samples.q[at], samples.v[at]
-        with torch.no_grad():
-            for _ in range(steps):
-                q, v = runge_kutta(network.accelerations, q, v, samples.mean_tau[at],
-                                   samples.step_size)
-                at = at + samples.every
-        rms = (q - samples.measured[at]).square().mean(dim=0).sqrt().tolist()
-        found[f'{horizon:g}'] = [x if math.isfinite(x) else None for x in rms]
-    if not found:
+    slow, (pieces, _) = slowness(pieces), downsampled(pieces, None)
+    horizons = [horizon for horizon in (slow * usual for usual in _HORIZONS)
+                if any(samples_in(horizon, run) < len(run.t) for run in pieces)]
+    if not horizons:
         raise DataError('the held-out pieces are too short for an evaluation')
-    return found
+    found = score(predicted_by(network), pieces, horizons, _EVERY, max(horizons))
+    return {f'{horizon:g}': finite(rms) for horizon, rms in found.horizons.items()}
 
 
 def _size(card: CandidateCard, *parts: str) -> float:
