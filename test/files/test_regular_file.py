@@ -16,6 +16,9 @@ from hnn_vi_ros.identify.identify import _arrays
 from hnn_vi_ros.learning import ArraysData
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.text import LogMotions, read_log
+from hnn_vi_ros.learning.import_model import read_state
+from hnn_vi_ros.models import load_checkpoint
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.bag_metadata import write_bag_metadata
 from hnn_vi_ros.ros.worlds import open_world, WorldError
 from hnn_vi_ros.scene import load_scene, Scene
@@ -36,14 +39,26 @@ READERS: dict[str, Callable[[Path], object]] = {
     'scene': load_scene, 'yaml': lambda path: read_yaml(path, Scene, DataError)[0],
     'arrays': Archive, 'posterior': lambda path: read_posterior(path, 'posterior'),
     'axis': lambda path: file_axis(path, 'axis')}
+# Readers of what is often kept in Git LFS.
+LARGE: dict[str, Callable[[Path], object]] = {
+    'model': load_checkpoint, 'weights': read_state, 'bag': BagReader}
 
 
-@pytest.mark.parametrize('reader', READERS)
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize('reader', READERS | LARGE)
 def test_fifo_is_no_missing_file_and_is_not_waited_for(reader, tmp_path):
     os.mkfifo(tmp_path / 'pipe.yaml')
     for name in ('pipe.yaml', 'none.yaml'):
         with refused(HnnViRosError):
-            READERS[reader](tmp_path / name)
+            (READERS | LARGE)[reader](tmp_path / name)
+
+
+@pytest.mark.parametrize('reader', LARGE)
+def test_pointer_of_git_lfs_is_named_as_such(reader, tmp_path):
+    path = tmp_path / 'a.mcap'
+    path.write_text('version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12\n')
+    with refused(HnnViRosError):
+        LARGE[reader](path)
 
 
 def test_keys_of_a_fifo_are_left_to_its_reader_and_as_a_world_it_is_no_missing_one(tmp_path):

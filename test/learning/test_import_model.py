@@ -235,12 +235,6 @@ def test_negated_view_is_read_as_the_numbers_that_it_shows(tmp_path):
     assert (read_state(tmp_path / 'source.tar')[0]['linear1.weight'] == -1.0).all()
 
 
-def test_pointer_of_git_lfs_is_named_as_such(tmp_path):
-    (tmp_path / 'source.tar').write_text(
-        'version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n')
-    assert_refused(tmp_path / 'source.tar')
-
-
 def test_file_that_is_not_one_of_torch_is_refused(tmp_path):
     path = tmp_path / 'source.tar'
     assert_refused(path)

@@ -4,7 +4,6 @@
 
 import hashlib
 import json
-import os
 from pathlib import Path
 import pickle
 import subprocess
@@ -145,18 +144,6 @@ def test_missing_directory_and_huge_files_give_model_error(tmp_path):
     with huge.open('wb') as stream:
         stream.truncate(MAX_BYTES + 1)
     assert_refused(huge)
-
-
-def test_pointer_of_git_lfs_is_named_as_such(tmp_path):
-    path = tmp_path / 'm.safetensors'
-    path.write_text('version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12\n')
-    assert_refused(path)
-
-
-@pytest.mark.timeout(20)
-def test_named_pipe_is_refused_without_waiting(tmp_path):
-    os.mkfifo(tmp_path / 'pipe.safetensors')
-    assert_refused(tmp_path / 'pipe.safetensors')
 
 
 @pytest.mark.parametrize('writer', ['pickle', 'torch'])

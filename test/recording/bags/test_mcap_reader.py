@@ -84,13 +84,6 @@ def test_folder_of_a_run_is_refused_with_that_of_its_bag(tmp_path):
         BagReader(tmp_path)
 
 
-def test_bag_that_is_a_pointer_of_git_lfs_is_named_as_such(tmp_path):
-    path = tmp_path / 'a.mcap'
-    path.write_text('version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12\n')
-    with refused(RecordingError):
-        BagReader(path)
-
-
 def test_messages_that_cannot_be_sorted_in_little_memory_are_refused(tmp_path, monkeypatch):
     path = tmp_path / 'a.mcap'
     # Each chunk begins at time 1 and ends at 9, so that all of them wait for the last.
