@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from helpers import plain_run, Uncompiled
+from helpers import assert_derivatives_of_energy, difference, plain_run, Uncompiled
 from hnn_vi_ros.effects import EFFECTS, EffectState, JointCommand
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.hamiltonians import RigidBodyTree
@@ -111,15 +111,9 @@ def test_energy_account_closes_with_the_order_of_the_method(lever):
 @pytest.mark.parametrize('drive', [{}, {'backlash': 0.1, 'smoothing': 0.02}, {'backlash': 0.1}])
 def test_hessian_vector_product_is_the_derivative_of_the_gradient(lever, drive: dict):
     hamiltonian = plain(lever(**drive)).system.hamiltonian
-    rng = np.random.default_rng(3)
-    for _ in range(5):
-        q, p, v_q, v_p = 0.3 * rng.normal(size=(4, 2))
-        e = 1e-6
-        above, below = (np.concatenate(hamiltonian.gradient(q + s * v_q, p + s * v_p))
-                        for s in (e, -e))
-        found = np.concatenate(hamiltonian.hessian_vector(q, p, v_q, v_p))
-        # Of order e^2 times third derivatives of up to k / w, and round-off 1e-15 k / e.
-        np.testing.assert_allclose(found, (above - below) / (2.0 * e), atol=2e-7)
+    # Round-off of energies of some 10 J over 1e-4, and (1e-4 / w)^6 of the curvature.
+    assert_derivatives_of_energy(hamiltonian, *0.3 * np.random.default_rng(3).normal(
+        size=(2, 5, 2)), 1e-7)
 
 
 def test_command_to_a_joint_acts_on_its_rotor_and_joint_states_are_of_links(lever):
@@ -233,7 +227,6 @@ def test_derivatives_by_numbers_of_a_drive_are_differences_of_order_6(lever):
     ones = torch.ones(len(NUMBERS), dtype=torch.float64, requires_grad=True)
     found, = torch.autograd.grad(last(ones), ones)
     for i, one in enumerate(torch.eye(len(NUMBERS), dtype=torch.float64)):
-        expected = sum(weight * float(last(1.0 + k * 1e-3 * one) - last(1.0 - k * 1e-3 * one))
-                       for k, weight in ((1, 45.0), (2, -9.0), (3, 1.0))) / 60e-3
+        expected = difference(lambda k, one=one: float(last(1.0 + k * one)), 1e-3)
         # Damping is differenced by velocities to 1e-7.
         assert float(found[i]) == pytest.approx(expected, rel=1e-6, abs=1e-8), i

@@ -5,7 +5,7 @@
 from collections.abc import Callable
 import math
 
-from helpers import effect, EPS, free, plain_run, Uncompiled
+from helpers import difference, effect, EPS, free, plain_run, Uncompiled
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.control import BatchStep
 from hnn_vi_ros.effects import EffectError
@@ -254,8 +254,7 @@ def test_derivatives_are_differences_of_order_6_with_internal_forces(method):
 
     def at(distance: float) -> np.ndarray:
         return run.record(z + distance * dz, len(t), 1, commands + distance * d_commands)
-    expected = sum(weight * (at(k * 1e-4) - at(k * -1e-4))
-                   for k, weight in ((1, 45.0), (2, -9.0), (3, 1.0))) / (60.0 * 1e-4)
+    expected = difference(at, 1e-4)
     at(0.0)
     found, = run.push_forward([Change(dz, commands=d_commands)])
     # Rounding of some 1e-15 over the spacing.
@@ -296,8 +295,7 @@ def test_derivatives_by_numbers_are_differences_of_order_6_with_internal_forces(
             return float(last([torch.tensor(one + (one * share if k == i else 0.0),
                                             dtype=torch.float64)
                                for k, one in enumerate(values)]))
-        expected = sum(weight * (at(k * 1e-3) - at(k * -1e-3)) for k, weight in (
-            (1, 45.0), (2, -9.0), (3, 1.0))) / (60.0 * 1e-3 * value)
+        expected = difference(at, 1e-3) / value
         # A change of a number moves the instants at which the motion reverses, where g has a kink.
         assert float(found[i]) == pytest.approx(expected, rel=1e-6, abs=1e-8), names[i]
 

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable
 
-from helpers import EPS
+from helpers import dop853_path, EPS
 from hnn_vi_ros.files import shipped_names
 from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
@@ -16,7 +16,6 @@ from hnn_vi_ros.scene import load_scene
 from messages import refused
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 UNEVEN = {
     'double_pendulum': {'mass1': 0.7, 'mass2': 1.9, 'length1': 1.3, 'length2': 0.6,
@@ -286,13 +285,8 @@ def test_fput_chain_exchanges_its_stiff_energies_and_keeps_their_sum():
     scene = load_scene('fput_chain')
     hamiltonian = scene.create_hamiltonian()
     m, omega = hamiltonian.pairs, hamiltonian.omega
-
-    def field(t: float, z: np.ndarray) -> np.ndarray:
-        dH_dq, dH_dp = hamiltonian.gradient(z[:2 * m], z[2 * m:])
-        return np.concatenate([dH_dp, -dH_dq])
-
-    start = [*scene.initial_state.q, *scene.initial_state.p]
-    z = solve_ivp(field, (0.0, 100.0), start, method='DOP853', rtol=1e-6, atol=1e-8).y
+    z = dop853_path(hamiltonian, scene.initial_state.q, scene.initial_state.p,
+                    np.linspace(0.0, 100.0, 2001), 1e-6).T
     stiff = 0.5 * (z[3 * m:]**2 + (omega * z[m:2 * m])**2)
     total = stiff.sum(axis=0)
     assert np.abs(total - total[0]).max() < 4.0 / omega

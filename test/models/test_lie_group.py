@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learned Hamiltonians of bodies that turn: their kernel, their steps in torch, their effects."""
 
-from collections.abc import Callable
 from pathlib import Path
 
-from helpers import long
+from helpers import assert_derivatives_of_energy, long
 from hnn_vi_ros.effects import EffectError, EFFECTS
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -34,20 +33,8 @@ def nodes(name: str, count: int = 3) -> tuple[LieGroupHamiltonian, np.ndarray, n
 
 @pytest.mark.parametrize('name', CARDS)
 def test_gradient_and_hessian_of_a_learned_body_are_the_derivatives_of_its_energy(name: str):
-    hamiltonian, q, p = nodes(name)
-    d, z, step = hamiltonian.dimension, np.hstack([q, p]), 1e-5
-
-    def slope(function: Callable, change: np.ndarray) -> np.ndarray:
-        ahead, behind = (np.hstack(function(*np.split(z + sign * step * change, [d], axis=1)))
-                         for sign in (1.0, -1.0))
-        return (ahead - behind) / (2.0 * step)
-    gradient = np.hstack(hamiltonian.gradient(q, p))
     # Off the unit sphere as well, where steps never are but differences of quaternions go.
-    for i, unit in enumerate(np.eye(z.shape[1])):
-        assert np.abs(gradient[:, i] - slope(hamiltonian.energy, unit)).max() <= DIFFERENCES
-    v = np.random.default_rng(4).normal(size=z.shape)
-    product = np.hstack(hamiltonian.hessian_vector(q, p, *np.split(v, [d], axis=1)))
-    assert np.abs(product - slope(hamiltonian.gradient, v)).max() <= 10.0 * DIFFERENCES
+    assert_derivatives_of_energy(*nodes(name), DIFFERENCES)
 
 
 @pytest.mark.parametrize('method, retraction', [

@@ -4,6 +4,7 @@
 
 import json
 
+from helpers import dop853_path
 from hnn_vi_ros.files import shipped_file, shipped_names
 from hnn_vi_ros.learning.data.dataset import Dataset, sample_exact
 from hnn_vi_ros.learning.families.choices import AUTO
@@ -14,7 +15,6 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import build
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from sources import ROOT
 from studies.machine_tables import CASES, DEFAULT
 
@@ -108,17 +108,10 @@ def test_shipped_scene_stays_in_the_box_of_its_model(name: str):
     # Where the plain name is that of the exact scene, the learned one says so.
     scene = load_scene(f'learned_{name}' if f'learned_{name}' in shipped_names('scene') else name)
     learned = scene.create_hamiltonian()
-    d = learned.dimension
-
-    def field(t: float, z: np.ndarray) -> np.ndarray:
-        dH_dq, dH_dp = learned.gradient(z[:d], z[d:])
-        return np.concatenate([dH_dp, -dH_dq])
-
-    start = [*scene.initial_state.q, *scene.initial_state.p]
-    run = solve_ivp(field, (0.0, 60.0), start, method='DOP853', rtol=1e-8, atol=1e-8)
-    assert run.success
+    path = dop853_path(learned, scene.initial_state.q, scene.initial_state.p,
+                       np.linspace(0.0, 60.0, 1001))
     low, high = np.vstack(learned.box).T
-    assert (low <= run.y.T).all() and (run.y.T <= high).all()
+    assert (low <= path).all() and (path <= high).all()
 
 
 def test_every_family_has_a_shipped_model_and_scene():
@@ -193,18 +186,11 @@ def test_learned_lagrangian_moves_like_the_system():
     q, p = np.array(scene.initial_state.q), np.array(scene.initial_state.p)
     # H_p = M^-1 p is linear: its columns make up M^-1.
     inverse = np.array([exact.gradient(q, unit)[1] for unit in np.eye(2)]).T
-    paths = []
-    for hamiltonian, momenta in (
-            (learned, p), (exact, np.linalg.solve(inverse, learned.gradient(q, p)[1]))):
-        def rates(_: float, z: np.ndarray) -> np.ndarray:
-            dH_dq, dH_dp = hamiltonian.gradient(z[:2], z[2:])
-            return np.concatenate([dH_dp, -dH_dq])
-
-        run = solve_ivp(rates, (0.0, 3.0), [*q, *momenta], 'DOP853', np.linspace(0.0, 3.0, 50),
-                        rtol=1e-8, atol=1e-8)
-        paths.append(run.y[:2])
+    found, true = (dop853_path(hamiltonian, q, momenta, np.linspace(0.0, 3.0, 50))[:, :2]
+                   for hamiltonian, momenta in (
+                       (learned, p), (exact, np.linalg.solve(inverse, learned.gradient(q, p)[1]))))
     # Accelerations are learned to 1e-3 of their size; they act over 3 s, twice integrated.
-    assert np.abs(paths[0] - paths[1]).max() <= 0.02 * np.abs(paths[1]).max()
+    assert np.abs(found - true).max() <= 0.02 * np.abs(true).max()
 
 
 # Real machines.

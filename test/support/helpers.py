@@ -28,6 +28,7 @@ from mpmath import mp, mpf
 import numpy as np
 from numpy.typing import ArrayLike
 import pytest
+from scipy.integrate import solve_ivp
 import torch
 
 EPS = np.finfo(np.float64).eps
@@ -77,6 +78,41 @@ def midpoint_lagrangian(q0: torch.Tensor, q1: torch.Tensor, h: float) -> torch.T
     """Return the midpoint rule for the action of the pendulum."""
     velocity, middle = (q1 - q0) / h, 0.5 * (q0 + q1)
     return h * (0.5 * velocity.square() - 9.81 * (1.0 - torch.cos(middle))).sum()
+
+
+def difference(function: Callable[[float], Any], spacing: float) -> Any:
+    """Return f'(0) by a central difference of order 6."""
+    return sum(weight * (function(k * spacing) - function(-k * spacing))
+               for k, weight in ((1, 45.0), (2, -9.0), (3, 1.0))) / (60.0 * spacing)
+
+
+def assert_derivatives_of_energy(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray,
+                                 tolerance: float) -> None:
+    """Compare gradient and Hessian products at states, shapes (n, k), with differences."""
+    rng = np.random.default_rng(8)
+    for _ in range(3):
+        v_q, v_p = rng.normal(size=q.shape), rng.normal(size=p.shape)
+        H_q, H_p = hamiltonian.gradient(q, p)
+        slope = difference(lambda s: hamiltonian.energy(q + s * v_q, p + s * v_p), 1e-4)
+        assert (H_q * v_q).sum(axis=1) + (H_p * v_p).sum(axis=1) == pytest.approx(
+            slope, abs=tolerance)
+        slopes = difference(
+            lambda s: np.hstack(hamiltonian.gradient(q + s * v_q, p + s * v_p)), 1e-4)
+        assert np.hstack(hamiltonian.hessian_vector(q, p, v_q, v_p)) == pytest.approx(
+            slopes, abs=tolerance)
+
+
+def dop853_path(hamiltonian: Hamiltonian, q: ArrayLike, p: ArrayLike, times: np.ndarray,
+                rtol: float = 1e-8, atol: float = 1e-8) -> np.ndarray:
+    """Return (q, p) at times from 0 on, shape (n, 2 d), of a solution by scipy."""
+    def field(t: float, z: np.ndarray) -> np.ndarray:
+        dH_dq, dH_dp = hamiltonian.gradient(*np.split(z, 2))
+        return np.concatenate([dH_dp, -dH_dq])
+
+    found = solve_ivp(field, (0.0, times[-1]), [*np.ravel(q), *np.ravel(p)], 'DOP853', times,
+                      rtol=rtol, atol=atol)
+    assert found.success
+    return found.y.T
 
 
 def kepler_lagrangian(q0: torch.Tensor, q1: torch.Tensor, h: float) -> torch.Tensor:

@@ -9,6 +9,7 @@ from pathlib import Path
 import re
 import tracemalloc
 
+from helpers import difference
 import hnn_vi_ros
 from hnn_vi_ros.errors import SceneError, StateError, UnsupportedSystem
 from hnn_vi_ros.integrators import gauss_tableau
@@ -41,12 +42,6 @@ def pendulum() -> Scene:
 def number(value: float) -> torch.Tensor:
     """Return a number that is followed."""
     return torch.tensor(value, dtype=torch.float64, requires_grad=True)
-
-
-def difference(f: Callable[[float], float], spacing: float) -> float:
-    """Return f'(0) by a central difference of order 6."""
-    return sum(weight * (f(k * spacing) - f(-k * spacing))
-               for k, weight in ((1, 45.0), (2, -9.0), (3, 1.0))) / (60.0 * spacing)
 
 
 def directional(loss: Callable[[list[torch.Tensor]], torch.Tensor], start: list[np.ndarray],

@@ -3,7 +3,7 @@
 """Guards are silent where a step resolves a motion, and speak within a period where not."""
 
 from benchmarks.systems import systems
-from helpers import long, mostly_long, Uncompiled
+from helpers import dop853_path, long, mostly_long, Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -16,7 +16,6 @@ from hnn_vi_ros.simulation.guards.watch import energies_of
 import numpy as np
 from plain_systems import kepler, Motion, MOTIONS, pendulum
 import pytest
-from scipy.integrate import solve_ivp
 
 # Of the energy scale: a band of H that no one would call resolved.
 _COARSE = 0.2
@@ -48,16 +47,9 @@ def simulate(motion: Motion, method: str, h: float, periods: float) -> tuple[lis
 
 def scale_of(motion: Motion) -> float:
     """Return the energy scale of two periods that are well resolved."""
-    d = motion.q.size
-
-    def slope(t: float, z: np.ndarray) -> np.ndarray:
-        H_q, H_p = motion.hamiltonian.gradient(z[:d], z[d:])
-        return np.concatenate([H_p, -H_q])
-
-    times = np.linspace(0.0, 2.0 * motion.period, 4001)
-    z = solve_ivp(slope, (0.0, times[-1]), np.concatenate([motion.q, motion.p]), 'DOP853', times,
-                  rtol=1e-9, atol=1e-12).y.T
-    return energy_scale(motion.hamiltonian, z[:, :d], z[:, d:])
+    path = dop853_path(motion.hamiltonian, motion.q, motion.p,
+                       np.linspace(0.0, 2.0 * motion.period, 4001), 1e-9, 1e-12)
+    return energy_scale(motion.hamiltonian, *np.split(path, 2, axis=1))
 
 
 @pytest.mark.parametrize('name', mostly_long(
