@@ -3,17 +3,18 @@
 """Find the coordinates, velocities and forces of a log by the names of its columns."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 import re
 from typing import Any, Protocol
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.learning.data.faults import unwrapped
-from hnn_vi_ros.learning.data.sampling import repeated_text, unexplained
+from hnn_vi_ros.learning.data.sampling import repeated_text
 from hnn_vi_ros.learning.data.text import COLUMN, lacking, LogFormat, read_log
 from hnn_vi_ros.learning.data.units import parsed, split_unit
 import numpy as np
+from yaml import safe_dump
 
 TIME, TRIAL, Q, V, A, TAU, UNUSED, UNKNOWN = 'time', 'trial', 'q', 'v', 'a', 'tau', 'unused', ''
 ANGLE, LENGTH = 'rad', 'm'
@@ -51,11 +52,9 @@ _DERIVED = re.compile(r'(?P<before>d*?)(?P<of>q|theta|th|phi|psi|alpha|beta|x|y|
                       r'(?P<after>(?:dot|d)*)')
 # Largest angle [rad] and length [m] that need no unit: degrees of a small swing go further.
 _MOST = {ANGLE: np.pi * 1.01, LENGTH: 10.0}
-# Intervals [s] of samples that are usual, the shortest that may be another unit, and the times [s]
-# since 1970 of the years 2000 to 2100.
-_USUAL, _DOUBTFUL, _DATES = (1e-4, 10.0), 0.5, (9.4e8, 4.2e9)
-# Tolerance of the ratio of positions to integrated velocities, which tells the unit of these.
-_RATIO = 0.2
+# Intervals of samples [s] from this one on may be of another unit; and the times [s] since 1970 of
+# the years 2000 to 2100, which tell theirs.
+_DOUBTFUL, _DATES = 0.5, (9.4e8, 4.2e9)
 
 
 class Named(Protocol):
@@ -110,7 +109,7 @@ class Reading:
     path : Path
         Path of the log.
     columns : list of str
-        Names of all columns; `renamed` maps those whose units were inferred to names with units.
+        Names of all columns if they are not those of the header, else empty.
     time, trial : Column, Column or None
         Times, and the number of the run.
     q, v, tau : list of Column
@@ -127,24 +126,19 @@ class Reading:
     q: list[Column]
     v: list[Column]
     tau: list[Column]
-    renamed: dict[str, str] = field(default_factory=dict)
-    turns: list[bool] = field(default_factory=list)
-
-    def _name(self, one: Column) -> str:
-        return self.renamed.get(one.name, one.name)
+    turns: list[bool]
 
     @property
     def data(self) -> dict[str, Any]:
         """Return the data section of a configuration."""
-        groups = {key: [self._name(one) for one in getattr(self, key)]
-                  for key in ('q', 'v', 'tau')}
-        found: dict[str, Any] = {'kind': 'log', 'path': str(self.path)}
-        if self.renamed or self.columns[0] == COLUMN.format(1):
-            found['columns'] = [self.renamed.get(name, name) for name in self.columns]
+        groups = {key: [one.name for one in getattr(self, key)] for key in ('q', 'v', 'tau')}
+        section: dict[str, Any] = {'kind': 'log', 'path': str(self.path)}
+        if self.columns:
+            section['columns'] = self.columns
         if self.trial is not None:
-            found['trial'] = self.trial.name
-        found['time'] = self._name(self.time)
-        return found | {key: names for key, names in groups.items() if names}
+            section['trial'] = self.trial.name
+        section['time'] = self.time.name
+        return section | {key: names for key, names in groups.items() if names}
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -235,78 +229,61 @@ def read_header(path: Path, coordinates: Sequence[Named] = ()) -> Reading:
     Raises
     ------
     DataError
-        The log has no times or no coordinates, or there are two readings; the message has both.
+        The log has no times or no coordinates, or there are two readings; the message has the
+        ``data`` section of one of them.
 
     """
-    table = read_log(path, LogFormat())
-    for name in table.names:
-        if table.names.count(name) > 1:
-            raise DataError(f'{path}: two columns are called {name!r}; rename one of them')
-    values = dict(zip(table.names, table.numbers.T, strict=True))
+    table, doubts = read_log(path, LogFormat()), list[str]()
     if table.names[0] == COLUMN.format(1):
-        columns = _by_place(path, values, coordinates)
-    else:
-        columns = [column_of(name, {one.name: one.q_unit for one in coordinates})
-                   for name in table.names]
+        first = ['t [s]', *([one.name for one in coordinates] or ['angle [rad]'])][
+            :len(table.names)]
+        q = [Column(name, Q) for name in first[1:]]
+        raise _refusal(f'has no header above its {len(table.names)} columns', Reading(
+            path, first + table.names[len(first):], Column(first[0], TIME), None, q, [], [], []))
+    names = [COLUMN.format(k + 1) if name in table.names[:k] else name
+             for k, name in enumerate(table.names)]
+    doubts += [f'two columns are called {name!r}' for k, name in enumerate(table.names)
+               if name in table.names[:k]]
+    columns = [column_of(name, {one.name: one.q_unit for one in coordinates}) for name in names]
+    values = dict(zip(names, table.numbers.T, strict=True))
     time = _time_of(path, columns, values)
-    values = {name: lacking(x, values[time.name], name, []) for name, x in values.items()}
+    t = values[time.name]
+    values = {name: lacking(x, t, name, []) for name, x in values.items()}
     columns = [one for one in columns if np.nanmax(values[one.name], initial=-np.inf)
                > np.nanmin(values[one.name], initial=np.inf)]
-
-    def having(role: str) -> list[Column]:
-        return [one for one in columns if one.role == role]
-    q = _coordinates(path, columns, coordinates)
+    trials, rates, forces = ([one for one in columns if one.role == role]
+                             for role in (TRIAL, V, TAU))
+    q = _coordinates(path, columns, coordinates, doubts)
     if not coordinates:
-        q = [_with_kind(path, one, len(q), having(V) + having(TAU)) for one in q]
+        q = [_with_kind(path, one, len(q), rates + forces, doubts) for one in q]
         q.sort(key=lambda one: one.kind == ANGLE)  # carts come first in a chain
-    v = _matched(path, q, having(V), 'velocity')
-    tau = _matched(path, q, having(TAU), 'force')
-    renamed = {} if coordinates and not time.unit and np.nanmax(values[time.name]) < _DATES[0] \
-        else _time_unit(path, time, values[time.name])
-    t = values[time.name] * _size(renamed.get(time.name, time.name))
-    turns = []
-    for k, one in enumerate(q):
-        renamed |= _unit(path, one, values[one.name])
-        x = values[one.name] * _size(renamed.get(one.name, one.name))
-        good = np.isfinite(t) & np.isfinite(x)
-        x = x[good] if one.kind != ANGLE else unwrapped(np.arange(good.sum()), x[good])
-        turns.append(one.kind == ANGLE and bool(np.ptp(x) > 2.0 * np.pi))
-        if len(v) == len(q) and not v[k].unit:
-            renamed |= _rate_unit(v[k].name, one.kind, t[good], x, values[v[k].name][good])
-    trials = having(TRIAL)
-    return Reading(path, table.names, time, trials[0] if trials else None, q,
-                   v if len(v) == len(q) else [], tau, renamed, turns)
+    v = _matched(q, rates, 'velocity', doubts)
+    tau = _matched(q, forces, 'force', doubts)
+    units = {time.name: _time_unit(time, t, bool(coordinates), doubts)} | {
+        one.name: _unit(one, values[one.name], doubts) for one in q}
+    renamed = {name: f'{name} [{unit}]' if unit else name for name, unit in units.items()}
+    turns = [one.kind == ANGLE and _turns(t, values[one.name] * _size(renamed[one.name]))
+             for one in q]
+    time, *q = (replace(one, name=renamed[one.name]) for one in (time, *q))
+    names = [renamed.get(name, name) for name in names]
+    reading = Reading(path, names if names != table.names else [], time, [*trials, None][0], q,
+                      v if len(v) == len(q) else [], tau, turns)
+    if doubts:
+        raise _refusal(doubts[0], reading)
+    return reading
+
+
+def _refusal(doubt: str, reading: Reading) -> DataError:
+    """Return the error of a log that may be read in another way, with the data of this one."""
+    section = safe_dump(reading.data, default_flow_style=True, width=np.inf, sort_keys=False,
+                        allow_unicode=True).strip()
+    return DataError(f'{reading.path}: {doubt}; rename columns, or write the data of a '
+                     f'configuration, such as data: {section}')
 
 
 def _size(name: str) -> float:
     """Return the size of the unit in a name, 1 if it has none."""
     return (parsed(split_unit(name)[1]) or (1.0,))[0]
-
-
-def _by_place(path: Path, values: Mapping[str, np.ndarray], coordinates: Sequence[Named]
-              ) -> list[Column]:
-    """Return the meaning of columns without names: times, coordinates, velocities, forces."""
-    names, d = [*values], len(coordinates)
-    rest = names[1:]
-    if not coordinates:
-        if len(rest) == 1 and _wrapped(values[rest[0]]):
-            return [Column(names[0], TIME), Column(rest[0], Q, 'angle', kind=ANGLE)]
-        examples = [', '.join(['t [s]', *words][:len(names)]) for words in (
-            ['angle [rad]', 'rate [rad/s]', 'torque [N m]'], ['x [m]', 'v [m/s]', 'force [N]'])]
-        raise DataError(f'{path}: has no header; write one above its {len(names)} columns, such '
-                        f'as {examples[0]!r} or {examples[1]!r}')
-    if not d <= len(rest) <= 3 * d:
-        raise DataError(f'{path}: has no header, and {len(names)} columns, expected times and '
-                        f'{d} coordinates, then velocities and forces; name them in a first line')
-    t, blocks = values[names[0]], [rest[k:k + d] for k in range(0, len(rest), d)]
-    x, rate = (np.stack([values[name] for name in block], axis=-1) if len(block) == d else None
-               for block in [*blocks, []][:2])
-    moving = len(rest) == 3 * d or (x is not None and rate is not None and bool(
-        np.nanmedian(unexplained(t, x, rate)) < 0.5))
-    roles = [Q, V, TAU] if moving else [Q, TAU]
-    return [Column(names[0], TIME), *(
-        Column(name, role, str(k), coordinates[k].name if role == Q else '')
-        for role, block in zip(roles, blocks, strict=False) for k, name in enumerate(block))]
 
 
 def _time_of(path: Path, columns: Sequence[Column], values: Mapping[str, np.ndarray]) -> Column:
@@ -321,73 +298,66 @@ def _time_of(path: Path, columns: Sequence[Column], values: Mapping[str, np.ndar
                     f'{listed(one.name for one in columns)}; name it t [s], and write seconds')
 
 
-def _time_unit(path: Path, time: Column, t: np.ndarray) -> dict[str, str]:
-    """Return the name of the times with a unit that their size tells; {} if it is s."""
-    if time.unit:
-        return {}
+def _time_unit(time: Column, t: np.ndarray, known: bool, doubts: list[str]) -> str:
+    """Return the unit of times without one, '' if it is s; it is told by those since 1970."""
     interval, latest = float(np.nanmedian(np.abs(np.diff(t)))), float(np.nanmax(t))
-    sizes = {unit: size for unit in ('s', 'ms', 'us', 'ns')
-             if (size := _size(f't [{unit}]')) and _USUAL[0] <= interval * size <= _USUAL[1]}
+    sizes = {unit: _size(f't [{unit}]') for unit in ('s', 'ms', 'us', 'ns')}
     dates = [unit for unit, size in sizes.items() if _DATES[0] < latest * size < _DATES[1]]
-    if len(dates) == 1 or (interval < _DOUBTFUL and latest < _DATES[0]):
-        unit = [*dates, 's'][0]
-        return {} if unit == 's' else {time.name: f'{time.name} [{unit}]'}
-    ways = ' or '.join(f"'{time.name} [{unit}]'" for unit in [*sizes][:2] or ('s', 'ms'))
-    raise DataError(f'{path}: the times {time.name!r} lie {interval:.6g} apart, in s or another '
-                    f'unit; name the column {ways}')
+    if time.unit or dates == ['s'] or (not dates and (known or interval < _DOUBTFUL)):
+        return ''
+    if not dates:
+        doubts.append(f'the times {time.name!r} lie {interval:.6g} apart, in s or another unit')
+    short = [unit for unit, size in sizes.items() if interval * size < _DOUBTFUL]
+    return [*dates, *short, 'ns'][0]
 
 
-def _coordinates(path: Path, columns: Sequence[Column], coordinates: Sequence[Named]
-                 ) -> list[Column]:
+def _coordinates(path: Path, columns: Sequence[Column], coordinates: Sequence[Named],
+                 doubts: list[str]) -> list[Column]:
     """Return the columns of the coordinates, in the order of the given ones."""
-    found = [one for one in columns if one.role == Q]
-    if not found:
+    q = [one for one in columns if one.role == Q]
+    if not q:
         unknown = [one for one in columns if one.role == UNKNOWN]
-        found = unknown if len(unknown) == 1 else [one for one in unknown if one.kind]
-    if coordinates:
-        exact = [[one for one in found if one.letter == other.name] for other in coordinates]
-        if all(len(ones) == 1 for ones in exact):
-            return [ones[0] for ones in exact]
-        fits = len(found) == len(coordinates) and all(
-            not one.kind or not _kind_of(other.q_unit) or one.kind == _kind_of(other.q_unit)
-            for one, other in zip(found, coordinates, strict=True))
-        if fits and (len(found) == 1 or all(one.key.isdigit() for one in found)):
-            return [replace(one, kind=_kind_of(other.q_unit))
-                    for one, other in zip(found, coordinates, strict=True)]
-        raise DataError(f'{path}: the columns {listed(one.name for one in columns)} do not say '
-                        f'which is {listed(one.name for one in coordinates)}; rename them after '
-                        'the coordinates')
-    if not found:
+        q = unknown if len(unknown) == 1 else [one for one in unknown if one.kind]
+    if not q:
         raise DataError(f'{path}: no column of a coordinate: '
                         f'{listed(one.name for one in columns)}; name it angle [rad] or x [m]')
-    for k, one in enumerate(found):
-        for other in found[:k]:
-            if one.key == other.key and (one.letter == other.letter or '' in (
-                    one.letter, other.letter)):
-                raise DataError(f'{path}: {other.name!r} and {one.name!r} may be the same '
-                                f'coordinate; take one of data.q: [{other.name}] or data.q: '
-                                f'[{one.name}] in a configuration, or leave a column out')
-    return found
+    if coordinates:
+        exact = [[one for one in q if one.letter == other.name] for other in coordinates]
+        if all(len(ones) == 1 for ones in exact):
+            return [ones[0] for ones in exact]
+        fits = len(q) == len(coordinates) and all(
+            not one.kind or not _kind_of(other.q_unit) or one.kind == _kind_of(other.q_unit)
+            for one, other in zip(q, coordinates, strict=True))
+        if not (fits and (len(q) == 1 or all(one.key.isdigit() for one in q))):
+            doubts.append(f'the columns {listed(one.name for one in columns)} do not say which is '
+                          f'{listed(one.name for one in coordinates)}')
+        return [replace(one, kind=_kind_of(other.q_unit))
+                for one, other in zip(q, coordinates, strict=False)]
+    distinct = list[Column]()
+    for one in q:
+        same = [other for other in distinct if one.key == other.key and (
+            one.letter == other.letter or '' in (one.letter, other.letter))]
+        if same:
+            doubts.append(f'{same[0].name!r} and {one.name!r} may be the same coordinate')
+        distinct += [] if same else [one]
+    return distinct
 
 
-def _with_kind(path: Path, one: Column, count: int, others: Sequence[Column]) -> Column:
+def _with_kind(path: Path, one: Column, count: int, others: Sequence[Column],
+               doubts: list[str]) -> Column:
     """Return a coordinate with its kind, by its name or those of its velocity and force."""
-    if one.kind:
-        return one
     kinds = {other.kind for other in others
              if other.kind and (count == 1 or other.key == one.key)}
-    if one.unit:
+    if one.unit and not one.kind:
         raise DataError(f'{path}: {one.name!r} is in {one.unit}, which is no unit of angles or '
                         f'lengths; convert it, or write a configuration with q_unit: {one.unit}')
-    if len(kinds) == 1:
-        return replace(one, kind=kinds.pop())
-    raise DataError(
-        f'{path}: {one.name!r} may be an angle or a length; name the column '
-        f"'{one.name} [rad]' (q_unit: rad, p_unit: N m s), or '{one.name} [m]' (q_unit: m, p_unit:"
-        ' N s, kind: prismatic)')
+    if not one.kind and len(kinds) != 1:
+        doubts.append(f'{one.name!r} may be an angle [rad] or a length [m]')
+    return one if one.kind else replace(one, kind=[*kinds, ANGLE][0])
 
 
-def _matched(path: Path, q: Sequence[Column], found: Sequence[Column], what: str) -> list[Column]:
+def _matched(q: Sequence[Column], found: Sequence[Column], what: str, doubts: list[str]
+             ) -> list[Column]:
     """Return the velocities or forces of the coordinates, as far as there are any, in order."""
     taken: dict[int, Column] = {}
     fitting = {k: [other for other in found if (
@@ -406,45 +376,24 @@ def _matched(path: Path, q: Sequence[Column], found: Sequence[Column], what: str
     if left and (len(taken) < len(q) or len(q) == 1):
         if what == 'force' and len(found) <= len(q):
             return [taken[k] for k in sorted(taken)] + left
-        both = ' or '.join(f'data.{"v" if what == "velocity" else "tau"}: [{one.name}]'
-                           for one in found[:3])
-        raise DataError(f'{path}: the {what} of {q[0].name!r} may be {both}; name the others '
-                        'otherwise, or write a configuration')
+        doubts.append(f'the {what} of {q[0].name!r} may be '
+                      f'{" or ".join(one.name for one in found[:3])}')
+        return [*found][:len(q)]
     return [taken[k] for k in sorted(taken)]
 
 
-def _wrapped(x: np.ndarray) -> str:
-    """Return the unit of an angle that is kept within a turn, by its jumps, or ''."""
-    x = x[np.isfinite(x)]
-    low, high = np.quantile(x, [0.001, 0.999])
-    steps = np.abs(np.diff(x))
-    for unit, turn in (('rad', 2.0 * np.pi), ('deg', 360.0)):
-        jumps = (0.8 * turn < steps) & (steps < 1.01 * turn)
-        if high - low < 1.01 * turn and jumps.any() and (steps[~jumps] < 0.5 * turn).all():
-            return unit
-    return ''
-
-
-def _unit(path: Path, one: Column, x: np.ndarray) -> dict[str, str]:
-    """Return the name of a coordinate with the unit that its range tells; {} for rad and m."""
-    if one.unit or one.kind not in _MOST or (
-            np.nanquantile(np.abs(x), 0.99) <= _MOST[one.kind]):
-        return {}
+def _unit(one: Column, x: np.ndarray, doubts: list[str]) -> str:
+    """Return the likely unit of a coordinate without one, '' if its range is that of rad or m."""
+    if one.unit or one.kind not in _MOST or np.nanquantile(np.abs(x), 0.99) <= _MOST[one.kind]:
+        return ''
     other = 'deg' if one.kind == ANGLE else 'mm'
-    if one.kind == ANGLE and (unit := _wrapped(x)):
-        return {one.name: f'{one.name} [{unit}]'}
-    raise DataError(f'{path}: {one.name!r} goes from {np.nanmin(x):.4g} to {np.nanmax(x):.4g}, in '
-                    f"{one.kind} or {other}; name the column '{one.name} [{one.kind}]' or "
-                    f"'{one.name} [{other}]'")
+    doubts.append(f'{one.name!r} goes from {np.nanmin(x):.4g} to {np.nanmax(x):.4g}, in '
+                  f'{one.kind} or {other}')
+    # A whole turn at most: of an angle that is kept within it.
+    return one.kind if one.kind == ANGLE and np.nanmax(x) <= 2.0 * np.pi else other
 
 
-def _rate_unit(name: str, kind: str, t: np.ndarray, x: np.ndarray, v: np.ndarray
-               ) -> dict[str, str]:
-    """Return the name of a velocity with the unit in which it is the rate of x; {} if it is SI."""
-    moved, rates = np.diff(x), 0.5 * (v[1:] + v[:-1]) * np.diff(t)
-    good = np.isfinite(rates) & (np.abs(moved) <= 5.0 * np.quantile(np.abs(moved), 0.9))
-    ratio = moved[good] @ rates[good] / max(rates[good] @ rates[good], 1e-300)
-    for unit in {ANGLE: ('rad/s', 'deg/s', 'rpm'), LENGTH: ('m/s', 'mm/s', 'cm/s')}.get(kind, ()):
-        if abs(ratio / _size(f'v [{unit}]') - 1.0) < _RATIO:
-            return {} if unit in ('rad/s', 'm/s') else {name: f'{name} [{unit}]'}
-    return {}
+def _turns(t: np.ndarray, x: np.ndarray) -> bool:
+    """Return whether an angle [rad] makes a whole turn."""
+    x = x[np.isfinite(t) & np.isfinite(x)]
+    return bool(np.ptp(unwrapped(np.arange(len(x)), x)) > 2.0 * np.pi)

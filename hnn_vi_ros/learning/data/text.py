@@ -3,11 +3,10 @@
 """Read motions from text files with one row of numbers per sample."""
 
 from array import array
-import codecs
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 import csv
-from itertools import islice
+from itertools import chain, islice, pairwise, zip_longest
 import os
 from pathlib import Path
 import re
@@ -39,8 +38,8 @@ COLUMN = 'column {}'
 # Nanoseconds of a stamp of ROS, such as header.stamp.nanosec.
 _NANOSECONDS = re.compile(r'(|.*[^a-z])(?:nanosec|nsec)s?', re.IGNORECASE)
 _DATE = re.compile(r'\d+[-/:.]\d+[-/:.]\d.*')
-_COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?")
+_DIGITS = re.compile(r"[+-]?\d*[,.' ]\d[\d,.' ]*(e[+-]?\d+)?", re.IGNORECASE)
+_SWAPPED = str.maketrans('.,', ',.')
 # Whitespace comes last because it also splits at the space after a comma.
 _SEPARATORS: dict[str, str | None] = {
     'comma': ',', 'semicolon': ';', 'tab': '\t', 'whitespace': None}
@@ -55,6 +54,8 @@ class LogFormat(StrictModel):
     """Format of a log, a text file with one row of numbers per sample."""
 
     path: str = Field('', max_length=4096, description='log file; --data FILE overrides it')
+    encoding: Literal['utf-8', 'utf-16', 'cp1252'] = Field(
+        'utf-8', description='encoding of the text')
     delimiter: Literal['whitespace', 'comma', 'semicolon', 'tab'] | None = Field(
         None, description='delimiter; default: the one that splits the rows into most numbers')
     comment: str = Field('#', min_length=1, description=(
@@ -294,13 +295,12 @@ class Table(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Encoding and delimiter of a log, its columns, if known, and the line of its first row."""
+    """Form of a log, found in its first lines."""
 
-    encoding: str
-    delimiter: str | None
-    names: Names | None
-    width: int
-    first: int
+    delimiter: str | None  # None for white space
+    decimal: str  # mark of the decimals, point or comma
+    names: Names  # those of all columns
+    first: int  # line of the first row
 
 
 def read_log(path: Path, data: LogFormat) -> Table:
@@ -324,47 +324,50 @@ def read_log(path: Path, data: LogFormat) -> Table:
         raise DataError(f'{path}: {no_file(path, "no such data file")}; pass the log with '
                         '--data FILE')
     try:
-        layout = _layout(path, data)
-        table = _read_rows(path, data, layout)
+        table = _read_rows(path, data, _layout(path, data))
     except OSError as problem:
         raise DataError(f'{path}: cannot be read: {problem.strerror}; use a smaller part of it, '
                         'or another log') from problem
     except ValueError as problem:
-        raise DataError(f'{path}:{problem}; give a log of rows of numbers') from problem
+        encoded = ', and its encoding, as in data: {kind: log, encoding: cp1252}'
+        raise DataError(f'{path}:{problem}; give a log of rows of numbers'
+                        + encoded * isinstance(problem.__cause__, UnicodeError)) from problem
     if len(table.lines) < 2:
         raise DataError(f'{path}: {len(table.lines)} rows of data, expected a longer log')
     return table
 
 
+def _lines(path: Path, data: LogFormat) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a log, each with its number."""
+    return text_lines(path, MAX_BYTES,
+                      'utf-8-sig' if data.encoding == 'utf-8' else data.encoding)
+
+
 def _read_rows(path: Path, data: LogFormat, layout: Layout) -> Table:
     # Stored as 8-byte numbers: lists of lists would take ten times the size of the log.
     numbers, lines, notes = array('d'), array('q'), list[str]()
-    names = layout.names or [COLUMN.format(k + 1) for k in range(layout.width)]
-    stamps = _stamps(names)
-    reader = _Reader(path, names, [*(data.used or names), *stamps.values()], layout.delimiter,
-                     strict=bool(data.used))
-    whole, last, before, decimals = _ends_with_line_break(path), None, MAX_BYTES, 0
-    # The last row is read when it is known to be the last: it may be truncated.
-    for number, line in text_lines(path, MAX_BYTES, layout.encoding):
-        if number < layout.first or not line.strip() or line.lstrip().startswith(data.comment):
-            continue
-        if last is not None:
-            numbers.extend(reader.row(*last))
-            lines.append(last[0])
-            before = min(before, decimals)
-        last, decimals = (number, line), 0 if whole else _decimals(line, layout.delimiter)
-    if last is not None:
+    names, stamps = layout.names, _stamps(layout.names)
+    used = {*(data.used or names), *stamps.values()}
+    rows = (row for row in _lines(path, data) if row[0] >= layout.first
+            and row[1].strip() and not row[1].lstrip().startswith(data.comment))
+    closed, least = _ends_with_line_break(path), MAX_BYTES
+    for (number, line), (after, _) in pairwise(chain(rows, [(0, '')])):
+        complete = closed or after > 0
         try:
-            row = reader.row(*last)
+            row = _row(f'{path}:{number}', line, layout, used, strict=bool(data.used))
         except DataError:
-            if whole or not lines:
+            if complete or not lines:
                 raise
             row = []
-        if row and (whole or decimals >= before):
-            numbers.extend(row)
-            lines.append(last[0])
+        # A truncated row lacks columns, or digits of its last number.
+        decimals = 0 if closed else len(line.rsplit(layout.delimiter, 1)[-1].rstrip('"').partition(
+            layout.decimal)[2])
+        if not complete and (not row or decimals < least):
+            notes.append(f'line {number}, the last one, is truncated')
         else:
-            notes.append(f'line {last[0]}, the last one, is truncated')
+            numbers.extend(row)
+            lines.append(number)
+            least = min(least, decimals)
     table = np.array(numbers).reshape(len(lines), -1)
     for whole_seconds, parts in stamps.items():
         table[:, names.index(whole_seconds)] += 1e-9 * table[:, names.index(parts)]
@@ -384,29 +387,6 @@ def _ends_with_line_break(path: Path) -> bool:
         return stream.read().rstrip(b'\0')[-1:] in (b'\n', b'\r')  # UTF-16 has zeros after them
 
 
-def _decimals(line: str, mark: str | None) -> int:
-    """Return the number of decimals of the last number in a line."""
-    return len(re.split('[.,]', line.rsplit(mark, 1)[-1] + '.', maxsplit=1)[1].rstrip('."'))
-
-
-def _encoding(path: Path) -> str:
-    """Return the encoding of a text file: UTF-8, or UTF-16 or cp1252 of other systems."""
-    decoder = codecs.getincrementaldecoder('utf-8')()
-    with limited(path, MAX_BYTES) as stream:
-        part = stream.read(1 << 20)
-        if part[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
-            return 'utf-16'
-        if b'\0' in part[:2]:
-            return 'utf-16-be' if part[:1] == b'\0' else 'utf-16-le'
-        try:
-            while part:
-                decoder.decode(part)
-                part = stream.read(1 << 20)
-        except UnicodeDecodeError:
-            return 'cp1252'
-    return 'utf-8-sig'
-
-
 def _fields(line: str, mark: str | None) -> list[str]:
     # Limit the splits: a line may be as long as the file.
     fields = line.split(mark, _MOST_COLUMNS)
@@ -417,56 +397,6 @@ def _fields(line: str, mark: str | None) -> list[str]:
     return [field.strip().strip('"\'') for field in fields]
 
 
-def _is_number(field: str) -> bool:
-    return abs(plain_number(field)) <= MAX_VALUE or bool(_COMMA.fullmatch(field))
-
-
-def _layout(path: Path, data: LogFormat) -> Layout:
-    """Find out how a log is written, from its first lines."""
-    encoding, head, size = _encoding(path), list[tuple[int, str]](), 0
-    for number, line in islice(text_lines(path, MAX_BYTES, encoding), _MOST_HEAD):
-        head += [(number, line)] * bool(line.strip())
-        size += len(line)
-        if size > LONGEST_LINE:
-            break
-    rows = [line for _, line in head if not line.lstrip().startswith(data.comment)][-_ROWS:]
-
-    def split(line: str, mark: str | None) -> list[bool | None]:
-        return [None if field.lower() in _MISSING else _is_number(field)
-                for field in _fields(line, mark)]
-
-    def score(name: str) -> tuple[bool, int, int]:
-        found = [split(line, _SEPARATORS[name]) for line in rows]
-        numbers = [sum(map(bool, row)) for row in found]
-        return (sum(numbers) >= 2 * sum(map(bool, numbers)) > 0,
-                -sum(row.count(False) for row in found), sum(numbers))
-    best = max(_SEPARATORS, key=score)
-    mark = _SEPARATORS[data.delimiter or best]
-    sample = [row for line in rows if any(row := split(line, mark))]
-    first = next((at for at, (_, line) in enumerate(head) if not line.lstrip().startswith(
-        data.comment) and any(row := split(line, mark)) and (
-            row[0] is not False or sample[-1][0] is False)), None)
-    if first is None:
-        split_by = f', split by {data.delimiter}; set data.delimiter: {best}' \
-            if data.delimiter and score(best)[0] else ''
-        raise DataError(f'{path}: no rows of numbers{split_by or "; give one for each sample"}')
-    width = len(_trimmed(_fields(head[first][1], mark)))
-    above = list[tuple[int, list[str]]]()
-    for number, line in head[:first]:
-        text = _uncommented(line, data.comment)
-        # Programs write comments with spaces above rows with other delimiters.
-        spaced = text != line.strip() and len(text.split()) == width
-        above.append((number, text.split() if spaced else _fields(text, mark)))
-    return Layout(encoding, mark, _header(path, data, above, width, mark), width,
-                  head[first][0])
-
-
-def _uncommented(line: str, comment: str) -> str:
-    """Return a line without the prefix of a comment."""
-    line = line.strip()
-    return line.removeprefix(comment if line.startswith(comment) else '% ').strip()
-
-
 def _trimmed(fields: list[str], least: int = 0) -> list[str]:
     """Return fields without empty ones at the end, which separators there make."""
     while len(fields) > least and not fields[-1]:
@@ -474,23 +404,99 @@ def _trimmed(fields: list[str], least: int = 0) -> list[str]:
     return fields
 
 
-def _header(path: Path, data: LogFormat, above: list[tuple[int, list[str]]], width: int,
-            mark: str | None) -> Names | None:
-    """Return the names of the columns, given the lines above the rows; None if there are none."""
-    lines = [(number, names) for number, fields in above
-             if len(names := _trimmed(fields)) >= max(2, width)
-             or (mark == ',' and 2 * len(names) == width > 2)
-             or (data.used and {*data.used} <= {*names})]
-    units = lines[-1][1] if len(lines) > 1 and all(
-        parsed(field.strip('[]()')) for field in lines[-1][1] if field) else []
-    number, names = lines[-2 if units else -1] if lines else (1, [])
-    if units:
-        units += (len(names) - len(units)) * ['']
-        names = [f'{name} [{unit.strip("[]()")}]' if unit and not split_unit(name)[1] else name
-                 for name, unit in zip(names, units, strict=True)]
+def _number(field: str, decimal: str) -> float:
+    """Return a number with this decimal mark; NaN for others, for words and for huge numbers."""
+    value = plain_number(field if decimal == '.' else field.translate(_SWAPPED))
+    return value if abs(value) <= MAX_VALUE else np.nan
+
+
+def _row(where: str, line: str, layout: Layout, used: set[str], strict: bool) -> list[float]:
+    """Return the numbers of a line; raise DataError for words in used columns if `strict`."""
+    names, row = layout.names, list[float]()
+    fields = _trimmed(_fields(line, layout.delimiter), len(names))
+    if len(fields) != len(names):
+        more = ' or more' * (len(fields) > _MOST_COLUMNS)
+        raise DataError(f'{where}: {len(fields)} columns{more}, expected {len(names)}: '
+                        f'{listed(names)}')
+    for name, field in zip(names, fields, strict=True):
+        if name not in used or field.lower() in _MISSING:
+            row.append(np.nan)
+            continue
+        row.append(_number(field, layout.decimal))
+        if row[-1] == row[-1]:
+            continue
+        digits = bool(_DIGITS.fullmatch(field))
+        if strict or digits:
+            remedy = 'remove separators of thousands, and use one decimal mark' if digits else \
+                'convert times to seconds from the start' if _DATE.fullmatch(field) else \
+                'remove the row'
+            raise DataError(f'{where}: column {len(row)} ({name}): expected a finite number, '
+                            f'found {field[:40]!r}; {remedy}')
+    return row
+
+
+def _layout(path: Path, data: LogFormat) -> Layout:
+    """Find out how a log is written, from its first lines."""
+    head, size = list[tuple[int, str]](), 0
+    for number, line in islice(_lines(path, data), _MOST_HEAD):
+        head += [(number, line)] * bool(line.strip())
+        size += len(line)
+        if size > LONGEST_LINE:
+            break
+    rows = [line for _, line in head if not line.lstrip().startswith(data.comment)][-_ROWS:]
+
+    def is_number(field: str) -> bool | None:
+        return None if field.lower() in _MISSING else any(
+            _number(field, decimal) == _number(field, decimal) for decimal in '.,')
+
+    def kinds(line: str, mark: str | None) -> list[bool | None]:
+        return list(map(is_number, _fields(line, mark)))
+
+    def score(name: str) -> tuple[bool, int, int]:
+        found = [kinds(line, _SEPARATORS[name]) for line in rows]
+        numbers = [sum(map(bool, row)) for row in found]
+        return (sum(numbers) >= 2 * sum(map(bool, numbers)) > 0,
+                -sum(row.count(False) for row in found), sum(numbers))
+    best = max(_SEPARATORS, key=score)
+    mark = _SEPARATORS[data.delimiter or best]
+    sample = [row for line in rows if any(row := kinds(line, mark))]
+    first = next((at for at, (_, line) in enumerate(head) if sample
+                  and not line.lstrip().startswith(data.comment) and any(row := kinds(line, mark))
+                  and (row[0] is not False or sample[-1][0] is False)), None)
+    if first is None:
+        split_by = f', split by {data.delimiter}; set data.delimiter: {best}' \
+            if data.delimiter and score(best)[0] else ''
+        raise DataError(f'{path}: no rows of numbers{split_by or "; give one for each sample"}')
+    fields = [field for line in rows for field in _fields(line, mark)]
+    decimal = max('.,', key=lambda mark: sum(
+        mark in field and bool(is_number(field)) for field in fields))
+    above = [(number, line.strip().removeprefix(data.comment).removeprefix('% ').strip())
+             for number, line in head[:first]]
+    width = len(_trimmed(_fields(head[first][1], mark)))
+    return Layout(mark, decimal, _names(path, data, above, mark, width), head[first][0])
+
+
+def _names(path: Path, data: LogFormat, above: list[tuple[int, str]], mark: str | None,
+           width: int) -> Names:
+    """Return the names of the columns, given the lines above the rows."""
+    lines = [(number, _trimmed(_fields(text, mark))) for number, text in above]
+    lines = [(number, names) for number, names in lines if len(names) >= max(2, width)
+             or (data.used and {*data.used} <= {*names})] or [
+        (number, text.split()) for number, text in above if len(text.split()) == width]
+    number, names = lines[-1] if lines else (1, [])
+    half = [number for number, text in above if 2 * len(_fields(text, mark)) == width > 2]
+    if mark == ',' and half and not names and data.columns is None:
+        raise DataError(f'{path}:{half[-1]}: {width // 2} names for {width} columns; are decimals '
+                        'written with commas? Write points, or separate columns by semicolons')
+    if len(lines) > 1 and all(parsed(field.strip('[]()')) for field in names if field):
+        units = [unit.strip('[]()') for unit in names]
+        number, names = lines[-2]
+        names = [f'{name} [{unit}]' if unit and not split_unit(name)[1] else name
+                 for name, unit in zip_longest(names, units[:len(names)], fillvalue='')]
     if data.columns is not None:
         moved = [name for k, name in enumerate(names) if name in data.columns
-                 and data.columns.index(name) != k and len(names) == len(data.columns)]
+                 and data.columns.index(name) != k and names.count(name) == 1
+                 and len(names) == len(data.columns)]
         if moved:
             raise DataError(f'{path}:{number}: data.columns has {moved[0]} at another place than '
                             f'the header: {listed(names)}; correct one of them')
@@ -507,51 +513,4 @@ def _header(path: Path, data: LogFormat, above: list[tuple[int, list[str]]], wid
         raise DataError(f'{path}:{number}: no column {name!r}{did_you_mean(name, names)} in the '
                         f'header: {listed(names)}; name the columns in data.columns, or set '
                         'data.delimiter')
-    return names or None
-
-
-class _Reader:
-    """Reader of the rows of a log; `strict` if words in used columns are errors."""
-
-    def __init__(self, path: Path, names: Names, used: Sequence[str], mark: str | None,
-                 strict: bool):
-        self._path, self._names, self._used, self._mark = path, names, {*used}, mark
-        self._strict, self._decimal = strict, ''
-
-    def row(self, number: int, line: str) -> list[float]:
-        """Return the numbers of a line; raise DataError for fields that are none."""
-        names = self._names
-        fields = _trimmed(_fields(line, self._mark), len(names))
-        if len(fields) != len(names):
-            more = ' or more' * (len(fields) > _MOST_COLUMNS)
-            comma = '; are decimals written with commas? Write points, or separate columns by ' \
-                'semicolons' if self._mark == ',' and len(fields) == 2 * len(names) else ''
-            raise DataError(f'{self._path}:{number}: {len(fields)} columns{more}, expected '
-                            f'{len(names)}: {listed(names)}{comma}')
-        # Unused columns may hold anything.
-        return [np.nan if name not in self._used or field.lower() in _MISSING else
-                self._number(number, i, field)
-                for i, (field, name) in enumerate(zip(fields, names, strict=True))]
-
-    def _number(self, number: int, index: int, field: str) -> float:
-        value, decimal = plain_number(field), '.' if '.' in field else ''
-        if abs(value) <= MAX_VALUE and decimal == self._decimal:
-            return value
-        if _COMMA.fullmatch(field):
-            value, decimal = plain_number(field.replace(',', '.')), ','
-        thousands = _THOUSANDS.fullmatch(field)
-        if not abs(value) <= MAX_VALUE and not self._strict and not thousands:
-            return np.nan
-        remedy = 'remove the row'
-        if decimal and self._decimal and decimal != self._decimal:
-            value, remedy = np.nan, 'other numbers have another decimal mark; use one of them'
-        self._decimal = self._decimal or decimal
-        if not abs(value) <= MAX_VALUE:
-            if _DATE.fullmatch(field):
-                remedy = 'convert times to seconds from the start'
-            elif thousands:
-                remedy = 'remove the separators of thousands'
-            raise DataError(
-                f'{self._path}:{number}: column {index + 1} ({self._names[index]}): expected a '
-                f'finite number, found {field[:40]!r}; {remedy}')
-        return value
+    return names or [COLUMN.format(k + 1) for k in range(width)]
