@@ -38,29 +38,10 @@ def joint_names(path: Path) -> list[str]:
 
     Joints that follow others are left out where ~/state of a simulator shows which have momenta.
     """
-    try:
-        bag = BagReader(path)
-    except RecordingError as problem:
-        raise DataError(str(problem)) from problem
-    names = _first_names(bag, 'joint_states')
-    if not names:
-        raise DataError(f'{path}: no joint_states; name the topics in a configuration')
-    known = set(_first_names(bag, '/state'))
-    return [name for name in names if MOMENTUM + name in known] or names
-
-
-def _first_names(bag: BagReader, ending: str) -> list[str]:
-    """Return the names in the first joint states on a topic with this ending; none without it."""
-    for number, channel in bag.channels.items():
-        schema = bag.schemas.get(number)
-        if schema is not None and schema.name == JOINT_STATE and channel.topic.endswith(ending):
-            for message in bag.messages([number]):
-                try:
-                    return list(decode_joint_state(message.data).names)
-                except (ValueError, UnicodeDecodeError) as problem:
-                    raise DataError(f'{bag.path}: {channel.topic} cannot be read: {problem}'
-                                    ) from problem
-    return []
+    reader = SignalReader(path, ())
+    names, state = reader.names_in('joint_states'), reader.state_topic()
+    momenta = () if state is None else reader.names_in(state)
+    return [name for name in names if MOMENTUM + name in momenta] or names
 
 
 @final
@@ -132,12 +113,14 @@ class SignalReader:
 
     def is_state(self, topic: str) -> bool:
         """Return whether a topic is the ~/state of a simulator with the joints."""
-        _, kind, messages = self._found(topic)
+        names = self.names_in(topic) if self.type_of(topic) == JOINT_STATE else []
+        return bool(names) and {MOMENTUM + joint for joint in self._joints} <= {*names}
+
+    def names_in(self, topic: str) -> list[str]:
+        """Return the names in the first joint states of a topic."""
+        name, _, messages = self._found(topic, JOINT_STATE)
         first = next(messages, None)
-        if first is None or kind != JOINT_STATE:
-            return False
-        names = self._decoded(topic, first, decode_joint_state).names
-        return {MOMENTUM + joint for joint in self._joints} <= set(names)
+        return [] if first is None else list(self._decoded(name, first, decode_joint_state).names)
 
     def check_resets(self, state: str) -> None:
         """
