@@ -287,7 +287,8 @@ def _state(state: State | None) -> dict[str, list[float]] | None:
         state = state['q'], state[names[1]]
     if not isinstance(state, Sequence | np.ndarray) or isinstance(state, str) or len(state) != 2:
         raise TypeError('initial_state must be a pair of coordinates q and momenta p, such as '
-                        f"([1.0], [0.0]) or {{'q': [1.0], 'p': [0.0]}}, not {state!r:.60}")
+                        "([1.0], [0.0]) or {'q': [1.0], 'p': [0.0]}, or have velocities v, as "
+                        f"{{'q': [1.0], 'v': [0.0]}}, not {state!r:.60}")
     return {name: check_numbers(f'{name} of initial_state', part).tolist()
             for name, part in zip(names, state, strict=True)}
 
