@@ -444,7 +444,8 @@ class DifferentiableSimulation:
     """
 
     def __init__(self, scene: Scene | str | Path, parameters: Sequence[str] = ()):
-        self._scene, _ = resolve(scene if isinstance(scene, Scene) else load_scene(scene))
+        self._parts = resolve(scene if isinstance(scene, Scene) else load_scene(scene))
+        self._scene = self._parts.scene
         if self._scene.events:
             raise ValueError('events are not differentiable yet: remove the events of '
                              f'{self._scene.name}')
@@ -452,7 +453,6 @@ class DifferentiableSimulation:
         self._weights = [name for name in parameters if name.startswith('hamiltonian.')
                          and isinstance(self._scene.hamiltonian, LearnedChoice)]
         self._names = [name for name in parameters if name not in self._weights]
-        self._parts = self._scene.parts()
         inside = check_in_files(self._parts, self._names)
         check_names(self._scene, [name for name in self._names if name not in inside])
         if self._weights:

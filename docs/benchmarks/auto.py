@@ -9,6 +9,7 @@ from benchmarks.choosing import cheapest, problem_of, Way
 from benchmarks.measurement import Contestant, race, Row, Settings
 from hnn_vi_ros.simulation import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.simulation.accuracy.automatic_choice import calibrate
+from hnn_vi_ros.simulation.accuracy.trials import CalibrationTask
 
 _PAIRS = (
     ('exact_pendulum', Tolerance('energy_error', 1e-3, 200.0)),
@@ -25,7 +26,7 @@ def rows(settings: Settings) -> Iterator[Row]:
     for name, tolerance in _PAIRS:
         settings.say(f'{name}, {tolerance.kind} {tolerance.error:g}')
         problem = problem_of(name)
-        choice = calibrate(problem, tolerance)
+        choice = calibrate(CalibrationTask(problem, tolerance))
         chosen = Method(choice.method, choice.arguments)
         ways = [Way(method, h, cost, _run(problem, method, h, tolerance.horizon))
                 for method, h, cost in swept(

@@ -23,7 +23,8 @@ from benchmarks.systems import System, systems
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.simulation.accuracy.automatic_choice import calibrate
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, Method, Tolerance, work
+from hnn_vi_ros.simulation.accuracy.trials import (
+    CalibrationTask, InitialValueProblem, Method, Tolerance, work)
 import numpy as np
 from scipy.integrate import solve_ivp
 from studies.results import commit, machine
@@ -229,7 +230,7 @@ def row(name: str, system: System, kind: str, error: float, periods: float) -> R
     truth = Truth(problem, tolerance.horizon)
     begin = time.perf_counter()
     try:
-        choice = calibrate(problem, tolerance)
+        choice = calibrate(CalibrationTask(problem, tolerance))
     except CalibrationError as refusal:
         taken = time.perf_counter() - begin
         chosen = f'refused: {refusal}', math.nan, math.nan, math.nan

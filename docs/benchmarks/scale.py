@@ -18,7 +18,7 @@ from benchmarks.measurement import (
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
+from hnn_vi_ros.simulation.trajectory.many import simulate_many
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan

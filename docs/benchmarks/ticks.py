@@ -9,7 +9,7 @@ from hnn_vi_ros.ros.topics.outputs import ConfiguredRun
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run import Monitor, preview_bounds, Sampler, scene_report
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import make_guards, SampledScale, Simulation
+from hnn_vi_ros.simulation import make_guards, RunFacts, Simulation
 from rclpy.node import Node
 
 _LIMITS = 0.05, 0.02
@@ -38,11 +38,11 @@ class Ticks:
 
     def __init__(self, node: Node, scene: Scene, simulation: Simulation, sampler: Sampler,
                  recording: dict[str, str], watched: bool):
-        box, scale = preview_bounds(simulation, 1.0), SampledScale(simulation.hamiltonian)
+        box, facts = preview_bounds(simulation, 1.0), RunFacts(simulation, *_LIMITS)
         self.sampler, self.topics = sampler, Topics(node, parameters.Settings())
-        guards = make_guards(simulation, scale, *_LIMITS, simulation.hamiltonian.barrier)
+        guards = make_guards(facts)
         self.monitor = Monitor(simulation, sampler.every, sampler.tick, None,
-                               lambda text, first: None, guards if watched else (), scale)
+                               lambda text, first: None, guards if watched else (), facts.scale)
         self.topics.open(ConfiguredRun(simulation, self.monitor, box, scene.mechanism), lambda: 0,
                          lambda topic, stamp, payload: None)
         self.recording = RunRecording(

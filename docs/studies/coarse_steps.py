@@ -22,7 +22,7 @@ from hnn_vi_ros.files import Parser
 from hnn_vi_ros.hamiltonians import Formula, Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import Condition
-from hnn_vi_ros.simulation import record_one, Simulation
+from hnn_vi_ros.simulation import record_one, Schedule, Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -146,7 +146,7 @@ class Judge:
         # Guards report diverging runs.
         with np.errstate(all='ignore'):
             try:
-                found = record_one(simulation, steps * step_size, 1)
+                found = record_one(simulation, Schedule(steps, 1, np.empty(0)))
             except StepFailure as failure:
                 return Run(self.name, method, step_size, math.inf, math.inf, [], expected,
                            [type(failure).__name__])

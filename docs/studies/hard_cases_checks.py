@@ -226,7 +226,7 @@ def run_counts(job: Job) -> Measured:
                 _draw_energies(job, energies - start, measured)
             return measured
         energies = energies_of(simulation, q, p)
-        watch.show(simulation, np.arange(1, job.steps + 1), (q, p), energies, job.steps)
+        watch.show(np.arange(1, job.steps + 1), (q, p), energies, job.steps)
     _note(measured, simulation, q, p)
     summarise(energies[0] - start, measured)
     measured.alarms = watch.alarms

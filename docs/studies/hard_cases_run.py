@@ -7,7 +7,7 @@ import math
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.simulation import (
-    BoxGuard, EnergyGuard, look, PoleGuard, secular_change, Simulation, Watch)
+    BoxGuard, EnergyGuard, look, PoleGuard, RunFacts, secular_change, Simulation, Watch)
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band, rounding_walk
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.simulation.guards.paths import PathGuard
@@ -85,7 +85,7 @@ def _run_all(job: Job, simulation: Simulation, measured: Measured) -> None:
             energies.append(energy - start)
             modified.append(others)
             steps = simulation.steps - stride(job) * np.arange(len(q) - 1, -1, -1)
-            watch.show(simulation, steps, (q, p), (energy, others), _WATCHED)
+            watch.show(steps, (q, p), (energy, others), _WATCHED)
             measured.residual = max(measured.residual, simulation.residual)
             measured.largest = max(measured.largest, float(np.abs([q, p]).max()))
             _look(job, q, measured)
@@ -129,8 +129,8 @@ def scale_of(simulation: Simulation) -> float:
 def watch_of(job: Job, simulation: Simulation) -> Watch:
     """Return the guards of one run, with the limits of the job."""
     kinds = _GUARDS + (_OF_PATHS if job.set_up.events else ())
-    return Watch(simulation, _barrier(job, simulation), job.guards.under_resolved,
-                 job.guards.drift, kinds)
+    simulation.hamiltonian.barrier = _barrier(job, simulation)
+    return Watch(RunFacts(simulation, job.guards.under_resolved, job.guards.drift), kinds)
 
 
 def _barrier(job: Job, simulation: Simulation) -> tuple[str, float] | None:

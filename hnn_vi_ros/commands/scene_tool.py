@@ -61,8 +61,8 @@ def check(names: Sequence[str]) -> int:
     status = 0
     for name in names:
         try:
-            scene, _ = resolve(load_scene(name))
-            parts = scene.parts()
+            parts = resolve(load_scene(name))
+            scene = parts.scene
             if scene.uncertainty is not None:
                 ensemble_card(parts)
             simulation = watched(build(parts), scene)
@@ -102,10 +102,10 @@ def explain(scene: Scene) -> Iterator[str]:
 
     """
     from hnn_vi_ros.run import measure_effects
-    from hnn_vi_ros.simulation import build, resolve, watched
+    from hnn_vi_ros.simulation import build, choose, watched
     if isinstance(scene.integrator, AutoChoice):
         print('selecting a method ...', file=sys.stderr)
-    scene, chosen = resolve(scene)
+    scene, chosen = choose(scene)
     parts = scene.parts()
     simulation = watched(build(parts), scene)
     hamiltonian, integrator = simulation.hamiltonian, simulation.integrator

@@ -61,8 +61,8 @@ class BatchStep:
         check_count('hold', hold)
         if threads is not None:
             check_count('threads', threads)
-        self.scene, _ = resolve(scene if isinstance(scene, Scene) else load_scene(scene))
-        parts = self.scene.parts().copy()
+        parts = resolve(scene if isinstance(scene, Scene) else load_scene(scene)).copy()
+        self.scene = parts.scene
         check_effects(parts.effects, parts.integrator)
         if parts.hamiltonian.rotations:
             raise UnsupportedSystem(f'{self.scene.name} has rotations, for which steps with '

@@ -25,7 +25,7 @@ from hnn_vi_ros.files import find_yaml, KeyPlaces, read_yaml, StrictModel
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import resolve, System
+from hnn_vi_ros.simulation import choose, System
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -518,7 +518,7 @@ def assign(task: str | Path, scene: str | Path | Scene = '', lockstep: bool = Fa
                 raise
             raise DataError(f'{places.place("scene")}: {problem}') from problem
     with _place_of_errors(places, 'stepping'):
-        model, _ = resolve(_scene_of_task(scene, loaded))
+        model, _ = choose(_scene_of_task(scene, loaded))
     with _place_of_errors(places, 'inputs'):
         parts = model.parts()
         System(parts.hamiltonian, parts.effects, parts.integrator)

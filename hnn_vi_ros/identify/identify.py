@@ -122,7 +122,7 @@ def main(argv: Sequence[str]) -> None:
     """Run the fit requested by the command line."""
     options = command_lines.identify().parse_args(argv)
     _check(options)
-    scene, _ = resolve(load_scene(options.scene))
+    scene = load_scene(options.scene)
     with tempfile.TemporaryDirectory() as folder:
         with elapsed('fitting'):
             found = identify(scene, options, Path(folder))
@@ -143,16 +143,16 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
     Parameters
     ----------
     scene : Scene
-        Scene with a method and a step size.
+        Scene to fit.
     options : Namespace
         Options of the command line.
     folder : Path
         Folder for temporary files of the fit.
 
     """
-    parts = scene.parts()
+    parts = resolve(scene)
     build(parts)  # checks that the parts fit each other
-    _, hamiltonian, _, effects = parts
+    scene, hamiltonian, _, effects = parts
     if hamiltonian.rotations or not hamiltonian.canonical:
         raise UnsupportedSystem(f'{scene.name}: identify supports only canonical scalar '
                                 'coordinates')

@@ -85,9 +85,9 @@ def _compile(name: str, rescue: bool) -> CompiledScene:
         with warnings.catch_warnings():
             # Warnings about the motion do not matter, because no step is simulated.
             warnings.simplefilter('ignore')
-            scene = resolve(load_scene(name))[0]
-            simulate(scene, 0.0)
-            simulation = build(scene)
+            parts = resolve(load_scene(name))
+            simulate(parts, 0.0)
+            simulation = build(parts)
             simulation.compile()
             if rescue:
                 simulation.compile_rescue()

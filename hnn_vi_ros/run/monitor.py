@@ -10,7 +10,7 @@ import time
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.run.timing import Timing
 from hnn_vi_ros.simulation import (
-    Alarm, BlockGuard, Guard, InitialValueProblem, judge, SampleBuffer, SampledScale,
+    Alarm, BlockGuard, Guard, InitialValueProblem, judge_block, SampleBuffer, SampledScale,
     secular_change, Simulation, StateGuard, time_scale, Tolerance)
 import numpy as np
 
@@ -238,7 +238,7 @@ class Monitor:
         waiting, self._waiting = self._waiting, self._room()
         of_blocks = [guard for guard in self.guards if isinstance(guard, BlockGuard)]
         of_states = [guard for guard in self.guards if isinstance(guard, StateGuard)]
-        found += [(alarm, alarm.step) for alarm in judge(of_blocks, waiting.block())]
+        found += [(alarm, alarm.step) for alarm in judge_block(of_blocks, waiting.block())]
         if waiting and self._queued is not None:
             found += _alarms_at((guard for guard in of_states if not guard.each), self._queued)
         self._each = [guard for guard in of_states if guard.each]

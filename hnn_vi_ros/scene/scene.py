@@ -222,7 +222,7 @@ class Scene(StrictModel):
         """Return the step size [s]; raise SceneError if `auto` has not chosen it yet."""
         if self.step_size is None:
             raise SceneError(f'{self.place("integrator")}: auto has not chosen a step size yet; '
-                             'automatic_choice.resolve(scene) returns a scene with one')
+                             'simulation.resolve(scene) chooses one')
         return self.step_size
 
     def parts(self) -> 'Parts':
@@ -250,7 +250,7 @@ class Scene(StrictModel):
         """
         if isinstance(self.integrator, AutoChoice):
             raise SceneError(f'{self.place("integrator")}: auto has not chosen a method yet; '
-                             'automatic_choice.resolve(scene) returns a scene with one')
+                             'simulation.resolve(scene) chooses one')
         return self._construct(INTEGRATORS, self.integrator, 'integrator')
 
     def create_effects(self) -> list[Effect]:

@@ -4,7 +4,9 @@
 """
 Simulations: compiled loops over the steps of a scene, and computations based on them.
 
-``Simulation`` advances a state; ``rescue`` retries failed steps; ``events`` locates events.
+Four steps, which simulate, simulate_many, sweeps and the node share: ``resolve`` a scene into its
+parts, ``build`` a Simulation, ``record`` samples, ``judge`` them. ``rescue`` retries failed steps;
+``events`` locates events.
 Sub-packages: ``trajectory`` (whole runs), ``accuracy`` (errors, costs, `integrator: auto`),
 ``guards`` (alarms), ``batches`` (many runs in torch), ``gradients`` (sensitivities, adjoints).
 """
@@ -15,7 +17,7 @@ from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
     from hnn_vi_ros.simulation.accuracy.automatic_choice import (
-        Choice, Chosen, problem_of, resolve, tolerance_of)
+        Choice, choose, Chosen, problem_of, tolerance_of)
     from hnn_vi_ros.simulation.accuracy.cost import CostStudy, measure_costs, MethodCost
     from hnn_vi_ros.simulation.accuracy.diagnostics import local_error, secular_change
     from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time, time_between_motions
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.batches.batch_simulation import (
         BatchSimulation, description, open_device)
     from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
-    from hnn_vi_ros.simulation.construction import build, build_at, compile_loop
+    from hnn_vi_ros.simulation.construction import build, build_at, compile_loop, resolve
     from hnn_vi_ros.simulation.dense_step import whole_steps
     from hnn_vi_ros.simulation.events import watched, WatchedSimulation
     from hnn_vi_ros.simulation.following import CommandLaw
@@ -37,19 +39,22 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.gradients.scene_run import check_in_files, Numbers, SceneRun
     from hnn_vi_ros.simulation.guards.bands import BandGuard, EnergyGuard, is_wrong
     from hnn_vi_ros.simulation.guards.base import (
-        Alarm, BlockGuard, Guard, judge, Observed, SampleBuffer, StateGuard)
+        Alarm, BlockGuard, Guard, judge_block, StateGuard)
     from hnn_vi_ros.simulation.guards.bounds import BoxGuard, SpreadGuard
+    from hnn_vi_ros.simulation.guards.facts import RunFacts
     from hnn_vi_ros.simulation.guards.poles import PoleGuard
+    from hnn_vi_ros.simulation.guards.samples import Observed, SampleBuffer
+    from hnn_vi_ros.simulation.guards.scale import SampledScale
     from hnn_vi_ros.simulation.guards.selection import make_guards
-    from hnn_vi_ros.simulation.guards.watch import look, SampledScale, show_many, Watch
+    from hnn_vi_ros.simulation.guards.watch import judge, judge_many, look, Watch
     from hnn_vi_ros.simulation.processors import (
         ignore_sigint_in_children, in_threads, usable_processors, worker_processes)
+    from hnn_vi_ros.simulation.record import check_memory, record, RunSamples, Schedule
     from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
     from hnn_vi_ros.simulation.system import System
     from hnn_vi_ros.simulation.trajectory.devices import batch_on, one_thread_each, record_on
-    from hnn_vi_ros.simulation.trajectory.record import BLOCK, check_memory, record_block, Schedule
-    from hnn_vi_ros.simulation.trajectory.simulate import (
-        changed_parts, record_one, simulate, simulate_many)
+    from hnn_vi_ros.simulation.trajectory.many import BLOCK, record_block, simulate_many
+    from hnn_vi_ros.simulation.trajectory.simulate import changed_parts, record_one, simulate
     from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 
 __getattr__, __dir__ = lazy_exports(__name__)

@@ -4,13 +4,30 @@
 
 from hnn_vi_ros.integrators import PhasePoint
 from hnn_vi_ros.models import warn_of_scheme
-from hnn_vi_ros.scene import Parts, Scene
+from hnn_vi_ros.scene import AutoChoice, Parts, Scene
 from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.rescue import Rescue
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 from numpy.typing import ArrayLike
+
+
+def resolve(scene: Scene) -> Parts:
+    """
+    Return the parts of a scene, with a method and a step size in place of `integrator: auto`.
+
+    Raises
+    ------
+    HnnViRosError
+        No method meets the tolerance, or the scene cannot be built.
+
+    """
+    if isinstance(scene.integrator, AutoChoice):
+        # Imported lazily: few scenes use `integrator: auto`.
+        from hnn_vi_ros.simulation.accuracy.automatic_choice import choose
+        scene, _ = choose(scene)
+    return scene.parts()
 
 
 def build(scene: Scene | Parts) -> Simulation:
@@ -20,7 +37,7 @@ def build(scene: Scene | Parts) -> Simulation:
     Parameters
     ----------
     scene : Scene or Parts
-        Scene with a method and a step size (``automatic_choice.resolve`` replaces auto), or its
+        Scene with a method and a step size (``resolve`` replaces auto), or its
         parts; the simulation then uses their H itself, not a copy.
 
     Raises

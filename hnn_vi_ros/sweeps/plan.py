@@ -194,13 +194,12 @@ def make_plan(definition: str | Path | Mapping[str, Any],
         beside if is_path('scene', sweep.scene) and beside.is_file() else sweep.scene)
     if chosen is not None and isinstance(scene.integrator, AutoChoice):
         scene = scene.changed({name: chosen[name] for name in ('step_size', 'integrator')})
-    scene, _ = resolve(scene)
-    made = scene.parts()
+    made = resolve(scene)
     axes = [make_axis(axis, sweep.seed, number, folder, places.place('vary', number))
             for number, axis in enumerate(sweep.vary)]
     plan = SweepPlan(sweep, folder, made, axes, [], device)
     for number, axis in enumerate(axes):
-        plan.parts.extend(find_key(scene, key, plan.names, places.place('vary', number))
+        plan.parts.extend(find_key(made.scene, key, plan.names, places.place('vary', number))
                           for key in axis.keys)
     _check(plan, places.where)
     return plan

@@ -13,7 +13,7 @@ from hnn_vi_ros.files import one_line
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.scene import load_code, Parts, with_values
 from hnn_vi_ros.simulation import (
-    Alarm, build_at, record_block, record_one, Schedule, show_many, System, time_between_motions,
+    Alarm, build_at, judge_many, record_block, record_one, Schedule, System, time_between_motions,
     Trajectory, watched, whole_steps)
 from hnn_vi_ros.sweeps.definition import Reduction
 from hnn_vi_ros.sweeps.plan import SweepPlan
@@ -325,18 +325,17 @@ class CachedScene:
     def together(self, indices: list[int], rows: list[tuple[Any, ...]]) -> Trajectory:
         """Return trajectories stepped together: q and p of shape (n, m, d)."""
         q, p = self.states(rows)
-        schedule = Schedule.until(
-            self._plan.sweep.duration, self._every, self.parts.scene.known_step_size, q.size)
-        q_all, p_all, alarms_of = record_block(
-            self._simulation('block', q, p), q, p, indices[0], schedule)
-        return self._several(schedule.times(self.parts.scene.known_step_size), q_all, p_all,
+        simulation = self._simulation('block', q, p)
+        schedule = Schedule.until(self._plan.sweep.duration, self._every, simulation)
+        q_all, p_all, alarms_of = record_block(simulation, q, p, indices[0], schedule)
+        return self._several(schedule.times(simulation.step_size), q_all, p_all,
                              [[*alarms_of] for _ in rows])
 
     def _several(self, t: np.ndarray, q: np.ndarray, p: np.ndarray,
                  alarms: list[list[Alarm]]) -> Trajectory:
         # A simulation of a single trajectory evaluates the energy of all of them.
         one = self._simulation('first', q[0, :1], p[0, :1])
-        energy = show_many(one, t / one.step_size, q, p, alarms)
+        energy = judge_many(one, t, q, p, alarms)
         return Trajectory(t, q, p, energy, self.parts.hamiltonian.coordinates,
                           tuple(map(tuple, alarms)), scene=self.parts.scene)
 
@@ -373,8 +372,8 @@ class CachedScene:
         simulation = self._simulation('alone', q[0], p[0])
         # Each index has its own noise stream.
         simulation.restart(q[0], p[0], stream=index)
-        return replace(record_one(simulation, self._plan.sweep.duration, self._every),
-                       scene=self.parts.scene)
+        schedule = Schedule.until(self._plan.sweep.duration, self._every, simulation)
+        return replace(record_one(simulation, schedule), scene=self.parts.scene)
 
     def _simulation(self, name: str, q: np.ndarray, p: np.ndarray) -> Any:
         """Return a cached simulation, created at the first use from this state."""

@@ -10,7 +10,7 @@ from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.run import joints_of
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import build, look, Simulation, Watch
+from hnn_vi_ros.simulation import build, look, RunFacts, Simulation, Watch
 from hnn_vi_ros.simulation.guards.steps import StiffnessGuard
 from messages import refused
 import numpy as np
@@ -156,7 +156,7 @@ def test_drive_that_cannot_be_is_refused_in_a_line(tmp_path, drives: str):
 @pytest.mark.parametrize('stiffness', [1e12, 1e300])
 def test_gear_of_any_stiffness_runs_with_an_alarm_or_stops(lever, stiffness: float):
     simulation = plain(lever(stiffness=stiffness))
-    watch = Watch(simulation, None, kinds=(StiffnessGuard,))
+    watch = Watch(RunFacts(simulation), (StiffnessGuard,))
     watch.update(look(simulation))
     assert [alarm.kind for alarm in watch.alarms] == ['stiffness not resolved']
 
@@ -201,7 +201,7 @@ def test_guard_names_a_gear_that_steps_do_not_resolve(lever):
     omega = np.sqrt(STIFFNESS * (1.0 / ARM + 1.0 / ROTOR))
     for reach, known in ((0.9, []), (1.1, [pytest.approx(1.1)])):
         simulation = plain(lever(step=reach / omega, backlash=0.02))
-        watch = Watch(simulation, None, kinds=(StiffnessGuard,))
+        watch = Watch(RunFacts(simulation), (StiffnessGuard,))
         watch.update(look(simulation))
         assert [alarm.value for alarm in watch.alarms] == known
 

@@ -14,7 +14,8 @@ from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Formula, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import numbers_of
-from hnn_vi_ros.simulation import Change, DifferentiableRun, look, Simulation, System, Watch
+from hnn_vi_ros.simulation import (
+    Change, DifferentiableRun, look, RunFacts, Simulation, System, Watch)
 from messages import refused
 import numpy as np
 import pytest
@@ -305,7 +306,7 @@ def test_guard_names_bristles_that_steps_do_not_resolve_once():
     for h in (0.03, 0.05):
         simulation = plain_run(free('x'), 'implicit_midpoint', h, [0.0], [0.0],
                                bristles(bristle_damping=1.0))
-        watch = Watch(simulation, None)
+        watch = Watch(RunFacts(simulation))
         for _ in range(2):
             watch.update(look(simulation))
         alarms.append(watch.alarms)

@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.tasks.selection import (
     best_of, Candidate, held_out, OF_VELOCITIES, RIGID, selected)
 from hnn_vi_ros.models.domain import CandidateCard, Domain, DomainCard
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
-from hnn_vi_ros.simulation.guards.base import GuardState
+from hnn_vi_ros.simulation.guards.samples import GuardState
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from machines import machine_config
 import numpy as np

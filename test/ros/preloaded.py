@@ -11,7 +11,7 @@ import inspect
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.run import Monitor, Sampler
-from hnn_vi_ros.simulation import build, make_guards, SampledScale
+from hnn_vi_ros.simulation import build, make_guards, RunFacts
 
 # Each fork runs the main module of the tests again, which imports pytest.
 for name in ('pytest', 'hnn_vi_ros.recording.bags.mcap_sink', 'hnn_vi_ros.control.planning',
@@ -21,9 +21,9 @@ for name in ('pytest', 'hnn_vi_ros.recording.bags.mcap_sink', 'hnn_vi_ros.contro
     import_module(name)
 simulation = build(load_scene('exact_harmonic_oscillator'))
 simulation.compile_rescue()
-scale = SampledScale(simulation.hamiltonian)
+facts = RunFacts(simulation)
 monitor = Monitor(simulation, 1, 0.01, None, lambda text, first: None,
-                  make_guards(simulation, scale, 0.05, 0.02, None), scale)
+                  make_guards(facts), facts.scale)
 monitor.watch(Sampler(simulation, 100.0).sample())
 monitor.advance(1)
 # The first line of a log looks up the file of each module, which inspect remembers.

@@ -20,11 +20,11 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, Status, WARN
 from hnn_vi_ros.run import OverrunGuard, Pacer, Sampler
 from hnn_vi_ros.simulation import (
-    Alarm, BoxGuard, build, EnergyGuard, Guard, make_guards, PoleGuard, Simulation)
+    Alarm, BoxGuard, build, EnergyGuard, Guard, make_guards, PoleGuard, RunFacts, Simulation)
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
-from hnn_vi_ros.simulation.guards.base import SampleBlock
 from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard
-from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT
+from hnn_vi_ros.simulation.guards.facts import BAND_LIMIT, CHANGE_LIMIT
+from hnn_vi_ros.simulation.guards.samples import SampleBlock
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
 import numpy as np
 from peer import hearing, values_of
@@ -177,7 +177,7 @@ PLACED = [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, PathGuard, Pole
       RescueGuard]),
 ], ids=['oscillator', 'pendulum', 'henon_heiles', 'damped', 'joined', 'learned'])
 def test_guards_are_those_that_the_scene_calls_for(simulation, expected):
-    guards = make_guards(simulation, fixed(1.0), 0.05, 0.02, simulation.hamiltonian.barrier)
+    guards = make_guards(RunFacts(simulation))
     assert [type(guard) for guard in guards] == expected
 
 

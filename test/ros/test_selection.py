@@ -8,7 +8,7 @@ from pathlib import Path
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.run.preparation import choice_lines
 from hnn_vi_ros.run import scene_report
-from hnn_vi_ros.simulation import build, Choice, resolve, Tolerance
+from hnn_vi_ros.simulation import build, Choice, choose, Tolerance
 from hnn_vi_ros.simulation.accuracy import automatic_choice
 from processes import finish, start
 import pytest
@@ -22,20 +22,20 @@ CHOICE = Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3, 4e3, {}, 0.5)
 
 
 @pytest.fixture
-def choose(tmp_path: Path, monkeypatch):
+def plant(tmp_path: Path, monkeypatch):
     """Give what writes a scene for which a choice was made before."""
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
 
-    def plant(choice: Choice) -> None:
+    def planted(choice: Choice) -> None:
         (tmp_path / 'auto.yaml').write_text(AUTO)
         with monkeypatch.context() as patch:
             patch.setattr(automatic_choice, 'calibrate', lambda *_: choice)
-            resolve(load_scene(tmp_path / 'auto.yaml'), 1.0 / 100.0)
-    return plant
+            choose(load_scene(tmp_path / 'auto.yaml'), 1.0 / 100.0)
+    return planted
 
 
-def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
-    choose(CHOICE)
+def test_choice_is_logged_shown_and_simulated(tmp_path, plant):
+    plant(CHOICE)
     status, _, error = finish(start(tmp_path, scene='auto.yaml', duration=1, real_time_factor=0,
                                     rerun_path='picture.rrd'))
     assert status == 0
@@ -51,9 +51,9 @@ def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
     assert any('gauss4, h = 0.005 s' in text for _, text in events)
 
 
-def test_scene_report_carries_tolerance_and_choice(tmp_path, choose):
-    choose(CHOICE)
-    scene, chosen = resolve(load_scene(tmp_path / 'auto.yaml'), 1.0 / 100.0)
+def test_scene_report_carries_tolerance_and_choice(tmp_path, plant):
+    plant(CHOICE)
+    scene, chosen = choose(load_scene(tmp_path / 'auto.yaml'), 1.0 / 100.0)
     report = scene_report(scene, build(scene), chosen=chosen)
     assert report['tolerance'] == {'kind': 'energy_error', 'error': 1e-3, 'horizon': 10.0,
                                    'energy_scale': 0.5}
@@ -61,9 +61,9 @@ def test_scene_report_carries_tolerance_and_choice(tmp_path, choose):
     assert (report['integrator']['kind'], report['step_size']) == ('gauss4', 0.005)
 
 
-def test_tolerance_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, choose):
+def test_tolerance_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, plant):
     # The paper's scheme errs by h / 2 = 5e-3.
-    choose(Choice('variational_euler', 0.01, 1e-4, 10.0, 1e-3, 300.0, {}, 0.5))
+    plant(Choice('variational_euler', 0.01, 1e-4, 10.0, 1e-3, 300.0, {}, 0.5))
     status, _, error = finish(start(tmp_path, scene='auto.yaml', duration=9, real_time_factor=0,
                                     rerun_path='picture.rrd'))
     assert status == 0

@@ -8,7 +8,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, time_transformed
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import (
-    assembly, build, look, RescuePending, simulate_many, Simulation, Watch)
+    assembly, build, look, RescuePending, RunFacts, simulate_many, Simulation, Watch)
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard
 from hnn_vi_ros.simulation.rescue import ON_FAILURE, stability_limit
 from messages import refused
@@ -204,7 +204,7 @@ def tao(h: float, q: float = 0.0, p: float = -1.5, **options) -> Simulation:
 
 def watch_of_cost(simulation: Simulation) -> Watch:
     """Return the guard of slow steps alone."""
-    return Watch(simulation, None, kinds=(CostGuard,))
+    return Watch(RunFacts(simulation), (CostGuard,))
 
 
 @pytest.mark.parametrize('h, kinds', [(0.4, []), (5.0, ['slow step'])])
@@ -226,7 +226,7 @@ def test_slow_steps_of_generalized_leapfrog_beyond_its_limit_are_an_alarm(h: flo
 def test_rescued_steps_are_an_alarm_that_counts_them():
     """Far below what a slow step is: with sub-steps the costliest takes 80 gradients of 100."""
     simulation = tao(0.8)
-    watch = Watch(simulation, None, kinds=(RescueGuard,))
+    watch = Watch(RunFacts(simulation), (RescueGuard,))
     for _ in range(20):
         simulation.advance(1)
         watch.update(look(simulation))

@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import ParameterError, StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS, Requirements
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.simulation import Alarm, Simulation
-from hnn_vi_ros.simulation.guards.selection import BoxGuard
+from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from matplotlib.figure import Figure
 from messages import refused
 import numpy as np

@@ -23,7 +23,7 @@ from hnn_vi_ros.integrators.lie.lie_gauss import LieGauss
 from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import (
-    Alarm, BlockGuard, InitialValueProblem, judge, Observed, SampleBuffer, Simulation)
+    Alarm, BlockGuard, InitialValueProblem, judge_block, Observed, SampleBuffer, Simulation)
 from mpmath import mp, mpf
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,7 +53,7 @@ def alarm_of(guard: BlockGuard, sample: Observed) -> Alarm | None:
     """Return the alarm of a guard at the next sample, or None."""
     waiting = SampleBuffer(1)
     waiting.add(sample)
-    return next(iter(judge([guard], waiting.block())), None)
+    return next(iter(judge_block([guard], waiting.block())), None)
 
 
 def identity(hamiltonian: Hamiltonian, h: float, z: np.ndarray) -> np.ndarray:

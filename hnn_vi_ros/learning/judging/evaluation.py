@@ -639,7 +639,7 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
             return hamiltonian, VariationalMidpoint(), None, []
         return hamiltonian, ImplicitMidpoint(), None, own_effects(model, hamiltonian)
     scene = load_scene(model if not is_path('scene', model) else Path(model))
-    parts = resolve(scene)[0].parts()
+    parts = resolve(scene)
     build(parts)  # checks that the parts fit each other
     scene, hamiltonian, integrator, effects = parts
     for i, effect in enumerate(effects):

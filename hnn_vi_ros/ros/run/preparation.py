@@ -24,8 +24,8 @@ from hnn_vi_ros.run import (
     scene_report, Twin)
 from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation import (
-    BandGuard, BoxGuard, build, Choice, Chosen, EnergyGuard, look, PoleGuard, resolve, Simulation,
-    StateGuard, Tolerance, tolerance_of, Watch)
+    BandGuard, BoxGuard, build, Choice, choose, Chosen, EnergyGuard, PoleGuard,
+    RunFacts, Simulation, StateGuard, Tolerance, tolerance_of, Watch)
 import numpy as np
 
 
@@ -64,7 +64,7 @@ def choose_method(scene: Scene, largest_step: float, real_time_factor: float, lo
             f'scene {scene.source}: calibrating for {tolerance.kind} {tolerance.error:g} up to '
             f'{tolerance.horizon:g} s; takes some seconds, once, or longer if integrators must be '
             'compiled')
-    scene, chosen = resolve(scene, largest_step)
+    scene, chosen = choose(scene, largest_step)
     return scene, chosen, choice_lines(*chosen, real_time_factor) if chosen else []
 
 
@@ -280,9 +280,9 @@ def _compile(parts: Parts, logger: Logger) -> Simulation:
         simulation = build(parts)
         # Compile or load the code of the guards here, not while the node must answer; and before
         # the loop, which may be being compiled by another process and with which paths are tried.
-        watch = Watch(simulation, simulation.hamiltonian.barrier, kinds=(
+        watch = Watch(RunFacts(simulation), (
             StateGuard, BandGuard, BoxGuard, EnergyGuard, PoleGuard))
-        watch.update(look(simulation))
+        watch.observe()
         _ = watch.alarms
         simulation.compile()
         # Compile the functions that state messages and the picture call.

@@ -28,7 +28,7 @@ from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run import (
     LONGEST_CALL, Monitor, OverrunGuard, Pacer, Sampler, StatusLine, with_companions)
 from hnn_vi_ros.simulation import (
-    Alarm, BoxGuard, EnergyGuard, make_guards, RescuePending, SampledScale, watched,
+    Alarm, BoxGuard, EnergyGuard, make_guards, RescuePending, RunFacts, watched,
     WatchedSimulation)
 from rclpy.node import Node
 
@@ -113,16 +113,16 @@ class Run:
 
     def _make_monitor(self) -> Monitor:
         sampler, settings = self.sampler, self._settings
-        scale = SampledScale(hamiltonian := self.simulation.hamiltonian)
-        guards = [*make_guards(self.simulation, scale, settings.energy_band_limit,
-                               settings.energy_change_limit, hamiltonian.barrier)]
+        facts = RunFacts(
+            self.simulation, settings.energy_band_limit, settings.energy_change_limit)
+        guards = [*make_guards(facts)]
         if settings.real_time_factor:
             guards.append(OverrunGuard(self.pacer, self.recording.slow_disk))
         if self._spread is not None:
             guards.append(self._spread.make_guard())
         return Monitor(
             self.simulation, sampler.every, sampler.tick, self._chosen and self._chosen.tolerance,
-            lambda text, first: self.tell(text, 'WARN', first), guards, scale)
+            lambda text, first: self.tell(text, 'WARN', first), guards, facts.scale)
 
     def _begin(self, monitor: Monitor) -> None:
         """Start monitoring and recording from the initial state."""

@@ -20,7 +20,7 @@ from hnn_vi_ros.simulation.accuracy.cost import (
     CostStudy, fastest, ladder, measure, MethodCost, refusal, TOO_EXPENSIVE, try_between)
 from hnn_vi_ros.simulation.accuracy.path_reference import find_reference, Instants, PathReference
 from hnn_vi_ros.simulation.accuracy.trials import (
-    InitialValueProblem, Method, parts_between, PathSurvey, survey, Tolerance)
+    CalibrationTask, InitialValueProblem, Method, parts_between, PathSurvey, survey, Tolerance)
 from hnn_vi_ros.version import __version__
 import numba
 import numpy as np
@@ -97,8 +97,7 @@ class Choice:
                 f'{1e6 * self.seconds_per_simulated_second:.3g} us per simulated second{limit}')
 
 
-def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: float | None = None
-              ) -> Choice:
+def calibrate(task: CalibrationTask) -> Choice:
     """
     Try methods and step sizes, and return the cheapest that meets a tolerance.
 
@@ -107,13 +106,8 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
 
     Parameters
     ----------
-    problem : InitialValueProblem
-        The problem to simulate.
-    tolerance : Tolerance
-        The tolerance to meet.
-    largest_step : float, optional
-        Time that the step size must divide [s], such as the sampling interval; by default a
-        tenth of the horizon.
+    task : CalibrationTask
+        The problem, the tolerance to meet, and the time that the step size must divide.
 
     Returns
     -------
@@ -129,33 +123,24 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
         No candidate supports the effects.
 
     """
-    study = held_costs(problem, tolerance, largest_step or 0.1 * tolerance.horizon)
-    best = study.recommended(tolerance.error)
+    problem, study = task.problem, held_costs(task)
+    best = study.recommended(task.tolerance.error)
     if best is None:
-        raise CalibrationError(_refusal(study, tolerance))
+        raise CalibrationError(_refusal(study, task.tolerance))
     simulation = problem.simulation(best.method, best.step_size)
     simulation.advance(1)
     steps = math.ceil(_TIMED_SHARE * best.checked / best.step_size)
     return Choice(best.method.kind, best.step_size, study.error(best), best.checked,
                   fastest(problem, simulation, steps) / (steps * best.step_size), best.work,
                   dict(best.method.arguments), study.known.energy_scale,
-                  largest_step if best.step_size == largest_step else None)
+                  task.largest_step if best.step_size == task.largest_step else None)
 
 
-def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) -> CostStudy:
-    """
-    Measure the candidates, each with decreasing step sizes until it meets a tolerance.
-
-    Parameters
-    ----------
-    problem, tolerance
-        See ``calibrate``.
-    base : float
-        Time that step sizes divide [s].
-
-    """
+def held_costs(task: CalibrationTask) -> CostStudy:
+    """Measure the candidates, each with decreasing step sizes until it meets the tolerance."""
+    problem, tolerance, base = task.problem, task.tolerance, task.base
     known, by_path = survey(problem, tolerance.horizon, base), tolerance.kind == 'path_error'
-    reference = find_reference(problem, tolerance, base, known) if by_path else PathReference(
+    reference = find_reference(task, known) if by_path else PathReference(
         Instants.of(tolerance.horizon, base), np.empty((0, 0)), math.inf, '')
     study = CostStudy(problem, known, reference, '' if by_path else 'the tolerance is on energies',
                       tolerance=tolerance)
@@ -224,28 +209,27 @@ def _refusal(study: CostStudy, tolerance: Tolerance) -> str:
             f'{study.error(nearest):.2g}: {reason}; allow a larger error or a shorter horizon')
 
 
-def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step: float | None,
-               name: str) -> Choice:
+def remembered(task: CalibrationTask, name: str) -> Choice:
     """
     Return the result of `calibrate`, cached on this machine.
 
     Parameters
     ----------
-    problem, tolerance, largest_step
+    task : CalibrationTask
         See calibrate.
     name : str
         Key of the problem in the cache, in addition to the provenance of H.
 
     """
-    key = json.dumps([_FORMAT, name, problem.hamiltonian.provenance, largest_step, __version__,
-                      numba.__version__, platform.node(), os.cpu_count(),
+    key = json.dumps([_FORMAT, name, task.problem.hamiltonian.provenance, task.largest_step,
+                      __version__, numba.__version__, platform.node(), os.cpu_count(),
                       find_spec('heyoka') is not None])
     name = f'{sha256(key.encode()).hexdigest()[:32]}.json'
     try:
         return Choice(**json.loads((own_cache('calibration') / name).read_text()))
     except (OSError, ValueError, TypeError):
         # Missing or unreadable: calibrate again.
-        choice = calibrate(problem, tolerance, largest_step)
+        choice = calibrate(task)
     with suppress(OSError):
         write_text(own_cache('calibration') / name, json.dumps(asdict(choice)))
     return choice
@@ -273,7 +257,7 @@ def problem_of(scene: Scene) -> InitialValueProblem:
                                np.array(state.q), np.array(state.p))
 
 
-def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Chosen | None]:
+def choose(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Chosen | None]:
     """
     Return a scene with `integrator: auto`, if it has that, replaced by a method and a step size.
 
@@ -300,16 +284,14 @@ def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Cho
     """
     if not isinstance(scene.integrator, AutoChoice):
         return scene, None
-    problem = problem_of(scene)
     tolerance = tolerance_of(scene.integrator)
+    task = CalibrationTask(problem_of(scene), tolerance, scene.step_size or largest_step)
     with scene.placed('integrator'):
-        base = scene.step_size or largest_step
         if _names_code(scene):
             # The code and its imports may change between runs, so the choice is not cached.
-            choice = calibrate(problem, tolerance, base)
+            choice = calibrate(task)
         else:
-            name = json.dumps([scene.model_dump_json(), scene.model_digests])
-            choice = remembered(problem, tolerance, base, name)
+            choice = remembered(task, json.dumps([scene.model_dump_json(), scene.model_digests]))
     resolved = scene.changed({'step_size': choice.step_size,
                               'integrator': {'kind': choice.method, **choice.arguments}})
     return resolved, Chosen(replace(tolerance, energy_scale=choice.energy_scale), choice)

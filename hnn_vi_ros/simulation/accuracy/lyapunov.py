@@ -13,6 +13,7 @@ from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.accuracy.diagnostics import state_scales
 from hnn_vi_ros.simulation.checks import check_seconds
+from hnn_vi_ros.simulation.construction import resolve
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
@@ -38,8 +39,7 @@ def lyapunov_time(scene: Scene | str | Path, duration: float | None = None) -> f
     Parameters
     ----------
     scene : Scene, str or Path
-        A scene, or an argument of ``load_scene``; resolve the integrator auto with
-        ``automatic_choice.resolve`` first.
+        A scene, or an argument of ``load_scene``.
     duration : float, optional
         Maximum simulated time of the search for chaos [s]; by default 2^17 steps.
 
@@ -65,11 +65,11 @@ def lyapunov_time(scene: Scene | str | Path, duration: float | None = None) -> f
     """
     if duration is not None:
         check_seconds('duration', duration)
-    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    scene, hamiltonian, integrator, effects = resolve(
+        scene if isinstance(scene, Scene) else load_scene(scene))
     steps = 2 ** 17 if duration is None else max(
         _FIRST_HORIZON_STEPS, duration / scene.known_step_size)
     state = scene.initial_state
-    _, hamiltonian, integrator, effects = scene.parts()
     return time_between_motions(
         hamiltonian, effects, integrator, scene.known_step_size, np.array(state.q),
         np.array(state.p), steps, scene.on_failure)

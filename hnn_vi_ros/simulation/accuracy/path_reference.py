@@ -8,7 +8,8 @@ import math
 from hnn_vi_ros.errors import CalibrationError, HnnViRosError, StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation.accuracy.lyapunov import time_between_motions
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, PathSurvey, Tolerance
+from hnn_vi_ros.simulation.accuracy.trials import (
+    CalibrationTask, InitialValueProblem, PathSurvey)
 import numpy as np
 
 # Number of instants at which paths are compared: minimum, maximum, and minimum for a slow H.
@@ -111,19 +112,14 @@ class PathReference:
         return self.accuracy <= _MAX_VERIFIED_ERROR * np.abs(self.states).max(initial=1e-300)
 
 
-def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: float,
-                   known: PathSurvey) -> PathReference:
+def find_reference(task: CalibrationTask, known: PathSurvey) -> PathReference:
     """
     Return the path, refined until two successive refinements agree.
 
     Parameters
     ----------
-    problem : InitialValueProblem
-        The problem to simulate.
-    tolerance : Tolerance
-        Tolerance and horizon of the trials.
-    base : float
-        Time that the step sizes of trials divide [s].
+    task : CalibrationTask
+        The problem, and the tolerance of the trials.
     known : PathSurvey
         Survey of the path.
 
@@ -133,14 +129,15 @@ def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: flo
         Round-off, or chaos (as measured by the Lyapunov time), prevents the accuracy needed.
 
     """
+    problem, tolerance = task.problem, task.tolerance
     limit = PATIENCE * problem.gradients
     # At least two instants, of 15 or more per base, in a step that resolves the path.
     finer = math.ceil(min(2.0 * tolerance.horizon / known.step_size / 15.0, _MAX_INSTANTS))
-    instants = Instants.of(tolerance.horizon, base, max(_MIN_INSTANTS, finer)
+    instants = Instants.of(tolerance.horizon, task.base, max(_MIN_INSTANTS, finer)
                            if limit >= _SLOW_LIMIT else _MIN_SLOW_INSTANTS)
     best = refined_path(problem, instants, known, limit, _REFERENCE_ERROR_SHARE * tolerance.error)
     if best is None or best.accuracy > _MAX_REFERENCE_ERROR_SHARE * tolerance.error:
-        raise CalibrationError(_refusal(problem, tolerance, known, best))
+        raise CalibrationError(_refusal(task, known, best))
     return best
 
 
@@ -260,9 +257,9 @@ def _path(problem: InitialValueProblem, method: str, instants: Instants, steps: 
     return np.concatenate(rows)
 
 
-def _refusal(problem: InitialValueProblem, tolerance: Tolerance, known: PathSurvey,
-             best: PathReference | None) -> str:
+def _refusal(task: CalibrationTask, known: PathSurvey, best: PathReference | None) -> str:
     """Return the reason why the path cannot be determined with the accuracy needed."""
+    problem, tolerance = task.problem, task.tolerance
     wanted = f'path_error {tolerance.error:g} up to {tolerance.horizon:g} s: '
     if best is None:
         return f'{wanted}no reference path can be computed; use a shorter horizon'

@@ -109,6 +109,32 @@ class InitialValueProblem:
         return round(_MAX_GRADIENTS / (1.0 + _numbers(kernel) / _HALVING_SIZE))
 
 
+@dataclass(frozen=True)
+class CalibrationTask:
+    """
+    Problem to simulate within a tolerance.
+
+    Parameters
+    ----------
+    problem : InitialValueProblem
+        The problem to simulate.
+    tolerance : Tolerance
+        The tolerance to meet.
+    largest_step : float or None
+        Time that the step size must divide [s], such as the sampling interval.
+
+    """
+
+    problem: InitialValueProblem
+    tolerance: Tolerance
+    largest_step: float | None = None
+
+    @property
+    def base(self) -> float:
+        """Return the time that step sizes divide [s]: by default a tenth of the horizon."""
+        return self.largest_step or 0.1 * self.tolerance.horizon
+
+
 def _numbers(kernel: Kernel) -> int:
     """Return the total number of entries in the arrays of a kernel."""
     found, rest = 0, list(kernel.parameters)

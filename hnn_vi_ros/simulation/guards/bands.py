@@ -3,15 +3,17 @@
 """Guards of conserved quantities: accounted energy (energy minus work) and invariants."""
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 import math
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.simulation.accuracy.diagnostics import state_scales
-from hnn_vi_ros.simulation.guards.base import (
-    accounted_energy, Alarm, BlockGuard, Observed, SampleBlock, Scale)
+from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard
+from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.saddles import SaddleSearch
+from hnn_vi_ros.simulation.guards.samples import accounted_energy, Observed, SampleBlock
+from hnn_vi_ros.simulation.guards.scale import Scale
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
@@ -164,6 +166,11 @@ class ResolutionGuard(BandGuard):
         # Minimum and maximum of H, first step, and step since which H is beyond its limit.
         self._own = np.array([math.inf, -math.inf, -1.0, math.inf])
 
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        if run.conservative:
+            yield cls(run.band_limit, run.scale, plain_share(run.simulation), run.order)
+
     def take(self, block: SampleBlock) -> list[Alarm]:
         if not self._patient or self.raised:
             return super().take(block)
@@ -227,6 +234,16 @@ class BarrierGuard(BandGuard):
         self.kind, self._name = f'{name} not resolved', name
         self._found, self._search = [] if search else [energy], search
         self._gap, self._start = math.inf, (math.nan, math.nan)
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        simulation, barrier = run.simulation, run.hamiltonian.barrier
+        if barrier is not None and run.conservative:
+            yield cls(*barrier, run.order)
+        elif run.searchable and simulation.system.integrator is simulation.integrator:
+            # On a constraint or between walls, saddles of H are not saddles of the motion.
+            yield cls('saddle', math.inf, run.order, SaddleSearch(
+                run.hamiltonian, lambda: simulation.rescue_ready))
 
     def take(self, block: SampleBlock) -> list[Alarm]:
         """See BlockGuard; no alarm is raised while no barrier is known."""
@@ -292,6 +309,11 @@ class InvariantGuard(BandGuard):
         self.kind, self._name = f'{name} not conserved', name
         self._function, self._hamiltonian, self._seen = function, hamiltonian, 0
         self._scales: list[float] = []
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        for name, function in run.hamiltonian.invariants.items():
+            yield cls(name, function, run.band_limit, run.hamiltonian)
 
     def _values(self, block: SampleBlock) -> np.ndarray:
         return np.array([[self._function(q, p) for q, p in zip(block.q, block.p, strict=True)]])
@@ -397,6 +419,10 @@ class EnergyGuard(BlockGuard):
         # Range of the change in the current block.
         self._ends = np.array([math.inf, -math.inf])
         self._since, self._sign = math.inf, 0
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        yield cls(run.change_limit, run.scale, run.conservative)
 
     def allow(self, band: float, change: float) -> None:
         self._share = change

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards of the validity of a model: box of the training data, and spread of an ensemble."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 import math
 
 from hnn_vi_ros.kernels import kept
-from hnn_vi_ros.models import Domain
-from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Observed, SampleBlock, StateGuard
+from hnn_vi_ros.models import Domain, domain_of
+from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard, StateGuard
+from hnn_vi_ros.simulation.guards.facts import RunFacts
+from hnn_vi_ros.simulation.guards.samples import Observed, SampleBlock
 import numpy as np
 
 
@@ -59,6 +61,12 @@ class BoxGuard(BlockGuard):
         self._samples = self._outside = 0
         self._what = ''
         self._bounds = tuple(np.concatenate(box).T.copy())
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        hamiltonian = run.hamiltonian
+        if hamiltonian.box is not None:
+            yield cls(hamiltonian.box, hamiltonian.gauge, domain_of(hamiltonian))
 
     def outside(self, sample: Observed) -> bool:
         """Return whether a sample is outside the box or domain."""

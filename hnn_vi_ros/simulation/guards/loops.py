@@ -2,8 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards of the loops of a robot: they stay closed, and keep away from singular positions."""
 
+from collections.abc import Iterator
+
 from hnn_vi_ros.effects import LoopManifold
-from hnn_vi_ros.simulation.guards.base import LimitGuard, Observed
+from hnn_vi_ros.simulation.guards.base import Guard, LimitGuard
+from hnn_vi_ros.simulation.guards.facts import RunFacts
+from hnn_vi_ros.simulation.guards.samples import Observed
 import numpy as np
 
 
@@ -12,6 +16,12 @@ class _LoopGuard(LimitGuard):
 
     def __init__(self, loops: LoopManifold):
         self._loops = loops
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        loops = run.simulation.system.constraints
+        if isinstance(loops, LoopManifold):
+            yield cls(loops)
 
 
 class ClosureGuard(_LoopGuard):

@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards of the path error, estimated by trials with half the step size."""
 
+from collections.abc import Iterator
 import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.phase_space import column_units
-from hnn_vi_ros.simulation.guards.base import (
-    Alarm, BlockGuard, Observed, SampleBlock, StateGuard)
+from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard, StateGuard
+from hnn_vi_ros.simulation.guards.facts import RunFacts
+from hnn_vi_ros.simulation.guards.samples import Observed, SampleBlock
 from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
 import numpy as np
 
@@ -160,6 +162,13 @@ class PathGuard(BlockGuard):
         self._largest = np.zeros(0)
         self._before: tuple[int, np.ndarray, np.ndarray] | None = None
 
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        # An H learned through a scheme is valid at its own step size only, not at half of it.
+        if (run.hamiltonian.scheme is None and run.conservative
+                and run.simulation.q.size == run.hamiltonian.dimension):
+            yield cls(run.simulation)
+
     def take(self, block: SampleBlock) -> list[Alarm]:
         alarms, at = [], 0
         slopes = np.abs(np.hstack([block.dH_dq, block.dH_dp]))
@@ -281,6 +290,13 @@ class ForcedPathGuard(StateGuard):
         self._first, self._next, self._raised = -1, 0, False
         # Largest force and velocity so far.
         self._force = self._speed = 0.0
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        # Random effects draw other numbers at half of the step size; for schemes see PathGuard.
+        if run.hamiltonian.scheme is None and not run.conservative and not any(
+                effect.random for effect in run.simulation.effects):
+            yield cls(run.simulation, run.rows)
 
     def update(self, sample: Observed) -> Alarm | None:
         if self._raised or not (

@@ -2,12 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guard of the poles of H, which no motion can cross, but a step can."""
 
+from collections.abc import Iterator
 from itertools import pairwise
 import math
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.kernels import kept
-from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Observed, SampleBlock
+from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard
+from hnn_vi_ros.simulation.guards.facts import RunFacts
+from hnn_vi_ros.simulation.guards.samples import Observed, SampleBlock
 import numpy as np
 
 # A search for a pole starts if second derivatives exceed this multiple of their mean so far.
@@ -64,6 +67,12 @@ class PoleGuard(BlockGuard):
         self._own = np.zeros(4)
         # The last two samples.
         self._last = np.empty((0, 2 * hamiltonian.dimension))
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        # Networks and robots have no poles.
+        if run.searchable and run.hamiltonian.box is None and run.hamiltonian.robot is None:
+            yield cls(run.hamiltonian)
 
     def take(self, block: SampleBlock) -> list[Alarm]:
         if self.raised:

@@ -6,11 +6,9 @@ from collections.abc import Callable, Iterator
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.kernels import kept
-from hnn_vi_ros.simulation.guards.base import SampleBlock
+from hnn_vi_ros.simulation.guards.samples import SampleBlock
 import numpy as np
 
-# Maximum dimension: the search solves 2 d equations, which takes one or two milliseconds.
-MOST_COORDINATES = 16
 # Threshold of the mean square of the derivatives of H, relative to that of the run so far (1 for
 # a harmonic oscillator), and to the value at the last unsuccessful search.
 _MAX_LULL_RATIO = 0.5
@@ -66,7 +64,7 @@ class SaddleSearch:
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        Hamiltonian of at most MOST_COORDINATES coordinates.
+        Hamiltonian of a run that is ``searchable``; see RunFacts.
     ready : callable
         Returns whether H'' is compiled; the search does not wait for a compilation in progress.
 

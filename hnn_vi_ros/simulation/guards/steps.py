@@ -2,9 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards of the steps: cost, ambiguous equations, and steps taken by another method."""
 
+from collections.abc import Iterator
 from typing import ClassVar
 
-from hnn_vi_ros.simulation.guards.base import LimitGuard, Observed
+from hnn_vi_ros.simulation.guards.base import Guard, LimitGuard
+from hnn_vi_ros.simulation.guards.facts import RunFacts
+from hnn_vi_ros.simulation.guards.samples import Observed
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
@@ -38,6 +41,11 @@ class CostGuard(LimitGuard):
         self.message = ('a step took {} evaluations of the gradient; the usual number is '
                         f'{usual}; use a smaller step_size or another integrator')
 
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        if run.simulation.usual_gradients:
+            yield cls(run.simulation)
+
     def value(self, sample: Observed) -> float:
         """Return the gradients of the costliest step."""
         return self._simulation.costliest[0]
@@ -68,6 +76,13 @@ class StiffnessGuard(LimitGuard):
     def __init__(self, reach: float):
         self._reach = reach
 
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        simulation = run.simulation
+        fastest = simulation.system.fastest_rate(np.atleast_2d(simulation.q)[0])
+        if fastest:
+            yield cls(simulation.step_size * fastest)
+
     def value(self, sample: Observed) -> float:
         """Return h omega."""
         return self._reach
@@ -96,6 +111,12 @@ class DriveGuard(LimitGuard):
     def __init__(self, reach: float, order: int):
         self._reach, self.limit = reach, 0.25 * max(order, 2)
 
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        frequency = max((effect.frequency for effect in run.simulation.effects), default=0.0)
+        if frequency:
+            yield cls(run.simulation.step_size * frequency, run.order)
+
     def value(self, sample: Observed) -> float:
         """Return h nu."""
         return self._reach
@@ -123,6 +144,10 @@ class CountGuard(LimitGuard):
     def __init__(self, simulation: Simulation):
         self._simulation = simulation
 
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        yield cls(run.simulation)
+
     def value(self, sample: Observed) -> float:
         """Return the count."""
         count: int = getattr(self._simulation, self.counted)
@@ -141,6 +166,11 @@ class SolutionGuard(CountGuard):
     counted = 'several_solutions'
     message = ('the equation of a step had several solutions in {} steps so far; the solution '
                'connected to h = 0 was used; use a smaller step_size')
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        if run.simulation.connected:
+            yield cls(run.simulation)
 
 
 class RescueGuard(CountGuard):

@@ -1,109 +1,25 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Guards of a run outside ROS: energy scale, screening of trajectories, and alarms."""
+"""Guards of a run outside ROS: judgement of its samples, screening of many, and warnings."""
 
 import math
 import warnings
 
 from hnn_vi_ros.errors import AlarmWarning
-from hnn_vi_ros.hamiltonians import Hamiltonian
-from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.models import domain_of
-from hnn_vi_ros.simulation.accuracy.diagnostics import (
-    EnergyScale, follow, RECORD, rounding_walk, scales_along)
+from hnn_vi_ros.simulation.accuracy.diagnostics import scales_along
 from hnn_vi_ros.simulation.guards.bands import EnergyGuard, InvariantGuard, plain_share
 from hnn_vi_ros.simulation.guards.base import (
-    Alarm, BlockGuard, Guard, GuardState, judge, SampleBlock, SampleBuffer, StateGuard)
+    Alarm, BlockGuard, Guard, judge_block, StateGuard)
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.simulation.guards.facts import BAND_LIMIT, CHANGE_LIMIT, RunFacts
 from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard
-from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
+from hnn_vi_ros.simulation.guards.samples import GuardState, SampleBuffer
+from hnn_vi_ros.simulation.guards.selection import make_guards
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
+from hnn_vi_ros.simulation.record import MAX_OBSERVED, RunSamples
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
-
-# Minimum of the energy scale, relative to the energies and per square root of the number of
-# steps: 50 times the rounding error, so that limits down to 1 / 50 of the scale exceed rounding.
-_MIN_SCALE = 50.0 * rounding_walk(1.0, 1.0)
-# Starting from rest, energies grow as t^2, and an error of first order in h is 1 / (2 n) of them
-# after n steps: less than 1 / 40 beyond this number of steps.
-_EARLY_STEPS = 20.0
-
-
-@kept(error_model='numpy')
-def _follow_samples(record: np.ndarray, own: np.ndarray, step: np.ndarray, potential: np.ndarray,
-                    virial: np.ndarray, accounted: np.ndarray, work: np.ndarray,
-                    rounding: float) -> np.ndarray:
-    """Return the scales of the next samples; own: first and last step, largest energy."""
-    scales = np.empty(len(step))
-    for i in range(len(step)):
-        if math.isnan(own[0]):
-            own[0] = own[1] = step[i]
-        scale, turned = follow(record, potential[i], virial[i], max(step[i] - own[1], 1.0))
-        own[1] = step[i]
-        size = abs(accounted[i]) + abs(work[i]) + rounding
-        if own[2] < size < math.inf:
-            own[2] = size
-        steps = step[i] - own[0] + 1.0
-        scales[i] = max(_MIN_SCALE * own[2] * math.sqrt(steps),
-                        scale if turned else scale * (1.0 + _EARLY_STEPS / steps))
-    return scales
-
-
-class SampledScale:
-    """
-    Energy scale shared by all guards of a run.
-
-    It is the EnergyScale of the samples so far, with a minimum from the rounding error of H, for
-    example for a system at rest. Until kinetic and potential energy have been exchanged once, it
-    is multiplied by 1 + 20 / n after n steps, since it may be too small then, for example after
-    a start at rest at zero potential.
-
-    Parameters
-    ----------
-    hamiltonian : Hamiltonian
-        Hamiltonian of the run.
-
-    Attributes
-    ----------
-    value : float
-        Scale at the last sample [J].
-
-    """
-
-    def __init__(self, hamiltonian: Hamiltonian):
-        self.value = math.nan
-        self._scale, self._rounding = EnergyScale(hamiltonian), hamiltonian.kernel.energy_scale
-        self._record, self._own = np.zeros(RECORD), np.array([math.nan, math.nan, 0.0])
-        # The last block and its scales; scales of the first samples of the next block.
-        self._block: SampleBlock | None = None
-        self._values = np.zeros(0)
-        self._ahead: list[float] = []
-
-    def __call__(self, block: SampleBlock) -> np.ndarray:
-        """Return the scale at each sample of the next block, or of the last block again [J]."""
-        if block is not self._block:
-            ahead, self._ahead, self._block = self._ahead, [], block
-            later = self._take(
-                SampleBlock(*(part[len(ahead):] for part in block)) if ahead else block)
-            self._values = np.array([*ahead, *later]) if ahead else later
-        return self._values
-
-    def ahead(self, waiting: SampleBuffer) -> float:
-        """Return the scale [J] at the last buffered sample of the next block."""
-        if (new := waiting.block(len(self._ahead))) is not None:
-            self._ahead.extend(self._take(new))
-        return self.value
-
-    def _take(self, block: SampleBlock) -> np.ndarray:
-        potential, virial = self._scale.virials(block.q, block.p, block.dH_dq, block.dH_dp)
-        if potential.ndim > 1:
-            # Sum the energies of trajectories that step together.
-            potential, virial = potential.sum(axis=1), virial.sum(axis=1)
-        scales = _follow_samples(self._record, self._own, block.step, potential, virial,
-                                 block.accounted, block.work, self._rounding)
-        if scales.size:
-            self.value = float(scales[-1])
-        return scales
 
 
 def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
@@ -160,9 +76,6 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
     return found | ~good
 
 
-# Approximate maximum of the samples of a path that the guards check, in addition to its extremes.
-# Half as many suffice to detect a lasting change; see EnergyGuard.
-SHOWN = 10_000
 # Capacity of the buffer of samples, in coordinates.
 _BUFFER_NUMBERS = 4096
 # Number of trajectories screened at a time; screening takes several times their memory.
@@ -175,31 +88,21 @@ class Watch:
 
     Parameters
     ----------
-    simulation : Simulation
-        The simulation to watch, from any initial state.
-    barrier : tuple of (str, float) or None
-        Name and energy [J] of a barrier; see ``Hamiltonian.barrier``.
-    band_limit, change_limit : float, optional
-        See ResolutionGuard and EnergyGuard.
+    run : RunFacts
+        Facts of the run.
     kinds : tuple of type, optional
         Classes of the guards to use; by default all that apply.
-    rows : np.ndarray, shape (m, R), optional
-        See ForcedPathGuard.
 
     Attributes
     ----------
-    works : dict of int to float
-        Work done [J] by number of steps, at each checked state.
+    simulation : Simulation
+        The simulation that is watched.
 
     """
 
-    def __init__(self, simulation: Simulation, barrier: tuple[str, float] | None,
-                 band_limit: float = BAND_LIMIT, change_limit: float = CHANGE_LIMIT,
-                 kinds: tuple[type[Guard], ...] = (Guard,), rows: np.ndarray | None = None):
-        self.works: dict[int, float] = {}
-        guards = [guard for guard in make_guards(
-            simulation, SampledScale(simulation.hamiltonian), band_limit, change_limit, barrier,
-            rows) if isinstance(guard, kinds)]
+    def __init__(self, run: RunFacts, kinds: tuple[type[Guard], ...] = (Guard,)):
+        self.simulation = run.simulation
+        guards = list(make_guards(run, kinds))
         self._of_blocks = [guard for guard in guards if isinstance(guard, BlockGuard)]
         self._of_states = [guard for guard in guards if isinstance(guard, StateGuard)]
         self._kinds = [guard.kind for guard in guards]
@@ -211,14 +114,13 @@ class Watch:
     def alarms(self) -> list[Alarm]:
         """Return the first alarm of each kind by its step, in the order of the guards."""
         waiting, self._waiting = self._waiting, SampleBuffer(_BUFFER_NUMBERS)
-        for alarm in judge(self._of_blocks, waiting.block()):
+        for alarm in judge_block(self._of_blocks, waiting.block()):
             self._found.setdefault(alarm.kind, (alarm.step, alarm))
         return [alarm for _, alarm in sorted(
             self._found.values(), key=lambda one: (one[0], self._kinds.index(one[1].kind)))]
 
     def update(self, look: GuardState) -> None:
         """Check the next state with all guards."""
-        self.works[look.step] = look.work
         for guard in self._of_states:
             if (alarm := guard.update(look)) is not None:
                 self._found.setdefault(alarm.kind, (look.step, alarm))
@@ -227,15 +129,19 @@ class Watch:
             if self._waiting.full:
                 _ = self.alarms
 
-    def show(self, simulation: Simulation, steps: np.ndarray, states: tuple[np.ndarray, ...],
-             energies: tuple[np.ndarray, np.ndarray], most: int = SHOWN) -> None:
+    def observe(self) -> None:
+        """Check the current state of the simulation; see ``record``."""
+        self.update(look(self.simulation))
+
+    def show(self, steps: np.ndarray, states: tuple[np.ndarray, ...],
+             energies: tuple[np.ndarray, np.ndarray], most: int = MAX_OBSERVED) -> None:
         """
         Check a path at equidistant states, at its energy extremes, and at its first exit of a box.
 
+        No effect may do work along it.
+
         Parameters
         ----------
-        simulation : Simulation
-            Simulation of the path, without effects that do work.
         steps : np.ndarray, shape (n,)
             Steps since the start, possibly fractional.
         states : tuple of np.ndarray, shape (n, d)
@@ -246,7 +152,8 @@ class Watch:
             Approximate maximum number of equidistant states.
 
         """
-        (q, p), (energy, modified), hamiltonian = states, energies, simulation.hamiltonian
+        (q, p), (energy, modified) = states, energies
+        hamiltonian = self.simulation.hamiltonian
         chosen = set(range(0, len(steps), max(1, len(steps) // most)))
         for values in (energy, modified):
             if np.isfinite(values).all():
@@ -295,8 +202,18 @@ def look_at_rows(simulation: Simulation, rows: np.ndarray, q: np.ndarray, p: np.
                       float(energy.sum()), float(modified.sum()), simulation.work_in(rows))
 
 
-def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
-              alarms: list[list[Alarm]]) -> np.ndarray:
+def judge(found: RunSamples, watch: Watch) -> tuple[np.ndarray, list[Alarm]]:
+    """Return H at the samples of a run [J], shape (n,), and the alarms of its guards."""
+    simulation = watch.simulation
+    energies = energies_of(simulation, found.q, found.p)
+    if simulation.conservative:
+        watch.show(found.t / simulation.step_size, (found.q, found.p), energies)
+    # Otherwise the guards have observed the run, because its samples do not show work.
+    return energies[0], watch.alarms
+
+
+def judge_many(simulation: Simulation, t: np.ndarray, q: np.ndarray, p: np.ndarray,
+               alarms: list[list[Alarm]]) -> np.ndarray:
     """
     Check each of m trajectories with its own guards; return H, shape (n, m).
 
@@ -304,29 +221,29 @@ def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nd
     ----------
     simulation : Simulation
         Simulation of any of the trajectories.
-    steps : np.ndarray, shape (n,)
-        Steps since the start.
+    t : np.ndarray, shape (n,)
+        Times of the samples [s].
     q, p : np.ndarray, shape (n, m, d)
         The trajectories.
     alarms : list of list of Alarm
         One list for each trajectory, to which its alarms are appended.
 
     """
-    energy, modified = energies_of(simulation, q, p)
+    (energy, modified), steps = energies_of(simulation, q, p), t / simulation.step_size
     # Work is known only for whole blocks, whose energy was checked while they were stepped.
     kinds = (Guard,) if simulation.conservative else (BoxGuard, InvariantGuard)
     hamiltonian = simulation.hamiltonian
     if simulation.conservative or hamiltonian.box is not None or hamiltonian.invariants:
         found = np.ones(len(alarms), bool)
         # Guards check only a part of the samples of longer paths, unlike the screening.
-        if len(steps) < 2 * SHOWN:
+        if len(steps) < 2 * MAX_OBSERVED:
             for first in range(0, len(found), _SCREENED_TRAJECTORIES):
                 block = np.s_[:, first:first + _SCREENED_TRAJECTORIES]
                 found[block[1]] = suspects(simulation, steps, q[block], p[block], energy[block],
                                            modified[block])
         for k in np.flatnonzero(found):
-            watch = Watch(simulation, hamiltonian.barrier, kinds=kinds)
-            watch.show(simulation, steps, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
+            watch = Watch(RunFacts(simulation), kinds)
+            watch.show(steps, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
             alarms[k] += watch.alarms
     return energy
 
@@ -350,7 +267,7 @@ def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
 
 
 def watch_of_block(simulation: Simulation, rows: np.ndarray | None = None) -> Watch:
-    """Return the guards that apply to a block of trajectories as a whole; see show_many."""
-    return Watch(simulation, None, kinds=(
+    """Return the guards that apply to a block of trajectories as a whole; see judge_many."""
+    return Watch(RunFacts(simulation, rows=rows), (
         CostGuard, RescueGuard, SolutionGuard, ForcedPathGuard,
-        *[EnergyGuard] * (not simulation.conservative)), rows=rows)
+        *[EnergyGuard] * (not simulation.conservative)))

@@ -19,6 +19,7 @@ from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.guards.base import Alarm
+from hnn_vi_ros.simulation.record import record, Schedule
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,7 +117,6 @@ class Trajectory:
         (2, 1)
 
         """
-        from hnn_vi_ros.simulation.trajectory.simulate import record_one
         run, times = self.single(), check_numbers('t', t)
         if not (len(run) and times.size and (times >= 0.0).all() and (times <= run.t[-1]).all()):
             raise ValueError('t must lie between 0 s and the last sample'
@@ -125,7 +125,7 @@ class Trajectory:
         assert scene is not None, 'a trajectory with a simulation has a scene'
         at = max(0, int(np.searchsorted(run.t, times.max(), side='right')) - 1)
         wanted, where = np.unique(np.append(times, run.t[at]), return_inverse=True)
-        found = record_one(watched(simulation, scene), float(wanted[-1]), 1, wanted)
+        found = record(watched(simulation, scene), Schedule.at(wanted, float(wanted[-1])))
         run._check_repeated(found.q[where[-1]], at, 'pass times to simulate instead')
         q, p = found.q[where[:-1]], found.p[where[:-1]]
         return q.reshape(*times.shape, -1), p.reshape(*times.shape, -1)

@@ -12,7 +12,7 @@ from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.run import AccompaniedSimulation, deviation, Members
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build, SpreadGuard
-from hnn_vi_ros.simulation.guards.base import GuardState
+from hnn_vi_ros.simulation.guards.samples import GuardState
 from messages import refused
 import numpy as np
 import pytest

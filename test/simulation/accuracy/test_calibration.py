@@ -14,8 +14,9 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import (
-    build, Choice, InitialValueProblem, Method, resolve, simulate, Tolerance)
+    build, Choice, choose, InitialValueProblem, Method, simulate, Tolerance)
 from hnn_vi_ros.simulation.accuracy.automatic_choice import calibrate, CANDIDATES, remembered
+from hnn_vi_ros.simulation.accuracy.trials import CalibrationTask
 from hnn_vi_ros.simulation.dense_step import record_at
 from messages import refused
 import numpy as np
@@ -74,7 +75,7 @@ SHORT = [('exact_pendulum', Tolerance(ENERGY, 2e-5, 40.0)),
     pair if pair in SHORT else long(*pair) for pair in PAIRS], ids=lambda value: str(
         value) if isinstance(value, str) else f'{value.kind}-{value.error:g}-{value.horizon:g}')
 def test_choice_holds_its_tolerance_up_to_the_horizon(name: str, tolerance: Tolerance, measured):
-    choice = calibrate(problem_of(name), tolerance)
+    choice = calibrate(CalibrationTask(problem_of(name), tolerance))
     error = error_of(name, tolerance, choice)
     measured('error of the choice of auto, over its tolerance', f'{name}, {tolerance.kind} '
              f'{tolerance.error:g} up to {tolerance.horizon:g} s, {choice.method}, '
@@ -91,7 +92,7 @@ def test_choice_holds_its_tolerance_up_to_the_horizon(name: str, tolerance: Tole
 def test_close_encounters_are_resolved_from_either_end(eccentricity, end, tolerance):
     """From afar the encounter is not in sight; next to it the rest of the orbit is not."""
     mine = orbit(eccentricity, end == 'apocentre').problem
-    choice = calibrate(mine, tolerance)
+    choice = calibrate(CalibrationTask(mine, tolerance))
     simulation = mine.simulation(Method(choice.method, choice.arguments), choice.step_size)
     steps = math.ceil(tolerance.horizon / choice.step_size - 1e-6)
     states = np.hstack(simulation.record(steps, 1))
@@ -108,11 +109,11 @@ def test_close_encounters_are_resolved_from_either_end(eccentricity, end, tolera
 def test_choice_is_the_same_each_time_however_busy_the_machine_is(monkeypatch):
     """Nothing is chosen by the clock: one that runs wild changes what is told, and no more."""
     tolerance, mine = Tolerance(PATH, 1e-4, 30.0), orbit(0.9, True).problem
-    first = calibrate(mine, tolerance)
+    first = calibrate(CalibrationTask(mine, tolerance))
     random = np.random.default_rng(0)
     clock = accumulate(random.exponential(1e-3) for _ in count())
     monkeypatch.setattr('time.perf_counter', lambda: next(clock))
-    again = calibrate(mine, tolerance)
+    again = calibrate(CalibrationTask(mine, tolerance))
     assert again.seconds_per_simulated_second != first.seconds_per_simulated_second
     assert replace(again, seconds_per_simulated_second=0.0) == replace(
         first, seconds_per_simulated_second=0.0)
@@ -120,7 +121,7 @@ def test_choice_is_the_same_each_time_however_busy_the_machine_is(monkeypatch):
 
 def test_step_that_the_publish_rate_bounds_is_said():
     tolerance = Tolerance(ENERGY, 1e-2, 40.0)
-    bounded, free = (calibrate(problem_of('exact_pendulum'), tolerance, largest)
+    bounded, free = (calibrate(CalibrationTask(problem_of('exact_pendulum'), tolerance, largest))
                      for largest in (1e-3, None))
     assert bounded.step_size == 1e-3
     assert 'h is at most the sampling interval of 0.001 s' in bounded.explain(tolerance)
@@ -129,7 +130,7 @@ def test_step_that_the_publish_rate_bounds_is_said():
 
 def test_path_that_round_off_hides_is_not_called_chaotic():
     with pytest.raises(CalibrationError, match='round-off: the motion is regular'):
-        calibrate(problem_of('exact_pendulum'), Tolerance(PATH, 1e-17, 20.0))
+        calibrate(CalibrationTask(problem_of('exact_pendulum'), Tolerance(PATH, 1e-17, 20.0)))
 
 
 @pytest.mark.long
@@ -143,7 +144,7 @@ def test_path_that_ends_where_no_survey_came_is_refused(monkeypatch):
     end = Plain(lambda q, p: 0.5 * float(p @ p + q[0] ** 2), gradient, 2)
     slow = InitialValueProblem(end, (), np.array([1.0, 0.0]), np.array([0.0, 5e-3]))
     with pytest.raises(CalibrationError, match='no reference path can be computed'):
-        calibrate(slow, Tolerance(PATH, 1e-5, 6400.0))
+        calibrate(CalibrationTask(slow, Tolerance(PATH, 1e-5, 6400.0)))
 
 
 @pytest.mark.long
@@ -153,13 +154,14 @@ def test_cost_of_a_choice_is_at_most_half_as_much_again_as_the_best_of_a_sweep(m
         Method(name) for name in CANDIDATES if name != 'time_transformed'])
     mine, tolerance = problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-5, 40.0)
     _, least, _ = campaign.sweep(mine, campaign.Truth(mine, tolerance.horizon), tolerance)
-    assert calibrate(mine, tolerance).work_per_simulated_second <= 1.5 * least
+    assert calibrate(CalibrationTask(mine, tolerance)).work_per_simulated_second <= 1.5 * least
 
 
 @pytest.mark.long
 def test_cheap_gradients_are_not_bought_by_dear_steps():
     """To three digits a Gauss method takes fewer gradients of nanoseconds, and more time."""
-    choice = calibrate(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-3, 200.0))
+    choice = calibrate(CalibrationTask(
+        problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-3, 200.0)))
     assert choice.method == 'stormer_verlet'
 
 
@@ -170,7 +172,7 @@ def test_cheap_gradients_are_not_bought_by_dear_steps():
 def test_choice_holds_a_path_error_between_its_steps(eccentricity, horizon, error, largest):
     """At times within steps of several orbits, and near the pericentre, where errors peak."""
     mine = orbit(eccentricity, False).problem
-    choice = calibrate(mine, Tolerance(PATH, error, horizon), largest)
+    choice = calibrate(CalibrationTask(mine, Tolerance(PATH, error, horizon), largest))
     simulation = mine.simulation(Method(choice.method, choice.arguments), choice.step_size)
     t = np.linspace(0.01, horizon, 4001)
     exact = mine.hamiltonian.exact_motion(mine.q, mine.p, t).path
@@ -181,7 +183,7 @@ def test_choice_holds_a_path_error_between_its_steps(eccentricity, horizon, erro
 def test_series_are_chosen_for_paths_alone_and_where_steps_are_long():
     pytest.importorskip('heyoka', reason='heyoka, which computes the series, is not installed')
     mine = problem_of('kepler')
-    chosen = [calibrate(mine, Tolerance(kind, 1e-9, 100.0), largest).method
+    chosen = [calibrate(CalibrationTask(mine, Tolerance(kind, 1e-9, 100.0), largest)).method
               for kind, largest in ((PATH, None), (ENERGY, None), (PATH, 0.1))]
     assert chosen[0] == 'taylor' != chosen[1]
     # A step through Python takes longer than one of a compiled method.
@@ -189,20 +191,21 @@ def test_series_are_chosen_for_paths_alone_and_where_steps_are_long():
 
 
 def test_step_divides_the_time_between_two_samples():
-    choice = calibrate(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-4, 100.0), 0.01)
+    choice = calibrate(CalibrationTask(
+        problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-4, 100.0), 0.01))
     parts = 0.01 / choice.step_size
     assert choice.step_size <= 0.01 and parts == pytest.approx(round(parts), rel=1e-12)
 
 
 def test_tolerance_below_round_off_is_refused_with_the_nearest():
     with pytest.raises(CalibrationError, match=r'no method meets .* the best is gauss\d+'):
-        calibrate(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-18, 10.0))
+        calibrate(CalibrationTask(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-18, 10.0)))
 
 
 @pytest.mark.long
 def test_path_of_a_chaotic_motion_is_refused():
     with pytest.raises(CalibrationError, match=r'chaotic with a Lyapunov time of \d'):
-        calibrate(problem_of('henon_heiles'), Tolerance(PATH, 1e-6, 2000.0))
+        calibrate(CalibrationTask(problem_of('henon_heiles'), Tolerance(PATH, 1e-6, 2000.0)))
 
 
 def test_candidates_all_keep_their_energy():
@@ -232,21 +235,21 @@ def test_scene_with_the_integrator_auto_is_simulated(scene):
 
 def test_choice_is_remembered(scene, monkeypatch):
     mine = scene('energy_error: 1e-5, horizon: 100.0')
-    _, first = resolve(mine)
+    _, first = choose(mine)
     monkeypatch.setattr('hnn_vi_ros.simulation.accuracy.automatic_choice.calibrate', None)
-    assert resolve(mine)[1] == first
+    assert choose(mine)[1] == first
     # Another tolerance is another question.
     with pytest.raises(TypeError):
-        resolve(scene('energy_error: 1e-6, horizon: 100.0'))
+        choose(scene('energy_error: 1e-6, horizon: 100.0'))
 
 
 def test_choice_that_cannot_be_read_is_made_anew(tmp_path, scene):
     mine = scene('energy_error: 1e-5, horizon: 100.0')
-    resolve(mine)
+    choose(mine)
     (file,) = (tmp_path / 'cache').rglob('*.json')
     for damaged in ('', '{', '{"method": "gauss4"}', '[]'):
         file.write_text(damaged)
-        assert resolve(mine)[1].choice.method in CANDIDATES
+        assert choose(mine)[1].choice.method in CANDIDATES
     assert 'step_size' in file.read_text()
 
 
@@ -275,13 +278,14 @@ def test_effect_that_no_candidate_takes_is_refused(scene):
            '  - {kind: thermostat, temperature: 0.1, rate: 1.0}\n'
            '  - {kind: holonomic_constraint, point: [angle], anchor: [0.0], length: 2.5}\n')
     with refused(SceneError, UnsupportedSystem):
-        resolve(scene('energy_error: 1e-5, horizon: 100.0', two))
+        choose(scene('energy_error: 1e-5, horizon: 100.0', two))
 
 
 def test_remembered_tells_largest_steps_apart(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     tolerance = Tolerance(ENERGY, 1e-3, 50.0)
-    steps = [remembered(problem_of('exact_pendulum'), tolerance, largest, 'name').step_size
+    steps = [remembered(CalibrationTask(
+        problem_of('exact_pendulum'), tolerance, largest), 'name').step_size
              for largest in (None, 0.01)]
     assert steps[1] <= 0.01 < steps[0]
 
@@ -299,7 +303,7 @@ def test_choice_for_code_of_the_user_is_made_anew_each_time(tmp_path, monkeypatc
         'initial_state: {q: [1.0], p: [0.0]}\n')
     own = load_scene(tmp_path / 'own.yaml')
     stiff = HAMILTONIANS['harmonic_oscillator'](stiffness=1600.0)
-    slow = resolve(own)[1].choice.work_per_simulated_second
+    slow = choose(own)[1].choice.work_per_simulated_second
     monkeypatch.setattr('own_oscillator.make', lambda: stiff)
     # As much for each period, 40 times as many periods, and the fixed cost of long steps.
-    assert resolve(own)[1].choice.work_per_simulated_second > 1.5 * slow
+    assert choose(own)[1].choice.work_per_simulated_second > 1.5 * slow

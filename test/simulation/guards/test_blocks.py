@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.run import Monitor, Sampler
-from hnn_vi_ros.simulation import build, EnergyGuard, make_guards, SampledScale
+from hnn_vi_ros.simulation import build, EnergyGuard, make_guards, RunFacts
 import numpy as np
 import pytest
 
@@ -23,9 +23,9 @@ SCENES = {
 
 
 def monitor_of(simulation) -> Monitor:
-    scale = SampledScale(simulation.hamiltonian)
-    guards = make_guards(simulation, scale, 0.05, 0.02, None)
-    return Monitor(simulation, 1, simulation.step_size, None, pytest.fail, guards, scale)
+    facts = RunFacts(simulation)
+    return Monitor(simulation, 1, simulation.step_size, None, pytest.fail, make_guards(facts),
+                   facts.scale)
 
 
 def state_of(monitor: Monitor) -> dict:

@@ -6,9 +6,9 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.hamiltonians import Formula, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import (
-    build, judge, make_guards, PoleGuard, record_one, SampledScale, Simulation)
+    build, judge_block, make_guards, PoleGuard, record_one, RunFacts, Schedule, Simulation)
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard
-from hnn_vi_ros.simulation.guards.base import SampleBlock
+from hnn_vi_ros.simulation.guards.samples import SampleBlock
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.saddles import SaddleSearch
 import numpy as np
@@ -25,7 +25,8 @@ def simulation_of(formula: str, names: str, method: str, h: float, q: list, p: l
 
 
 def kinds(simulation: Simulation, steps: int, every: int = 1) -> list[str]:
-    found = record_one(simulation, steps * simulation.step_size, every)
+    found = record_one(simulation, Schedule.until(
+        steps * simulation.step_size, every, simulation))
     return [alarm.kind for alarm in found.alarms]
 
 
@@ -123,7 +124,7 @@ def test_samples_in_parts_show_what_they_show_together(name, length):
         def find(blocks):
             guard = (PathGuard(simulation) if name == 'path'
                      else PoleGuard(simulation.hamiltonian))
-            return [alarm for part in blocks for alarm in judge([guard], part)]
+            return [alarm for part in blocks for alarm in judge_block([guard], part)]
     assert find(parts_of(block, length)) == find([block])
 
 
@@ -138,7 +139,7 @@ def test_system_that_names_its_barrier_is_not_searched(name):
 
 def test_saddle_of_h_that_a_constraint_keeps_away_is_not_searched_for():
     simulation = build(load_scene('cartesian_pendulum'))
-    guards = make_guards(simulation, SampledScale(simulation.hamiltonian), 0.05, 0.02, None)
+    guards = make_guards(RunFacts(simulation))
     assert BarrierGuard not in {type(guard) for guard in guards}
 
 

@@ -7,11 +7,11 @@ from helpers import dop853_path, long, mostly_long, Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import BoxGuard, look, Simulation, Watch
+from hnn_vi_ros.simulation import BoxGuard, look, RunFacts, Simulation, Watch
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.simulation.guards.bands import ResolutionGuard
 from hnn_vi_ros.simulation.guards.paths import PathGuard
-from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT
+from hnn_vi_ros.simulation.guards.facts import BAND_LIMIT
 from hnn_vi_ros.simulation.guards.watch import energies_of
 import numpy as np
 from plain_systems import kepler, Motion, MOTIONS, pendulum
@@ -31,7 +31,7 @@ def simulate(motion: Motion, method: str, h: float, periods: float) -> tuple[lis
     """Return the alarms, and H and H~ at each step, shape (2, n + 1)."""
     simulation = Simulation(
         motion.hamiltonian, INTEGRATORS[method](), h, motion.q, motion.p, on_failure='stop')
-    watch = Watch(simulation, None)
+    watch = Watch(RunFacts(simulation))
     seen = [look(simulation)]
     watch.update(seen[0])
     with np.errstate(all='ignore'):
@@ -102,11 +102,11 @@ def test_energy_that_is_lost_bit_by_bit_is_told_before_a_tenth_of_it_is(end):
     motion = kepler(0.9, end)
     simulation = Simulation(
         HAMILTONIANS['kepler'](), INTEGRATORS['rk4'](), 0.01, motion.q, motion.p)
-    watch, first = Watch(simulation, None), look(simulation)
+    watch, first = Watch(RunFacts(simulation)), look(simulation)
     q, p = (np.vstack([x, y]) for x, y in zip(
         (first.q, first.p), simulation.record(62_832, 1), strict=True))
     energies = energies_of(simulation, q, p)
-    watch.show(simulation, np.arange(len(q)), (q, p), energies)
+    watch.show(np.arange(len(q)), (q, p), energies)
     alarm = next(alarm for alarm in watch.alarms if alarm.kind == ResolutionGuard.kind)
     assert np.ptp(energies[0]) > 0.2 and np.ptp(energies[0][:alarm.step]) < 0.06
 
@@ -131,7 +131,7 @@ def test_path_that_is_shown_in_one_go_raises_the_alarms_of_its_samples():
     simulation = Simulation(Uncompiled(HAMILTONIANS['kepler']()),
                             INTEGRATORS['variational_euler'](), 0.01, [0.1, 0.0],
                             [0.0, np.sqrt(19.0)])
-    one, other = Watch(simulation, None), Watch(simulation, None)
+    one, other = Watch(RunFacts(simulation)), Watch(RunFacts(simulation))
     first = look(simulation)
     q, p = np.empty((2, 1501, 2))
     q[0], p[0] = first.q, first.p
@@ -140,5 +140,5 @@ def test_path_that_is_shown_in_one_go_raises_the_alarms_of_its_samples():
         simulation.advance(1)
         q[step], p[step] = simulation.q, simulation.p
         one.update(look(simulation))
-    other.show(simulation, np.arange(1501), (q, p), energies_of(simulation, q, p))
+    other.show(np.arange(1501), (q, p), energies_of(simulation, q, p))
     assert one.alarms == other.alarms != []

@@ -8,9 +8,9 @@ import math
 from helpers import alarm_of
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.recording import Sample
-from hnn_vi_ros.simulation import BlockGuard, BoxGuard, EnergyGuard, judge, SampleBuffer
+from hnn_vi_ros.simulation import BlockGuard, BoxGuard, EnergyGuard, judge_block, SampleBuffer
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
-from hnn_vi_ros.simulation.guards.base import accounted_energy, SampleBlock
+from hnn_vi_ros.simulation.guards.samples import accounted_energy, SampleBlock
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def alarms(guard: BlockGuard, energies: np.ndarray) -> list:
     waiting = SampleBuffer(2 * len(energies))
     for step, energy in enumerate(energies):
         waiting.add(sample(step, energy=energy))
-    return judge([guard], waiting.block())
+    return judge_block([guard], waiting.block())
 
 
 @pytest.mark.parametrize('q, p, excess', [

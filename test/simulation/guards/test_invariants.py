@@ -14,7 +14,7 @@ from hnn_vi_ros.models import load_learned
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.guards.bands import InvariantGuard
-from hnn_vi_ros.simulation.guards.base import GuardState
+from hnn_vi_ros.simulation.guards.samples import GuardState
 from messages import refused
 import numpy as np
 from pydantic import ValidationError

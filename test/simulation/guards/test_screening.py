@@ -6,7 +6,7 @@ import warnings
 
 from helpers import long
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.simulation import build, Watch
+from hnn_vi_ros.simulation import build, RunFacts, Watch
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.watch import energies_of, suspects
 import numpy as np
@@ -32,8 +32,8 @@ def shown(name: str, integrator: str, step_size: float, steps: int, every: int
     energy, modified = energies_of(simulation, q, p)
     alarmed = []
     for k in range(60):
-        watch = Watch(simulation, simulation.hamiltonian.barrier)
-        watch.show(simulation, times, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
+        watch = Watch(RunFacts(simulation))
+        watch.show(times, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
         # Paths are tried of single trajectories.
         alarmed.append(any(alarm.kind != PathGuard.kind for alarm in watch.alarms))
     return suspects(simulation, times, q, p, energy, modified), np.array(alarmed)

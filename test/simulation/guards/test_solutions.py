@@ -8,7 +8,7 @@ from helpers import Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import Formula, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import look, make_guards, Simulation
+from hnn_vi_ros.simulation import look, make_guards, RunFacts, Simulation
 from hnn_vi_ros.simulation.guards.steps import SolutionGuard
 import numpy as np
 import pytest
@@ -92,8 +92,7 @@ def test_step_without_a_solution_is_told_in_the_words_of_eq_6():
 
 def test_solution_guard_raises_its_alarm_once():
     simulation = wavy()
-    guard, = (guard for guard in make_guards(simulation, lambda sample: 1.0, 0.05, 0.02, None)
-              if guard.kind == SolutionGuard.kind)
+    guard, = make_guards(RunFacts(simulation), (SolutionGuard,))
     assert guard.update(look(simulation)) is None
     simulation.several_solutions = 3
     alarm = guard.update(look(simulation))

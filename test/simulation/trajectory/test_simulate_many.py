@@ -8,7 +8,7 @@ from helpers import EPS, long
 from hnn_vi_ros.errors import AlarmWarning, SceneError, StepFailure
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import (
-    BLOCK, build, look, simulate, simulate_many, Simulation, System, Watch)
+    BLOCK, build, look, RunFacts, simulate, simulate_many, Simulation, System, Watch)
 from messages import refused
 import numpy as np
 import pytest
@@ -133,7 +133,7 @@ def test_simulate_warns_of_what_the_guards_find_and_returns_it():
     # Of the very guards of the node, sample by sample.
     simulation = build(KEPLER.with_overrides(
         initial_state=dict(zip('qp', CLOSE, strict=True))))
-    watch = Watch(simulation, None)
+    watch = Watch(RunFacts(simulation))
     watch.update(look(simulation))
     for _ in range(628):
         simulation.advance(1)
