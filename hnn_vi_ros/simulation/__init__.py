@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.guards.watch import judge, judge_many, look, Watch
     from hnn_vi_ros.simulation.processors import (
         ignore_sigint_in_children, in_threads, usable_processors, worker_processes)
-    from hnn_vi_ros.simulation.record import check_memory, record, RunSamples, Schedule
+    from hnn_vi_ros.simulation.run_samples import check_memory, record, RunSamples, Schedule
     from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
     from hnn_vi_ros.simulation.system import System
     from hnn_vi_ros.simulation.trajectory.devices import batch_on, one_thread_each, record_on

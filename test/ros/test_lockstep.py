@@ -6,6 +6,7 @@ import multiprocessing
 from pathlib import Path
 import signal
 import time
+from types import SimpleNamespace
 
 from bag_content import content_of
 from hnn_vi_ros.errors import ParameterError
@@ -112,18 +113,18 @@ def test_scene_without_joint_commands_or_loops_has_no_use_for_them(tmp_path, nam
 def test_period_of_lockstep_is_a_whole_number_of_samples():
     assert Lockstep(Settings(lockstep_period=0.03), 10, 0.001).awaited is None
     lockstep = Lockstep(Settings(lockstep_period=0.02), 10, 0.001)
-    lockstep.wait(10, 5, 0.0)
+    lockstep.observe(SimpleNamespace(step=10, stamp=5))
     assert lockstep.awaited is None
-    lockstep.wait(20, 7, 0.0)
+    lockstep.observe(SimpleNamespace(step=20, stamp=7))
     assert lockstep.awaited == 7
-    assert lockstep.takes(7)
+    assert lockstep.take(7)
     for stamp, awaited in ((6, 7), (7, None)):
         lockstep.awaited = awaited
         with refused(ValueError):
-            lockstep.takes(stamp)
+            lockstep.take(stamp)
     # A repeated state may be answered twice.
     lockstep.repeated = 7
-    assert not lockstep.takes(7)
+    assert lockstep.take(7) is None
     for period in (0.004, 0.025):
         with refused(ParameterError):
             Lockstep(Settings(lockstep_period=period), 10, 0.001)

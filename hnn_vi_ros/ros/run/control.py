@@ -76,7 +76,9 @@ class Control:
         self._waiting: Future | None = None
         self._progress: Callable[[int, int], None] | None = None
         self._moved, self._led = 0.0, run.pacer.led
-        node.after_clock, run.on_answer = self._on_clock, self._on_answer
+        node.after_clock = self._on_clock
+        if run.lockstep is not None:
+            run.lockstep.on_answer = self._on_answer
 
     @property
     def running(self) -> bool:

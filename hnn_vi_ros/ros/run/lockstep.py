@@ -2,8 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lockstep with a controller: a run waits after its samples for the commands that answer them."""
 
+from collections.abc import Callable
+import time
+
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.settings import Settings
+from hnn_vi_ros.ros.topics.inputs import JOINT_COMMANDS
 
 # Wall time after which the awaited state is published again for late subscribers [s].
 REPEAT_PERIOD = 1.0
@@ -11,7 +16,7 @@ REPEAT_PERIOD = 1.0
 
 class Lockstep:
     """
-    State of the wait for the command that answers a sample.
+    Observer of the samples of a run, which waits for the commands that answer them.
 
     Parameters
     ----------
@@ -24,12 +29,10 @@ class Lockstep:
     ----------
     awaited : int or None
         Stamp of the sample whose answer is awaited [ns]; None while the run goes on.
-    since : float
-        Wall time at which the wait began [s].
-    begun : bool
-        True from the first answer on, before which the wait has no limit.
     repeated : int or None
         Stamp of the last sample that was published again, and may be answered again [ns].
+    on_answer : callable
+        Called when the run may go on.
 
     Raises
     ------
@@ -46,31 +49,77 @@ class Lockstep:
                 f'parameter lockstep_period = {settings.lockstep_period:g} s: expected a whole '
                 f'number of sample intervals of {tick:g} s, or 0 for one')
         self._interval = every * round(samples)
-        self.timeout = settings.lockstep_timeout
-        self.holds = settings.on_lockstep_timeout == 'hold'
+        self._timeout = settings.lockstep_timeout
+        self._holds = settings.on_lockstep_timeout == 'hold'
         self.awaited: int | None = None
         self.repeated: int | None = None
-        self.since, self.begun = 0.0, False
+        self.on_answer: Callable[[], None] = lambda: None
+        # Wall time at which the wait began [s], and whether an answer has come: the first wait has
+        # no limit.
+        self._since, self._begun = 0.0, False
 
-    def wait(self, step: int, stamp: int, now: float) -> None:
+    def observe(self, sample: Sample) -> None:
         """Wait for the answer to a sample if a period ends with it."""
-        if step % self._interval == 0:
-            self.awaited, self.since = stamp, now
+        if sample.step % self._interval == 0:
+            self.awaited, self._since = sample.stamp, time.monotonic()
 
-    def takes(self, stamp: int) -> bool:
+    def take(self, stamp: int) -> Callable[[], None] | None:
         """
-        Return whether a command with this stamp [ns] is the awaited answer.
+        Return what to call after a command with this stamp [ns], which is the awaited answer.
 
-        Another answer to a repeated sample is ignored; any other stamp raises ValueError.
+        Return None to ignore another answer to a repeated sample; raise ValueError for any other
+        stamp.
         """
         if stamp not in (self.awaited, self.repeated):
             wanted = 'none is awaited' if self.awaited is None else (
                 f'that of {self.awaited / 1e9:.9g} s is awaited')
             raise ValueError(f'lockstep: answers the state of {stamp / 1e9:.9g} s, but {wanted}; '
                              'stamp each command with the stamp of the state that it answers')
-        self.begun = True
-        return stamp == self.awaited
+        self._begun = True
+        return self._go_on if stamp == self.awaited else None
+
+    def check(self, going: bool, publish_again: Callable[[], None],
+              tell: Callable[[str, str], None]) -> str:
+        """
+        Publish an awaited state again, and end too long a wait.
+
+        Parameters
+        ----------
+        going : bool
+            True if the run would go on without the wait.
+        publish_again : callable
+            Publishes the last sample once more.
+        tell : callable
+            Logs a line, given its text and level.
+
+        Returns
+        -------
+        str
+            Reason to stop the run; '' to keep it.
+
+        """
+        now = time.monotonic()
+        if self.awaited is None:
+            return ''
+        publish_again()
+        if not self._begun and self.repeated is None:
+            tell(f'lockstep: waiting for the first command on {JOINT_COMMANDS.topic}', 'INFO')
+        self.repeated = self.awaited
+        if not going or not self._begun:
+            self._since = now
+        elif now - self._since > self._timeout:
+            text = (f'lockstep: no command on {JOINT_COMMANDS.topic} with the stamp '
+                    f'{self.awaited / 1e9:.9g} s within {self._timeout:g} s')
+            if not self._holds:
+                return f'stopped: {text}'
+            tell(f'{text}; the last command is held', 'WARN')
+            self._go_on()
+        return ''
 
     def release(self) -> None:
-        """Let the run go on."""
+        """End the wait."""
         self.awaited = None
+
+    def _go_on(self) -> None:
+        self.release()
+        self.on_answer()

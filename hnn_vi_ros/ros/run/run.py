@@ -21,7 +21,7 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import (
     DiagnosticsPublisher, EVENT, OK, state_values, Status, WARN)
-from hnn_vi_ros.ros.topics.inputs import JOINT_COMMANDS, OBSERVATIONS
+from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import ConfiguredRun, DIAGNOSTICS, EVENTS, PREDICTION_ERROR
 from hnn_vi_ros.ros.topics.topics import Topics
@@ -94,15 +94,13 @@ class Run:
         self._status = StatusLine(node.get_logger().info)
         self._warn_of_crowd = RepetitionFilter(lambda text: self.tell(text, 'WARN'))
         self.lockstep = prepared.lockstep
-        # Called when an answer has come, by which the run goes on.
-        self.on_answer: Callable[[], None] = lambda: None
         monitor = self._make_monitor()
         topics.open(
             ConfiguredRun(self.simulation, monitor, prepared.box, self.scene.mechanism,
                           settings.frame_id, bool(self.scene.events), self._spread,
                           prepared.sensor),
             lambda: self.sampler.stamp, self.recording.write_other, self._joiner,
-            None if self.lockstep is None else self._take_answer)
+            None if self.lockstep is None else self.lockstep.take)
         self._events = DiagnosticsPublisher(node, partial(topics.send, EVENTS), self.scene.name)
         self._begin(monitor)
         self._tell_scene(prepared.report)
@@ -198,33 +196,9 @@ class Run:
 
     def watch_lockstep(self, going: bool) -> None:
         """Publish an awaited state again, and end too long a wait of a run that is `going`."""
-        lockstep, now = self.lockstep, time.monotonic()
-        if lockstep is None or lockstep.awaited is None:
-            return
-        self._topics.publish_again()
-        if not lockstep.begun and lockstep.repeated is None:
-            self.tell(f'lockstep: waiting for the first command on {JOINT_COMMANDS.topic}', 'INFO')
-        lockstep.repeated = lockstep.awaited
-        if not going or not lockstep.begun:
-            lockstep.since = now
-        elif now - lockstep.since > lockstep.timeout:
-            text = (f'lockstep: no command on {JOINT_COMMANDS.topic} with the stamp '
-                    f'{lockstep.awaited / 1e9:.9g} s within {lockstep.timeout:g} s')
-            if not lockstep.holds:
-                self._stop(1, f'stopped: {text}')
-                return
-            self.tell(f'{text}; the last command is held', 'WARN')
-            lockstep.release()
-            self.on_answer()
-
-    def _take_answer(self, stamp: int) -> Callable[[], None] | None:
-        assert self.lockstep is not None, 'only then are stamps checked'
-        return self._go_on if self.lockstep.takes(stamp) else None
-
-    def _go_on(self) -> None:
-        assert self.lockstep is not None, 'only then are answers awaited'
-        self.lockstep.release()
-        self.on_answer()
+        if self.lockstep is not None and (reason := self.lockstep.check(
+                going, self._topics.publish_again, self.tell)):
+            self._stop(1, reason)
 
     def step(self, most: float = math.inf) -> int | None:
         """
@@ -304,7 +278,7 @@ class Run:
         # The answer to the last sample may come before or after the end, and would change nothing.
         if self.lockstep is not None and self._topics.has_joint_states \
                 and sample.step < self._last_step:
-            self.lockstep.wait(sample.step, sample.stamp, time.monotonic())
+            self.lockstep.observe(sample)
         look, self._look_next = self._look_next, self._monitor.evaluate()
         if self._look_next:
             self.recording.timing(self._monitor.timing.figures)

@@ -17,7 +17,7 @@ from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard
 from hnn_vi_ros.simulation.guards.samples import GuardState, SampleBuffer
 from hnn_vi_ros.simulation.guards.selection import make_guards
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
-from hnn_vi_ros.simulation.record import MAX_OBSERVED, RunSamples
+from hnn_vi_ros.simulation.run_samples import MAX_OBSERVED, RunSamples
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 

@@ -20,7 +20,7 @@ from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.guards.watch import (
     judge_many, look_at_block, look_at_rows, tell_many, watch_of_block)
 from hnn_vi_ros.simulation.processors import in_threads, usable_processors
-from hnn_vi_ros.simulation.record import MOST_NUMBERS, record, Schedule
+from hnn_vi_ros.simulation.run_samples import MOST_NUMBERS, record, Schedule
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.simulation.trajectory.simulate import changed_parts

@@ -21,7 +21,7 @@ from hnn_vi_ros.simulation.guards.bands import ResolutionGuard
 from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.watch import judge, tell, Watch
-from hnn_vi_ros.simulation.record import Commands, record, Schedule
+from hnn_vi_ros.simulation.run_samples import Commands, record, Schedule
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np

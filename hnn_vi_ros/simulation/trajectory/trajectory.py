@@ -19,7 +19,7 @@ from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.guards.base import Alarm
-from hnn_vi_ros.simulation.record import record, Schedule
+from hnn_vi_ros.simulation.run_samples import record, Schedule
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 from numpy.typing import ArrayLike

@@ -6,6 +6,7 @@
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import lyapunov_time
+from hnn_vi_ros.simulation.accuracy import automatic_choice
 from messages import refused
 import numpy as np
 import pytest
@@ -55,6 +56,16 @@ def test_lyapunov_time_of_a_chaotic_motion_is_that_of_the_variational_equations(
 
 def test_lyapunov_time_takes_the_name_of_a_scene():
     assert lyapunov_time('exact_harmonic_oscillator', 4.0) == np.inf
+
+
+def test_lyapunov_time_takes_the_method_that_auto_chooses(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    monkeypatch.setattr(automatic_choice, 'calibrate', lambda task: automatic_choice.Choice(
+        'gauss4', 0.1, 1e-4, 10.0, 1e-3, 4e3, {}, 0.5))
+    scene = Scene.build(
+        hamiltonian='harmonic_oscillator', initial_state=([1.0], [0.0]),
+        integrator={'kind': 'auto', 'energy_error': 1e-3, 'horizon': 10.0})
+    assert lyapunov_time(scene, 4.0) == np.inf
 
 
 def test_a_motion_that_runs_away_has_no_lyapunov_time_and_that_is_said():
