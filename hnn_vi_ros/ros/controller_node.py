@@ -26,10 +26,10 @@ from hnn_vi_ros.ros.plumbing.stamps import LATEST, nanoseconds, Stamps
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
 from hnn_vi_ros.ros.settings import CONTROLLER_PARAMETERS, ControllerSettings
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, OK, Status, WARN
-from hnn_vi_ros.ros.topics.hearing import Subscriptions
 from hnn_vi_ros.ros.topics.inputs import Input, NEWEST, read_observation
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS
+from hnn_vi_ros.ros.topics.subscriptions import Subscriptions
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn

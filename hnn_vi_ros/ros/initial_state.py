@@ -110,4 +110,4 @@ def subscribe_initial_states(node: Node, topics: Topics, run: Run,
         answer(OK, text, state_values(run.simulation.hamiltonian.coordinates, q, p))
         node.get_logger().info(f'~/initial_state: {text}', throttle_duration_sec=1.0)
 
-    topics.hearing.hear(INITIAL_STATE, take)
+    topics.subscriptions.hear(INITIAL_STATE, take)

@@ -26,9 +26,9 @@ from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.settings import BRIDGE_PARAMETERS, BridgeSettings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, EVENT
-from hnn_vi_ros.ros.topics.hearing import Subscriptions
 from hnn_vi_ros.ros.topics.inputs import Input, places_of
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED
+from hnn_vi_ros.ros.topics.subscriptions import Subscriptions
 from hnn_vi_ros.run import preview_bounds
 from hnn_vi_ros.scene import described_scene, Scene
 from hnn_vi_ros.simulation import build

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from hnn_vi_ros.run.companions.twin import Report, Twin, VALID
     from hnn_vi_ros.run.compilation import compile_in_background
     from hnn_vi_ros.run.compiled_scenes import compile_scenes
-    from hnn_vi_ros.run.held_state import restore_state, STATE_FILE, state_file
     from hnn_vi_ros.run.monitor import Monitor
     from hnn_vi_ros.run.preview import preview_bounds
     from hnn_vi_ros.run.report import EffectCosts, measure_effects, scene_report
     from hnn_vi_ros.run.run_folder import bag_lines, picture_lines, report_files, RunFiles
     from hnn_vi_ros.run.sampling import nanoseconds_of, Sampler, stamp_of, steps_between
+    from hnn_vi_ros.run.saved_state import restore_state, STATE_FILE, state_file
     from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine, TimingFigures
 
 __getattr__, __dir__ = lazy_exports(__name__)

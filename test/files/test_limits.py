@@ -46,7 +46,7 @@ AXIS = """\
 from hnn_vi_ros.sweeps.axes import file_axis
 """
 STATE = """\
-from hnn_vi_ros.run.held_state import restore_state
+from hnn_vi_ros.run.saved_state import restore_state
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.construction import build
 simulation = build(load_scene('exact_pendulum'))

@@ -14,7 +14,7 @@ from hnn_vi_ros.ros import controller_node
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.plumbing.graph import RepetitionFilter
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds, Stamps
-from hnn_vi_ros.ros.topics import hearing
+from hnn_vi_ros.ros.topics import subscriptions
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from messages import refused
 from peer import ros, values_of
@@ -189,7 +189,7 @@ def test_of_states_that_wait_the_newest_is_answered_and_each_is_heard(
         driven: Driven, monkeypatch: pytest.MonkeyPatch):
     states = rising(SECOND)
     first, *others = [*take(states, 3), JointState(name=['angle']), *take(states, 3)]
-    monkeypatch.setattr(hearing, 'take_waiting',
+    monkeypatch.setattr(subscriptions, 'take_waiting',
                         lambda subscription: map(serialize_message, others))
     assert len(driven.hear(first)) == 1 and driven.node._hearing.ignored[driven.node._states] == 1
     assert nanoseconds(driven.commands[0].header.stamp) == SECOND + 5 * SECOND // 100

@@ -356,7 +356,7 @@ def test_observation_without_names_is_an_unusable_one(tmp_path):
         publisher = found._peer.create_publisher(heard.msg_type, heard.topic_name, 1)
         assert found.spin_until(publisher.get_subscription_count)
         publisher.publish(heard.msg_type())
-        hearing = node.topics.hearing
+        hearing = node.topics.subscriptions
         assert found.spin_until(lambda: hearing.ignored['~/observations'])
         assert_message(hearing.reasons['~/observations'])
         assert_goes_on(found)

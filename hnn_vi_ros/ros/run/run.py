@@ -72,8 +72,8 @@ class Run:
         self._twin = prepared.twin
         self._twin_topic = None if self._twin is None else TwinTopic(
             self._twin, partial(topics.send, PREDICTION_ERROR), lambda: (
-                topics.hearing.ignored[OBSERVATIONS.topic],
-                topics.hearing.reasons.get(OBSERVATIONS.topic, '')),
+                topics.subscriptions.ignored[OBSERVATIONS.topic],
+                topics.subscriptions.reasons.get(OBSERVATIONS.topic, '')),
             lambda: self.sampler.stamp, lambda text: self.tell(text, 'WARN'))
         self._joiner = None if self._twin is None else ObservationJoiner(
             self._twin.names, self._twin.timeout, lambda: self.sampler.stamp,

@@ -13,13 +13,13 @@ from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 from hnn_vi_ros.ros.settings import Settings
-from hnn_vi_ros.ros.topics.hearing import Subscriptions
 from hnn_vi_ros.ros.topics.inputs import (
     body_of, command_of, INITIAL_STATE, Input, INPUTS, JOINT_COMMANDS, OBSERVATIONS, WRENCH)
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import (
     ConfiguredRun, DIAGNOSTICS, JOINT_STATES, Output, OUTPUTS, ROBOT, SCENE)
 from hnn_vi_ros.ros.topics.remapped_topics import remapped_names
+from hnn_vi_ros.ros.topics.subscriptions import Subscriptions
 from hnn_vi_ros.run import Monitor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -50,7 +50,7 @@ class Topics:
 
     Attributes
     ----------
-    hearing : Hearing
+    subscriptions : Subscriptions
         Subscriptions, with counts of the ignored messages.
 
     """
@@ -61,7 +61,7 @@ class Topics:
         self._publishers: dict[str, Publisher] = {}
         self._encoders: dict[str, tuple[Output, Encode]] = {}
         self._described: dict[str, Topic] = {}
-        self.hearing = Subscriptions(node)
+        self.subscriptions = Subscriptions(node)
         self._outputs: list[Output] = []
         self._create(None)
 
@@ -100,7 +100,7 @@ class Topics:
                 self._hear_commands(one)
         self._body = body_of(simulation.hamiltonian.coordinates, simulation.command_names)
         if self._body is not None:
-            self.hearing.hear(WRENCH, self._on_wrench)
+            self.subscriptions.hear(WRENCH, self._on_wrench)
 
     def follow(self, monitor: Monitor) -> None:
         """Take later samples from another monitor, whose run is in its initial state."""
@@ -117,7 +117,7 @@ class Topics:
         """Destroy all publishers and subscriptions."""
         for publisher in self._publishers.values():
             self._node.destroy_publisher(publisher)
-        self.hearing.close()
+        self.subscriptions.close()
 
     @property
     def has_joint_states(self) -> bool:
@@ -171,7 +171,7 @@ class Topics:
         """Return the topics that need a single publisher; joined observations may have several."""
         several = (INITIAL_STATE, *[OBSERVATIONS] * joins)
         driven = [one.topic for one in INPUTS
-                  if one.topic in self.hearing.topics and one not in several]
+                  if one.topic in self.subscriptions.topics and one not in several]
         clock = [CLOCK_TOPIC] * (follows_clock or CLOCK_TOPIC in self._publishers)
         return [JOINT_STATES.topic, *driven, *clock]
 
@@ -202,7 +202,7 @@ class Topics:
         if one is JOINT_COMMANDS and self._answer is not None:
             # A lost answer would not be repeated.
             one = one._replace(qos=_ANSWERS)
-        heard = self.hearing.hear(one, partial(self._take, one))
+        heard = self.subscriptions.hear(one, partial(self._take, one))
         self._described[one.topic] = describe_topic(
             heard.topic_name, one.message_type, heard.qos_profile)
 
