@@ -71,7 +71,7 @@ def markdown_table(table: Sequence[parameters.Specification]) -> str:
     for item in table:
         choices = f' ({", ".join(item.choices)})' if item.choices else ''
         changes = f'{item.changes} | ' if differs else ''
-        rows.append(f'| `{item.name}` | {parameters.shown(item.default)} | {item.unit} | {changes}'
+        rows.append(f'| `{item.name}` | {parameters.as_markdown(item.default)} | {item.unit} | {changes}'
                     f'{item.description}{choices} |')
     return '\n'.join(rows)
 
