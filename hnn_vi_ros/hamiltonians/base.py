@@ -137,8 +137,9 @@ class Hamiltonian(ABC):
     def copy(self) -> Self:
         """Return the same function with its own workspace, for use in another thread."""
         other = copy(self)
+        # Cached properties, which the copy computes for itself.
         for name in ('kernel', '_called'):
-            other.__dict__.pop(name, None)
+            vars(other).pop(name, None)
         return other
 
     @cached_property
