@@ -14,8 +14,7 @@ import tempfile
 from typing import NamedTuple
 
 from hnn_vi_ros.effects import ExternalForce
-from hnn_vi_ros.errors import (
-    DataError, ParameterError, RecordingError, UnsupportedSystem)
+from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, UnsupportedSystem
 from hnn_vi_ros.files import elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.identify import arguments as command_lines
@@ -24,8 +23,8 @@ from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
 from hnn_vi_ros.learning import (
     ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FitProblem,
-    FittedNumbers, guessed, input_courses, InputCourses, keys_of, MeasuredColumns, MotionSource,
-    Prediction, read_motions, search, Solution, split_runs, steps_between, Windows)
+    FittedNumbers, input_courses, InputCourses, keys_of, MeasuredColumns, MotionSource,
+    Prediction, read_motions, search, Solution, source_of, split_runs, steps_between, Windows)
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build, DifferentiableRun, resolve
@@ -387,7 +386,7 @@ def _source(options: Namespace, coordinates: Sequence[Coordinate]) -> tuple[Path
                             '--data; remove --config, or name one with measured data')
         data: MotionSource = found
     else:
-        path, data = split_runs(options.data[0])[0], guessed(options.data[0], coordinates)
+        path, data = split_runs(options.data[0])[0], source_of(options.data[0], coordinates)
         data = _arrays(path, data) if isinstance(data, ArraysData) else data
     return path, data if options.inputs is None else data.model_copy(
         update={'inputs': options.inputs})

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
     from hnn_vi_ros.learning.data.motions import EvenMotion
     from hnn_vi_ros.learning.data.sampling import steps_between
-    from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
+    from hnn_vi_ros.learning.data.sources import MotionSource, read_motions, source_of
     from hnn_vi_ros.learning.export_module import export
     from hnn_vi_ros.learning.fit.config import load_machine
     from hnn_vi_ros.learning.fit.excitation import ExcitationData

@@ -22,7 +22,7 @@ from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import (
     delayed, EvenMotion, MotionData, of_positions, train_and_test)
 from hnn_vi_ros.learning.data.sources import (
-    guessed, make_dataset, motions_of, MotionSource, read_motions)
+    make_dataset, motions_of, MotionSource, read_motions, source_of)
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import BodyConfig, FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.excitation import ExcitationData
@@ -243,7 +243,7 @@ def _motions(arguments: Namespace, given: Sequence[str], coordinates: Sequence[C
     changes: dict[str, object] = {} if arguments.smoothing is None else {
         'smoothing': arguments.smoothing}
     if arguments.config is None:
-        return _read(arguments, Path(given[0]), guessed(given[0], coordinates), given,
+        return _read(arguments, Path(given[0]), source_of(given[0], coordinates), given,
                      coordinates, changes)
     source = find_config(arguments.config)
     config = load_config(source)

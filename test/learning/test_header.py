@@ -6,7 +6,7 @@ from pathlib import Path
 
 from bag_files import state, write
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning import guessed, read_motions
+from hnn_vi_ros.learning import read_motions, source_of
 from hnn_vi_ros.learning.data.header import read_header
 from hnn_vi_ros.learning.data.units import conversion, split_unit
 from hnn_vi_ros.learning.families.priors import PlanarChain
@@ -105,7 +105,7 @@ SCENE = [Coordinate('angle', 'rad', 'N m s'), Coordinate('x', 'm', 'N s')]
 def test_columns_are_those_of_the_coordinates_of_a_scene(
         tmp_path, header, coordinates, q, v, tau):
     path = log(tmp_path / 'log.csv', header)
-    data = guessed(str(path), coordinates)
+    data = source_of(str(path), coordinates)
     names = [' '.join(names) if names else None for names in (data.q, data.v, data.tau)]
     assert names == [q, v, tau]
 
@@ -114,7 +114,7 @@ def test_columns_are_those_of_the_coordinates_of_a_scene(
 def test_columns_that_are_not_those_of_the_scene_are_refused(tmp_path, header):
     path = log(tmp_path / 'log.csv', header)
     with refused(DataError):
-        read_motions(path, guessed(str(path), SCENE[:1] if header != 't,angle' else SCENE),
+        read_motions(path, source_of(str(path), SCENE[:1] if header != 't,angle' else SCENE),
                      ['angle'], [str(path)], ['rad'])
 
 

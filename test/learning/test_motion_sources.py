@@ -7,11 +7,11 @@ from pathlib import Path
 
 from bag_files import array, Message, state, write
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning import ArraysData, guessed, read_motions, steps_between
+from hnn_vi_ros.learning import ArraysData, read_motions, source_of, steps_between
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import (
     even_motions, Motion, MotionData, of_positions, part_of, Recording)
-from hnn_vi_ros.learning.data.sampling import increasing, unexplained, unwound
+from hnn_vi_ros.learning.data.sampling import increasing_samples, unexplained_share, unwrap_turns
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of
@@ -156,14 +156,14 @@ def test_runs_whose_clocks_jitter_share_one_interval(tmp_path):
 
 
 def test_files_say_by_themselves_how_they_are_read(tmp_path):
-    assert isinstance(guessed('a.npz:run1'), ArraysData)
-    assert isinstance(guessed(str(tmp_path)), BagMotions)
-    assert isinstance(guessed('a.mcap'), BagMotions)
+    assert isinstance(source_of('a.npz:run1'), ArraysData)
+    assert isinstance(source_of(str(tmp_path)), BagMotions)
+    assert isinstance(source_of('a.mcap'), BagMotions)
     with refused(DataError):
-        guessed(str(tmp_path / 'a.txt'))
+        source_of(str(tmp_path / 'a.txt'))
     (tmp_path / 'a.txt').touch()
     with refused(DataError):
-        guessed(str(tmp_path / 'a.txt'))
+        source_of(str(tmp_path / 'a.txt'))
 
 
 @pytest.mark.parametrize('key', ['dq', 'v', None])
@@ -313,9 +313,9 @@ def motions(t=T, q=Q, v=V, tau=TAU, a=None, **changes) -> tuple:
 
 
 def test_most_samples_are_kept_whose_times_increase():
-    assert increasing(np.array([1.0, 2.0, 9.0, 3.0, 3.0, 4.0])).tolist()[-1] == 5
-    assert len(increasing(np.array([1.0, 2.0, 9.0, 3.0, 3.0, 4.0]))) == 4
-    assert len(increasing(np.zeros(5))) == 1 and not len(increasing(np.empty(0)))
+    assert increasing_samples(np.array([1.0, 2.0, 9.0, 3.0, 3.0, 4.0])).tolist()[-1] == 5
+    assert len(increasing_samples(np.array([1.0, 2.0, 9.0, 3.0, 3.0, 4.0]))) == 4
+    assert len(increasing_samples(np.zeros(5))) == 1 and not len(increasing_samples(np.empty(0)))
 
 
 @pytest.mark.parametrize('at', [100, 300])
@@ -349,9 +349,9 @@ def test_angle_that_is_kept_within_a_turn_is_unwound():
     assert np.abs(motion.v_smooth[40:-40, 0] - 9.0).max() < 0.01
     # Rates tell the turns between two samples that are far apart: 1.5 of them.
     few = slice(None, None, 105)
-    assert np.abs(np.diff(unwound(T[few], wrapped[few], v[few])[0][:, 0])
+    assert np.abs(np.diff(unwrap_turns(T[few], wrapped[few], v[few])[0][:, 0])
                   - 9.0 * 1.05).max() < 1e-9
-    assert unwound(T, Q, V)[1] == []
+    assert unwrap_turns(T, Q, V)[1] == []
 
 
 @pytest.mark.parametrize('wrong', [0.0, np.pi / 180.0, 180.0 / np.pi, -1.0])
@@ -400,7 +400,7 @@ def test_noise_quanta_and_joints_at_rest_are_no_wrong_velocities():
     rng = np.random.default_rng(3)
     quantum = 4e-4
     q = quantum * np.round(Q * [1.0, 0.0] / quantum + 0.4 * rng.normal(size=Q.shape))
-    share = unexplained(T, q, V * [1.0, 0.0] + 0.05 * rng.normal(size=V.shape))
+    share = unexplained_share(T, q, V * [1.0, 0.0] + 0.05 * rng.normal(size=V.shape))
     # 0.05 rad/s in 0.01 s, of amplitudes of 1 rad; the joint at rest is not judged.
     assert share[0] < 1e-3 and np.isnan(share[1])
     motions(q=q, v=0.9 * V * [1.0, 0.0])

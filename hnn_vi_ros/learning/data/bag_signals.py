@@ -99,7 +99,7 @@ class SignalReader:
 
     def type_of(self, topic: str) -> str:
         """Return the type of a topic; raise DataError if it is missing."""
-        return self._found(topic)[1]
+        return self._messages_of(topic)[1]
 
     def has_topic(self, topic: str) -> bool:
         """Return whether the bag holds a topic of exactly this name."""
@@ -118,9 +118,9 @@ class SignalReader:
 
     def names_in(self, topic: str) -> list[str]:
         """Return the names in the first joint states of a topic."""
-        name, _, messages = self._found(topic, JOINT_STATE)
+        name, _, messages = self._messages_of(topic, JOINT_STATE)
         first = next(messages, None)
-        return [] if first is None else list(self._decoded(name, first, decode_joint_state).names)
+        return [] if first is None else list(self._decode(name, first, decode_joint_state).names)
 
     def check_resets(self, state: str) -> None:
         """
@@ -128,7 +128,7 @@ class SignalReader:
 
         The samples before and after a reset are not of one motion.
         """
-        scene = _scene_of(self._found(state)[0])
+        scene = _scene_of(self._messages_of(state)[0])
         times: dict[bytes, int] = {}
         for message in self.bag.messages(self._topics.get(scene, [])):
             times.setdefault(message.data, message.time)
@@ -145,8 +145,8 @@ class SignalReader:
         Messages of a topic without stamps could then not be assigned to states.
         """
         times = np.array([
-            (message.time, self._decoded(topic, message, decode_joint_state).stamp)
-            for message in self._found(topic)[2]])
+            (message.time, self._decode(topic, message, decode_joint_state).stamp)
+            for message in self._messages_of(topic)[2]])
         log, stamps = (times - times[:1]).T * 1e-9
         largest = np.abs(log - stamps).max(initial=0.0)
         if largest > _DISAGREEMENT * stamps.max(initial=0.0) / max(len(stamps) - 1, 1):
@@ -168,10 +168,10 @@ class SignalReader:
             Positions of the joints in the order of the recording, with angles unwrapped.
 
         """
-        name = self._found(topic)[0]
+        name = self._messages_of(topic)[0]
         offered = max(len(qos_profiles(self.bag.channels[number].metadata.get(
             'offered_qos_profiles', ''))) for number in self._topics[name])
-        jumps = _jumps(q[np.isfinite(q).all(axis=1)])
+        jumps = _count_jumps(q[np.isfinite(q).all(axis=1)])
         seen = [f'it has {offered} publishers'] if offered > 1 else []
         if jumps >= _JUMPS:
             seen.append(f'positions jump away and back in {jumps} of its {len(q)} messages')
@@ -208,7 +208,7 @@ class SignalReader:
             The topic is missing, has another type, or a message cannot be read.
 
         """
-        name, kind, messages = self._found(topic, expected)
+        name, kind, messages = self._messages_of(topic, expected)
         if kind == ARRAY:
             found = [(message.time, self._from_array(name, message)) for message in messages]
             values = np.array([row for _, row in found]).reshape(-1, 1, len(self._joints))
@@ -252,12 +252,12 @@ class SignalReader:
             The topic is missing, has another type, or a message cannot be read.
 
         """
-        name, kind, messages = self._found(topic, STATES)
+        name, kind, messages = self._messages_of(topic, STATES)
         if kind == JOINT_STATE:
             stamps, rows, _ = self._joint_rows(name)
             efforts = np.array([effort for _, _, effort in rows]).reshape(-1, len(self._joints))
             return self._times(name, stamps), efforts
-        found = [(message.time, self._decoded(name, message, decode_float64_multi_array))
+        found = [(message.time, self._decode(name, message, decode_float64_multi_array))
                  for message in messages]
         lengths = [len(values) for _, values in found]
         usual = max(set(lengths), key=lengths.count, default=0)
@@ -275,8 +275,8 @@ class SignalReader:
         """Return the stamps and values of a topic's messages, and all joint names in them."""
         names = [prefix + joint for joint in self._joints]
         stamps, rows, seen = [], [], set[str]()
-        for message in self._found(name)[2]:
-            state = self._decoded(name, message, decode_joint_state)
+        for message in self._messages_of(name)[2]:
+            state = self._decode(name, message, decode_joint_state)
             seen.update(state.names)
             places = [state.names.index(one) if one in state.names else None for one in names]
             if any(place is not None for place in places):  # else from another driver
@@ -318,9 +318,10 @@ class SignalReader:
             return None
         topic = _scene_of(state)
         first = next(self.bag.messages(self._topics.get(topic, [])), None)
-        return None if first is None else self._decoded(topic, first, decode_string)
+        return None if first is None else self._decode(topic, first, decode_string)
 
-    def _found(self, topic: str, expected: str = '') -> tuple[str, str, Iterator[RecordedMessage]]:
+    def _messages_of(self, topic: str, expected: str = ''
+                     ) -> tuple[str, str, Iterator[RecordedMessage]]:
         """Return name, type and messages of the one topic that has this name or ends with it."""
         topic = '/' + topic.lstrip('/')
         if topic not in self._topics:
@@ -347,7 +348,7 @@ class SignalReader:
         return 'unknown type' if schema is None else schema.name
 
     def _from_array(self, topic: str, message: RecordedMessage) -> np.ndarray:
-        values = self._decoded(topic, message, decode_float64_multi_array)
+        values = self._decode(topic, message, decode_float64_multi_array)
         if not self._columns and len(values) == len(self._joints):
             return values
         if not self._columns or max(self._columns) >= len(values):
@@ -356,8 +357,8 @@ class SignalReader:
                             'data.columns (zero-based)')
         return values[self._columns]
 
-    def _decoded(self, topic: str, message: RecordedMessage, decode: Callable[[bytes], Decoded]
-                 ) -> Decoded:
+    def _decode(self, topic: str, message: RecordedMessage, decode: Callable[[bytes], Decoded]
+                ) -> Decoded:
         try:
             return decode(message.data)
         except (ValueError, UnicodeDecodeError) as problem:
@@ -370,7 +371,7 @@ def _scene_of(state: str) -> str:
     return f'{state.rpartition("/")[0]}/scene'
 
 
-def _jumps(q: np.ndarray) -> int:
+def _count_jumps(q: np.ndarray) -> int:
     """Return the number of rows of q, shape (N, d), that deviate while their neighbours agree."""
     steps, across = np.diff(q, axis=0), np.abs(q[2:] - q[:-2])
     usual = np.array([np.median(column[column > 0.0]) if column.any() else 0.0

@@ -12,7 +12,7 @@ from hnn_vi_ros.learning.data.bag_signals import ARRAY, JOINT_STATE, SignalReade
 from hnn_vi_ros.learning.data.dataset import (
     Derivatives, mass_matrix, Names, SavitzkyGolay, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.motions import GAP, Motion, MotionData, NONE, Recording
-from hnn_vi_ros.learning.data.sampling import cubic, increasing, unwound
+from hnn_vi_ros.learning.data.sampling import cubic, increasing_samples, unwrap_turns
 from hnn_vi_ros.recording import MOMENTUM, RATE
 import numpy as np
 from pydantic import Field, model_validator
@@ -204,12 +204,12 @@ def _motion(name: str, reader: SignalReader, data: BagData | BagMotions, joints:
         if topic == topics.q and not prefix:
             return values[:, of]
         own, found = reader.read(topic, prefix if state else '', STATES if state else expected)
-        return _at(t, own, found[:, 0 if state else of])
+        return _interpolate(t, own, found[:, 0 if state else of])
     q, v = values[:, 0], channel(topics.v, 1)
     if v is not None and isinstance(data, BagData) and data.velocity and not np.isfinite(v).any():
         raise DataError(f'{reader.path}: {topics.v} has no velocities; remove data.velocity to '
                         'estimate them')
-    reader.warn_of_publishers(topics.q, unwound(t, q, v)[0])
+    reader.warn_of_publishers(topics.q, unwrap_turns(t, q, v)[0])
     tau, notes = _forces(reader, topics, t, values[:, 2], data, joints)
     if reader.bag.damage:
         notes.append(reader.bag.damage)
@@ -233,13 +233,13 @@ def _choose_stamps(reader: SignalReader, topics: MotionTopics, data: BagData | B
         reader.check_clocks(stamped[0], unstamped[0])
 
 
-def _at(t: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _interpolate(t: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Interpolate values with times ``own`` at times t [s]; NaN outside them and in gaps."""
     if np.array_equal(own, t):
         return values
     found = np.full((len(t), values.shape[1]), np.nan)
     rows = np.flatnonzero(np.isfinite(values).all(axis=1))
-    rows = rows[increasing(own[rows])]
+    rows = rows[increasing_samples(own[rows])]
     if len(rows) < 2:
         return found
     intervals = np.diff(own[rows])
@@ -256,7 +256,7 @@ def _forces(reader: SignalReader, topics: MotionTopics, t: np.ndarray, efforts: 
     """Return the forces of the motors at each time, shape (N, m), and notes about them."""
     tau, notes = efforts, list[str]()
     if topics.forces not in ('', EFFORT):
-        tau, notes = _commanded(reader, topics.forces, t, data)
+        tau, notes = _commands_at(reader, topics.forces, t, data)
         if isinstance(data, BagMotions) and not 1 <= tau.shape[1] <= len(joints):
             raise DataError(f'{reader.path}: {topics.forces} has {tau.shape[1]} numbers for '
                             f'{len(joints)} coordinates; select theirs with data.columns '
@@ -275,8 +275,8 @@ def _forces(reader: SignalReader, topics: MotionTopics, t: np.ndarray, efforts: 
     return tau if topics.forces and given.any() else None, notes
 
 
-def _commanded(reader: SignalReader, forces: str, t: np.ndarray,
-               data: BagData | BagMotions) -> tuple[np.ndarray, list[str]]:
+def _commands_at(reader: SignalReader, forces: str, t: np.ndarray,
+                 data: BagData | BagMotions) -> tuple[np.ndarray, list[str]]:
     """Return the command at each time, shape (N, m), and notes about it."""
     stamps, values = reader.forces(
         forces, data.columns if isinstance(data, BagMotions) else ())

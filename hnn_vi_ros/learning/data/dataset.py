@@ -12,7 +12,7 @@ from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.learning.data.motions import (
     check_rates, Motion, OnBad, part_of, pieces_of, ReadingReport, Recording, resampled,
-    unwound_piece)
+    unwrapped_piece)
 from hnn_vi_ros.learning.data.sampling import cubic
 from hnn_vi_ros.models import Box, Interval
 import numpy as np
@@ -338,7 +338,7 @@ def _differentiated(motion: Motion, rows: np.ndarray, data: StateOptions, report
     method = data.method(data.spacing or mean)
     if method is None:
         return part_of(motion, rows), 0
-    piece, window = unwound_piece(motion, rows, report), 0
+    piece, window = unwrapped_piece(motion, rows, report), 0
     check_rates(piece)
     uneven = np.abs(np.diff(t) - mean).max() > UNEVENNESS * mean
     if data.spacing or (uneven and isinstance(method, SavitzkyGolay)):

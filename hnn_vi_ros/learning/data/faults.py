@@ -19,7 +19,7 @@ _SHIFT, _ALONE = 10.0, 3.0
 # for none: at least, and relative to other values.
 _OFF, _AGAIN, _OFTEN = 2.0, 3, 5.0
 # Largest share of faults that is left out: with more, the usual step is no longer known.
-_FEW = 0.1
+_MAX_SHARE = 0.1
 # Equal samples in a row that may be a stuck sensor; the share of other equal neighbours below
 # which a sensor never repeats a value by itself; the speed, relative to the usual one, that is
 # fast; that with which no rest begins or ends; and the share of values repeated equally often
@@ -66,18 +66,18 @@ def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, where: str
     columns += [] if v is None else [
         (f'velocity {k + 1}', x, _FAR_VELOCITY) for k, x in enumerate(v.T)]
     for name, x, far in columns:
-        x = unwrapped(t, x) if far == _FAR_POSITION else x
+        x = unwrap_beside_glitches(t, x) if far == _FAR_POSITION else x
         found = _glitches(t, x, far)
-        stuck = _stuck(x) if far == _FAR_POSITION else np.zeros(len(t), dtype=bool)
+        stuck = _stuck_samples(x) if far == _FAR_POSITION else np.zeros(len(t), dtype=bool)
         text = f'{name} jumps away and back in {found.sum()} samples{times_text(t[found])}'
-        if count := _repeats(x):
+        if count := _repeat_count(x):
             notes.append(f'{name} is repeated in {count} samples, of which the first is taken')
             wrong[1:] |= np.diff(x) == 0.0
         elif stuck.any():
             text = f'{name} stands still in {stuck.sum()} samples of a motion' \
                 f'{times_text(t[stuck])}' + f'; {text}' * bool(found.any())
             found |= stuck
-        if found.mean() > _FEW:
+        if found.mean() > _MAX_SHARE:
             raise DataError(f'{where}: {text}, of {len(t)}; no rate beside them explains that; '
                             'look at the sensor, or leave these samples out')
         if far == _FAR_POSITION:
@@ -88,7 +88,7 @@ def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, where: str
     return wrong, notes
 
 
-def unwrapped(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+def unwrap_beside_glitches(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return a coordinate, unwrapped if it is an angle that jumps by a turn, glitches aside."""
     good = ~_glitches(t, x, _FAR_POSITION)
     inside = x[good]
@@ -103,7 +103,7 @@ def unwrapped(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     return x
 
 
-def _usual(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _usual_steps(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the usual size of each step of a coordinate, shape (N - 1,)."""
     steps, intervals = np.abs(np.diff(x)), np.diff(t) / np.median(np.diff(t))
     each = steps / intervals
@@ -115,9 +115,9 @@ def _glitches(t: np.ndarray, x: np.ndarray, far: float) -> np.ndarray:
     """Return the mask of samples that are away from those before and after."""
     if not np.ptp(x):
         return np.zeros(len(x), dtype=bool)
-    usual = maximum_filter1d(_usual(t, x), _MEDIAN)
+    usual = maximum_filter1d(_usual_steps(t, x), _MEDIAN)
     usual = np.append(usual, usual[-1])
-    found = _abrupt(x, np.abs(x - median_filter(x, _MEDIAN, mode='reflect')) > far * usual)
+    found = _abrupt_samples(x, np.abs(x - median_filter(x, _MEDIAN, mode='reflect')) > far * usual)
     # A value that stands for none comes again and again, mostly off the line of its neighbours.
     _, value, count = np.unique(x, return_inverse=True, return_counts=True)
     off = np.zeros(len(x), dtype=bool)
@@ -126,7 +126,7 @@ def _glitches(t: np.ndarray, x: np.ndarray, far: float) -> np.ndarray:
     return found | (often & (np.bincount(value, off | found) >= 0.5 * count))[value]
 
 
-def _abrupt(x: np.ndarray, found: np.ndarray) -> np.ndarray:
+def _abrupt_samples(x: np.ndarray, found: np.ndarray) -> np.ndarray:
     """Return the mask of those samples that a step leads to or from which no other announces."""
     steps = np.pad(np.abs(np.diff(x)), 3)
     kept = np.zeros(len(x), dtype=bool)
@@ -139,7 +139,7 @@ def _abrupt(x: np.ndarray, found: np.ndarray) -> np.ndarray:
     return kept
 
 
-def _repeats(x: np.ndarray) -> int:
+def _repeat_count(x: np.ndarray) -> int:
     """Return how often a sensor that is slower than its log repeats each value, 0 for one."""
     between = np.diff(np.flatnonzero(np.diff(x)))
     count = int(np.median(between)) if between.size else 1
@@ -147,7 +147,7 @@ def _repeats(x: np.ndarray) -> int:
     return count if count > 1 and regular.mean() >= _REGULAR else 0
 
 
-def _stuck(x: np.ndarray) -> np.ndarray:
+def _stuck_samples(x: np.ndarray) -> np.ndarray:
     """Return the mask of samples that repeat the one before while the motion goes on."""
     found, steps = np.zeros(len(x), dtype=bool), np.abs(np.diff(x))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0.0, [False]])))
@@ -179,7 +179,7 @@ def _check_shifts(t: np.ndarray, x: np.ndarray, where: str) -> None:
         return
     padded = np.pad(steps, 2)
     beside = np.max([padded[k:k + len(steps)] for k in (0, 1, 3, 4)], axis=0)
-    at = np.flatnonzero((steps > _SHIFT * _usual(t, x)) & (steps > _ALONE * beside))
+    at = np.flatnonzero((steps > _SHIFT * _usual_steps(t, x)) & (steps > _ALONE * beside))
     if at.size:
         raise DataError(f'{where} jumps by {steps[at[0]]:.4g} and stays there'
                         f'{times_text(t[at + 1])}; no motion does; cut the log there, number its '

@@ -9,10 +9,10 @@ import re
 from typing import Any, Protocol
 
 from hnn_vi_ros.errors import DataError, listed
-from hnn_vi_ros.learning.data.faults import unwrapped
+from hnn_vi_ros.learning.data.faults import unwrap_beside_glitches
 from hnn_vi_ros.learning.data.sampling import repeated_text
-from hnn_vi_ros.learning.data.text import COLUMN, lacking, LogFormat, read_log
-from hnn_vi_ros.learning.data.units import parsed, split_unit
+from hnn_vi_ros.learning.data.text import COLUMN, LogFormat, read_log, without_sentinels
+from hnn_vi_ros.learning.data.units import parse_unit, split_unit
 import numpy as np
 from yaml import safe_dump
 
@@ -153,7 +153,7 @@ class Reading:
             units = COORDINATES.get(one.kind, {'q_unit': one.kind, 'kind': 'prismatic'})
             coordinates.append({'name': names[-1]} | units | (
                 {'kind': 'continuous'} if turns else {}))
-        forces = [parsed(one.unit) for one in self.tau]
+        forces = [parse_unit(one.unit) for one in self.tau]
         others = [[*unit[1]] for unit in forces if unit and 'kg' not in unit[1]]
         mapped = len(self.q) > 1 and others
         if len(self.q) == 1 and len(others) == 1:
@@ -199,7 +199,7 @@ def column_of(name: str, known: Mapping[str, str]) -> Column:
 
 def _by_unit(unit: str) -> tuple[str, str]:
     """Return the kind of coordinate and the role that a unit tells, or ''."""
-    known = parsed(unit)
+    known = parse_unit(unit)
     if known is None:
         return '', UNKNOWN
     text = ' '.join(f'{name}{power if power != 1 else ""}' for name, power in sorted(
@@ -248,7 +248,7 @@ def read_header(path: Path, coordinates: Sequence[Named] = ()) -> Reading:
     values = dict(zip(names, table.numbers.T, strict=True))
     time = _time_of(path, columns, values)
     t = values[time.name]
-    values = {name: lacking(x, t, name, []) for name, x in values.items()}
+    values = {name: without_sentinels(x, t, name, []) for name, x in values.items()}
     columns = [one for one in columns if np.nanmax(values[one.name], initial=-np.inf)
                > np.nanmin(values[one.name], initial=np.inf)]
     trials, rates, forces = ([one for one in columns if one.role == role]
@@ -257,8 +257,8 @@ def read_header(path: Path, coordinates: Sequence[Named] = ()) -> Reading:
     if not coordinates:
         q = [_with_kind(path, one, len(q), rates + forces, doubts) for one in q]
         q.sort(key=lambda one: one.kind == ANGLE)  # carts come first in a chain
-    v = _matched(q, rates, 'velocity', doubts)
-    tau = _matched(q, forces, 'force', doubts)
+    v = _columns_of(q, rates, 'velocity', doubts)
+    tau = _columns_of(q, forces, 'force', doubts)
     units = {time.name: _time_unit(time, t, bool(coordinates), doubts)} | {
         one.name: _unit(one, values[one.name], doubts) for one in q}
     renamed = {name: f'{name} [{unit}]' if unit else name for name, unit in units.items()}
@@ -283,7 +283,7 @@ def _refusal(doubt: str, reading: Reading) -> DataError:
 
 def _size(name: str) -> float:
     """Return the size of the unit in a name, 1 if it has none."""
-    return (parsed(split_unit(name)[1]) or (1.0,))[0]
+    return (parse_unit(split_unit(name)[1]) or (1.0,))[0]
 
 
 def _time_of(path: Path, columns: Sequence[Column], values: Mapping[str, np.ndarray]) -> Column:
@@ -356,8 +356,8 @@ def _with_kind(path: Path, one: Column, count: int, others: Sequence[Column],
     return one if one.kind else replace(one, kind=[*kinds, ANGLE][0])
 
 
-def _matched(q: Sequence[Column], found: Sequence[Column], what: str, doubts: list[str]
-             ) -> list[Column]:
+def _columns_of(q: Sequence[Column], found: Sequence[Column], what: str, doubts: list[str]
+                ) -> list[Column]:
     """Return the velocities or forces of the coordinates, as far as there are any, in order."""
     taken: dict[int, Column] = {}
     fitting = {k: [other for other in found if (
@@ -396,4 +396,4 @@ def _unit(one: Column, x: np.ndarray, doubts: list[str]) -> str:
 def _turns(t: np.ndarray, x: np.ndarray) -> bool:
     """Return whether an angle [rad] makes a whole turn."""
     x = x[np.isfinite(t) & np.isfinite(x)]
-    return bool(np.ptp(unwrapped(np.arange(len(x)), x)) > 2.0 * np.pi)
+    return bool(np.ptp(unwrap_beside_glitches(np.arange(len(x)), x)) > 2.0 * np.pi)

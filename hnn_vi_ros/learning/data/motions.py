@@ -17,8 +17,8 @@ from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.arguments import Course
 from hnn_vi_ros.learning.data.faults import faults
 from hnn_vi_ros.learning.data.sampling import (
-    Between, clock_resets, cubic, even_times, increasing, linear, low_pass, repeated_text, spaced,
-    unexplained, unwound)
+    Between, clock_resets, cubic, even_times, increasing_samples, linear, low_pass, repeated_text,
+    spaced_samples, unexplained_share, unwrap_turns)
 import numpy as np
 from pydantic import BeforeValidator, Field
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
@@ -28,7 +28,7 @@ MIN_SAMPLES = 20
 # Value of ``forces`` for no forces.
 NONE = 'none'
 # Largest accepted absolute value; squares of larger numbers may overflow.
-MOST = 1e100
+MAX_VALUE = 1e100
 # Largest plausible time in seconds since 1970.
 _LATEST = 1e11
 # Velocities are differences of positions if this share of them is, to the digits of a file.
@@ -243,11 +243,11 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
     # The interval of most samples is used for motions at different rates.
     usual = float(np.quantile(np.repeat([one.spacing for one in cut], [
         sum(map(len, one.rows)) for one in cut]), 0.5, method='lower'))
-    even = [piece for one in cut for piece in _even(one, usual, data, report)]
+    even = [piece for one in cut for piece in _even_pieces(one, usual, data, report)]
     if not even:
         raise DataError(f'{recording.motions[0].where}: no {MIN_SAMPLES} successive samples at '
                         f'{usual:.4g} s, the interval of most runs; use longer runs')
-    alone = data.smoothing or cutoff_of([_bare(piece) for piece in even], usual)
+    alone = data.smoothing or cutoff_of([_positions_alone(piece) for piece in even], usual)
     cutoff = data.smoothing or (_FASTEST if all(piece.v is not None for piece in even) else
                                 cutoff_of(even, usual))
     found = [replace(smoothed(
@@ -309,7 +309,7 @@ def pieces_of(motion: Motion, on_bad: str, report: ReadingReport) -> Pieces:
     if motion.v is not None and not np.isfinite(motion.v).any(axis=0).all():
         motion = replace(motion, v=None)
     report.note(*motion.notes, *['velocities estimated'] * (motion.v is None))
-    kept = _kept(motion, on_bad, report)
+    kept = _usable_samples(motion, on_bad, report)
     intervals = np.diff(motion.t[kept])
     spacing = float(np.median(intervals[intervals > 0.0])) if len(kept) > 1 else 0.0
     gap = intervals > GAP * spacing
@@ -331,14 +331,15 @@ def pieces_of(motion: Motion, on_bad: str, report: ReadingReport) -> Pieces:
     return Pieces(motion, long, spacing)
 
 
-def _kept(motion: Motion, on_bad: str, report: ReadingReport) -> np.ndarray:
+def _usable_samples(motion: Motion, on_bad: str, report: ReadingReport) -> np.ndarray:
     """Return the indices of usable samples; time decreases between two at a reset."""
-    lacks = {name: ~(np.abs(part) <= MOST).reshape(len(motion.t), -1).all(axis=1)
+    lacks = {name: ~(np.abs(part) <= MAX_VALUE).reshape(len(motion.t), -1).all(axis=1)
              for name, part in motion.channels.items()}
     lacking = np.any([*lacks.values()], axis=0)
     there = np.flatnonzero(~lacking)
     resets = clock_resets(motion.t[there])
-    parts = [part[increasing(motion.t[part])] for part in np.split(there, resets) if len(part)]
+    parts = [part[increasing_samples(motion.t[part])]
+             for part in np.split(there, resets) if len(part)]
     kept = np.concatenate([*parts, there[:0]])
     late = ~lacking
     late[kept] = False
@@ -379,8 +380,8 @@ def _without_faults(motion: Motion, parts: Sequence[np.ndarray], on_bad: str,
     return np.concatenate(good)
 
 
-def _even(pieces: Pieces, usual: float, data: MotionData, report: ReadingReport
-          ) -> Iterator[Motion]:
+def _even_pieces(pieces: Pieces, usual: float, data: MotionData, report: ReadingReport
+                 ) -> Iterator[Motion]:
     """Resample each piece of a motion; `usual` is the interval of most samples [s]."""
     motion, pieces_rows, spacing = pieces
     # Jittering clocks make one rate look like several.
@@ -390,12 +391,12 @@ def _even(pieces: Pieces, usual: float, data: MotionData, report: ReadingReport
             if motion.t[rows[-1]] - motion.t[rows[0]] > (MIN_SAMPLES - 1.5) * usual]
     report.short += sum(map(len, pieces_rows)) - sum(map(len, long))
     for number, rows in enumerate(long):
-        piece = unwound_piece(motion, rows, report)
+        piece = unwrapped_piece(motion, rows, report)
         check_rates(piece)
-        if differenced(piece):
+        if are_differences(piece):
             report.note('velocities are differences of the positions, and not used')
             piece = replace(piece, v=None)
-        alone = part_of(piece, spaced(piece.t, _CLOSE * spacing))
+        alone = part_of(piece, spaced_samples(piece.t, _CLOSE * spacing))
         if piece.v is None:
             report.close += len(piece.t) - len(alone.t)
             piece = alone
@@ -405,10 +406,10 @@ def _even(pieces: Pieces, usual: float, data: MotionData, report: ReadingReport
             even.t, alone.t, alone.q))
 
 
-def unwound_piece(motion: Motion, rows: np.ndarray, report: ReadingReport) -> Motion:
+def unwrapped_piece(motion: Motion, rows: np.ndarray, report: ReadingReport) -> Motion:
     """Return some samples of a motion with angles unwrapped."""
     piece = part_of(motion, rows)
-    q, turning = unwound(piece.t, piece.q, piece.v)
+    q, turning = unwrap_turns(piece.t, piece.q, piece.v)
     report.note(*(f'coordinate {k + 1} unwrapped' for k in turning))
     return replace(piece, q=q)
 
@@ -451,7 +452,7 @@ def check_rates(motion: Motion) -> None:
             ('accelerations', 'velocities', motion.v, motion.a, 'remove a')):
         if x is None or rate is None:
             continue
-        shares = unexplained(motion.t, x, rate)
+        shares = unexplained_share(motion.t, x, rate)
         if (shares > _UNEXPLAINED).any():
             worst = int(np.nanargmax(shares))
             raise DataError(
@@ -460,7 +461,7 @@ def check_rates(motion: Motion) -> None:
                 f'check both for other units, another sign, zeros or outliers, or {remedy}')
 
 
-def differenced(motion: Motion) -> bool:
+def are_differences(motion: Motion) -> bool:
     """
     Return True if velocities are differences of successive positions, as of an encoder.
 
@@ -491,13 +492,13 @@ def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau:
         a_smooth=rate(v_smooth) if a is None else smooth(a), cutoff=cutoff)
 
 
-def _bare(motion: Record) -> Record:
+def _positions_alone(motion: Record) -> Record:
     return replace(motion, v=None, q=motion.q if motion.q_alone is None else motion.q_alone)
 
 
 def of_positions(motions: Sequence[EvenMotion]) -> list[EvenMotion]:
     """Return motions as if velocities had not been measured."""
-    bare, cutoff = [_bare(motion) for motion in motions], motions[0].cutoff_alone
+    bare, cutoff = [_positions_alone(motion) for motion in motions], motions[0].cutoff_alone
     cutoff = cutoff_of(bare, motions[0].spacing) if cutoff is None else cutoff
     return [replace(smoothed(one.name, one.t, one.q, None, one.tau, cutoff, one.a),
                     where=one.where, inputs=one.inputs, idle=one.idle, cutoff_alone=cutoff)

@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfiltfilt
 # Order of the low-pass filter. It runs forward and backward: twice the order, no phase shift.
 _ORDER = 2
 # A low-pass filter with a cut-off above this share of the Nyquist frequency is skipped.
-_WHOLE = 0.9
+_MAX_CUTOFF = 0.9
 MAX_ROWS = 1_000_000
 # Share of times that repeat the previous one, above which they have been rounded.
 _MOST_REPEATED = 0.5
@@ -27,7 +27,7 @@ _MOST_STEPS = 250
 # Number of samples on each side that distinguish a reset clock from late samples.
 _AROUND = 20
 # Rates are judged only where a coordinate moves by this multiple of its noise.
-_SEEN = 20.0
+_MIN_MOTION = 20.0
 # Interpolation: maps new times, times t and values, shape (N, k), to values at the new times.
 Between = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
@@ -48,7 +48,7 @@ def clock_resets(t: np.ndarray) -> np.ndarray:
     return np.array(found, dtype=int)
 
 
-def increasing(t: np.ndarray) -> np.ndarray:
+def increasing_samples(t: np.ndarray) -> np.ndarray:
     """
     Return the indices of the largest set of samples with increasing times, shape (M,).
 
@@ -84,7 +84,7 @@ def repeated_text(t: np.ndarray) -> str:
             f'{longer.min():.4g} do; log them with more digits')
 
 
-def spaced(t: np.ndarray, least: float) -> np.ndarray:
+def spaced_samples(t: np.ndarray, least: float) -> np.ndarray:
     """Return the indices of samples at least this time [s] apart, each as early as possible."""
     kept = [0]
     if (np.diff(t) >= least).all():
@@ -127,7 +127,7 @@ def cubic(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
 def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np.ndarray:
     """Apply a zero-phase low-pass filter with this cut-off [Hz] along axis 0 (even times)."""
     share = 2.0 * spacing * cutoff
-    if share > _WHOLE:
+    if share > _MAX_CUTOFF:
         return values
     try:
         return np.ascontiguousarray(
@@ -137,7 +137,8 @@ def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np
                         f'of {spacing:.4g} s; increase it') from problem
 
 
-def unwound(t: np.ndarray, q: np.ndarray, v: np.ndarray | None) -> tuple[np.ndarray, list[int]]:
+def unwrap_turns(t: np.ndarray, q: np.ndarray, v: np.ndarray | None
+                 ) -> tuple[np.ndarray, list[int]]:
     """
     Unwrap angles that jump by a turn; return the coordinates and the indices of those unwrapped.
 
@@ -166,7 +167,7 @@ def unwound(t: np.ndarray, q: np.ndarray, v: np.ndarray | None) -> tuple[np.ndar
     return q, turning
 
 
-def unexplained(t: np.ndarray, x: np.ndarray, rate: np.ndarray) -> np.ndarray:
+def unexplained_share(t: np.ndarray, x: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """
     Return the share of the motion of each coordinate not explained by its rates, shape (d,).
 
@@ -183,10 +184,10 @@ def unexplained(t: np.ndarray, x: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
     """
     rest = x - cumulative_trapezoid(rate, t, axis=0, initial=0.0)
-    return np.array([_share(*columns) for columns in zip(x.T, rest.T, strict=True)])
+    return np.array([_least_unexplained(*columns) for columns in zip(x.T, rest.T, strict=True)])
 
 
-def _share(x: np.ndarray, rest: np.ndarray) -> float:
+def _least_unexplained(x: np.ndarray, rest: np.ndarray) -> float:
     changes = np.abs(np.diff(x))
     steps = changes[changes > 0.0]
     if not len(steps):
@@ -196,7 +197,7 @@ def _share(x: np.ndarray, rest: np.ndarray) -> float:
     shares, apart = [], 1
     while apart <= len(x) // 2:
         moved, left = (float(np.mean((part[apart:] - part[:-apart])**2)) for part in (x, rest))
-        if moved > (_SEEN * noise)**2:
+        if moved > (_MIN_MOTION * noise)**2:
             shares.append(left / moved)
         apart *= 2
     return min(shares, default=np.nan)

@@ -141,23 +141,23 @@ def one_file(source: Path, path: str, given: Sequence[str], hint: str = '') -> P
                         'them')
     if not (given or path):
         raise DataError(f'{source}: data.path is empty; pass the file with --data FILE{hint}')
-    return Path(given[0]) if given else _beside(source, path)
+    return Path(given[0]) if given else _locate(source, path)
 
 
 def bags_of(source: Path, paths: Sequence[str], given: Sequence[str]) -> list[Path]:
     """Return the given bags, or else the configured ones; raise DataError if there are none."""
     if not (given or paths):
         raise DataError(f'{source}: data.paths is empty; pass bags with --data BAG ...')
-    return [Path(path) for path in given] or [_beside(source, path) for path in paths]
+    return [Path(path) for path in given] or [_locate(source, path) for path in paths]
 
 
-def _beside(source: Path, path: str) -> Path:
+def _locate(source: Path, path: str) -> Path:
     """Return a file in the folder of the configuration if it exists, else the path as given."""
     beside = source.parent / path
     return beside if os.path.exists(beside) else Path(path)
 
 
-def guessed(path: str, coordinates: Sequence[Named] = ()) -> MotionSource:
+def source_of(path: str, coordinates: Sequence[Named] = ()) -> MotionSource:
     """
     Find out how a file is read.
 

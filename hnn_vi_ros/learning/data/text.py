@@ -18,13 +18,12 @@ from hnn_vi_ros.files import (
 from hnn_vi_ros.learning.data.dataset import (
     Derivatives, mass_matrix, Names, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.faults import times_text
-from hnn_vi_ros.learning.data.motions import Motion, MotionData, Recording
-from hnn_vi_ros.learning.data.units import conversion, parsed, split_unit
+from hnn_vi_ros.learning.data.motions import MAX_VALUE, Motion, MotionData, Recording
+from hnn_vi_ros.learning.data.units import conversion, parse_unit, split_unit
 import numpy as np
 from pydantic import Field, model_validator
 
 MAX_BYTES = 256 << 20
-MAX_VALUE = 1e100  # its square is still finite
 # Maximum number of columns, and length of a line with quoted fields.
 _MOST_COLUMNS, _MOST_QUOTED = 1000, 100_000
 # Maximum number of lines before the first row of numbers, and of rows that show the delimiter.
@@ -200,7 +199,7 @@ def read_text(path: Path, data: LogColumns, units: Sequence[str] = ()) -> Record
     column = dict(zip(table.names, table.numbers.T, strict=True))
     factors, notes = _factors(path, data, units), list(table.notes)
     t = factors.get(data.time, 1.0) * column[data.time]
-    column |= {name: factors.get(name, 1.0) * lacking(column[name], t, name, notes)
+    column |= {name: factors.get(name, 1.0) * without_sentinels(column[name], t, name, notes)
                for name in data.used}
     numbers = column[data.trial] if data.trial else np.zeros(len(t))
     unnumbered = np.flatnonzero(~np.isfinite(numbers))
@@ -221,7 +220,8 @@ def read_text(path: Path, data: LogColumns, units: Sequence[str] = ()) -> Record
     return Recording(motions, path.name, table.digest[:16])
 
 
-def lacking(values: np.ndarray, t: np.ndarray, name: str, notes: list[str]) -> np.ndarray:
+def without_sentinels(values: np.ndarray, t: np.ndarray, name: str, notes: list[str]
+                      ) -> np.ndarray:
     """Return a column with NaN for each value that stands for none, which is far from others."""
     for value in np.unique(values[np.isin(values, _SENTINELS)]):
         others = values[np.isfinite(values) & ~np.isin(values, _SENTINELS)]
@@ -242,12 +242,13 @@ def _factors(path: Path, data: LogColumns, units: Sequence[str]) -> dict[str, fl
     for channel, names in data.channels.items():
         for k, name in enumerate(names):
             unit = split_unit(name)[1]
-            known = parsed(unit)
+            known = parse_unit(unit)
             if known is None or channel == 'tau':
                 factors[name] = 1.0 if known is None else known[0]
                 continue
             angular = known[1] in ({}, {'s': -1}, {'s': -2})
-            own = units[k] if units and parsed(units[k]) and units[k] != '1' else 'rad' * angular
+            own = units[k] if units and units[k] != '1' and parse_unit(units[k]) else \
+                'rad' * angular
             if not own or (angular and data.degrees is not None):
                 factors[name] = 1.0
             elif channel in ('p', 'dp_dt'):
@@ -488,7 +489,7 @@ def _names(path: Path, data: LogFormat, above: list[tuple[int, str]], mark: str 
     if mark == ',' and half and not names and data.columns is None:
         raise DataError(f'{path}:{half[-1]}: {width // 2} names for {width} columns; are decimals '
                         'written with commas? Write points, or separate columns by semicolons')
-    if len(lines) > 1 and all(parsed(field.strip('[]()')) for field in names if field):
+    if len(lines) > 1 and all(parse_unit(field.strip('[]()')) for field in names if field):
         units = [unit.strip('[]()') for unit in names]
         number, names = lines[-2]
         names = [f'{name} [{unit}]' if unit and not split_unit(name)[1] else name

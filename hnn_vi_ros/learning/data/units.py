@@ -42,18 +42,18 @@ _MOST_WORDS = 8
 _POWERS = str.maketrans('⁰¹²³⁴⁵⁶⁷⁸⁹⁻', '0123456789-')
 
 
-def _known(word: str) -> tuple[float, Dimensions] | None:
+def _base_unit(word: str) -> tuple[float, Dimensions] | None:
     return _TABLE.get(word) or _TABLE.get(word.lower())
 
 
-def parsed(unit: str) -> tuple[float, Dimensions] | None:
+def parse_unit(unit: str) -> tuple[float, Dimensions] | None:
     """Return the size of a unit in SI units and its dimensions; None if it is unknown."""
     size, dimensions = 1.0, Counter[str]()
     for number, part in enumerate(unit.translate(_POWERS).split('/')):
         factors = [factor for factor in re.split(r'[\s*·.⋅]+', part.strip()) if factor]
         for factor in factors:
             match = _FACTOR.fullmatch(factor)
-            found = match and _known(match[1])
+            found = match and _base_unit(match[1])
             if not (match and found):
                 return None
             power = int(match[2] or 1) * (-1 if number else 1)
@@ -67,7 +67,7 @@ def parsed(unit: str) -> tuple[float, Dimensions] | None:
 
 def conversion(unit: str, target: str) -> float | None:
     """Return the factor from a unit to another; None if they measure different quantities."""
-    one, other = parsed(unit), parsed(target)
+    one, other = parse_unit(unit), parse_unit(target)
     return None if one is None or other is None or one[1] != other[1] else one[0] / other[0]
 
 
@@ -82,21 +82,21 @@ def split_unit(name: str) -> tuple[str, str]:
 
     """
     for match in _BRACKETED.finditer(name):
-        if parsed(match[1]):
+        if parse_unit(match[1]):
             return (name[:match.start()] + name[match.end():]).strip(), match[1].strip()
     words = [*_WORD.finditer(name)]
     for first, word in enumerate(words):
         # A limit, because the words of a long name would be compared in pairs.
         rest = [other[0] for other in words[first:first + _MOST_WORDS]
                 if other[0] not in ('per', 'in')]
-        ending = 0 < first >= len(words) - _MOST_WORDS and rest and all(map(_known, rest)) \
+        ending = 0 < first >= len(words) - _MOST_WORDS and rest and all(map(_base_unit, rest)) \
             and words[-1].end() >= len(name) - 1
         if ending or (word[0].lower() in _CLEAR and name[word.end():word.end() + 1] != '^'):
             # A second unit divides: deg_s, m_per_s2; N_m is a product.
             taken = rest if ending else rest[:1]
-            over = [other for other in taken[1:] if _known(other) == _TABLE['s']]
+            over = [other for other in taken[1:] if _base_unit(other) == _TABLE['s']]
             power = name[words[-1].end():] if ending and over else ''
             unit = ' '.join(taken[:len(taken) - len(over)]) + ''.join(f'/{one}' for one in over)
-            if parsed(unit + power):
+            if parse_unit(unit + power):
                 return name[:word.start()].rstrip('_ /,-'), unit + power
     return name, ''
