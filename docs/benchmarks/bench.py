@@ -16,13 +16,13 @@ from benchmarks.report import (
 
 # A group of rows: its module, and its approximate duration [s].
 GROUPS = {
-    'gradient': ('benchmarks.gradient', 15.0),
+    'gradient': ('benchmarks.gradient', 45.0),
     'modules': ('benchmarks.modules', 150.0),
     'adjoint': ('benchmarks.adjoint', 120.0),
     'euler_step': ('benchmarks.euler_step', 20.0),
     'path_error': ('benchmarks.path_error', 105.0),
     'exact': ('benchmarks.exact', 60.0),
-    'many': ('benchmarks.many', 180.0),
+    'many': ('benchmarks.many', 360.0),
     'scale': ('benchmarks.scale', 600.0),
     'effects': ('benchmarks.effects', 180.0),
     'auto': ('benchmarks.auto', 60.0),

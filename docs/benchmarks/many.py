@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rows 4: 10,000 trajectories at once compared with one, and with a matrix product."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from itertools import pairwise
 from pathlib import Path
 import tempfile
 
 from benchmarks.measurement import compare, interleave, Row, Settings
-from benchmarks.systems import random_checkpoint
+from benchmarks.systems import FAMILIES, random_checkpoint, random_family
 from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import BLOCK, simulate_many, Simulation, usable_processors
@@ -23,20 +23,25 @@ _MISS = ('a matrix product with the same operations alone takes {:.2f} of the ti
 
 
 def rows(settings: Settings) -> Iterator[Row]:
-    """Measure a random 2-200-200-1 and the shipped pendulum."""
+    """Measure a random 2-200-200-1, the shipped pendulum, and random models of families."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / 'network.safetensors'
-        save_checkpoint(path, random_checkpoint([2, 200, 200, 1], SEED))
-        scene = Scene.build(hamiltonian={'kind': 'hnn', 'model': str(path)}, step_size=0.01,
-                            integrator='variational_euler', initial_state=([0.3], [0.2]))
-        yield from _rows_of('2-200-200-1', scene, 20, settings)
+        for name, model, steps in (
+                ('2-200-200-1', random_checkpoint([2, 200, 200, 1], SEED), 20),
+                *((name, random_family(name, SEED), 100) for name in FAMILIES)):
+            path = Path(folder) / f'{name}.safetensors'
+            save_checkpoint(path, model)
+            d = len(model.card.coordinates)
+            scene = Scene.build(
+                hamiltonian={'kind': 'hnn', 'model': str(path)}, step_size=0.01,
+                integrator='variational_euler', initial_state=(d * [0.3], d * [0.2]))
+            yield from _rows_of(name, scene, steps, settings)
     yield from _rows_of('the pendulum', load_scene('pendulum'), 100, settings)
 
 
 def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterator[Row]:
     settings.say(f'{_TRAJECTORIES} trajectories of {name}')
     m = _TRAJECTORIES // 20 if settings.quick else _TRAJECTORIES
-    q, p = np.random.default_rng(SEED).uniform(-1.0, 1.0, (2, m, 1))
+    q, p = np.random.default_rng(SEED).uniform(-1.0, 1.0, (2, m, len(scene.initial_state.q)))
     cores, duration = usable_processors(), steps * scene.step_size
     hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
 
@@ -55,10 +60,10 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
     for first in range(0, m, BLOCK):
         block = start(first, BLOCK)
         block.advance(steps)
-        gradients += block.gradients * block.q.size
+        gradients += block.gradients * len(block.q)
     many = simulate_many(scene, q, p, duration, threads=1)
     _check(scene, many.q[-1], q, p, steps)
-    product = _product(hamiltonian.checkpoint.card.widths, gradients)
+    product = _product(hamiltonian.checkpoint.card.layout.values(), gradients)
     times = interleave([
         lambda: lambda: simulate_many(scene, q, p, duration, threads=1),
         lambda: lambda: simulate_many(scene, q, p, duration, threads=cores),
@@ -81,11 +86,12 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
         'gradients evaluated, by numpy')
 
 
-def _product(widths: list[int], gradients: int) -> Callable[[], None]:
-    """Return a matrix product with the operation count of `gradients` network gradients."""
+def _product(networks: Collection[list[int]], gradients: int) -> Callable[[], None]:
+    """Return a matrix product with the operation count of `gradients` gradients of networks."""
     # Each passes every weight forward and back: 4 operations a weight.
-    operations = 4 * gradients * sum(n_in * n_out for n_in, n_out in pairwise(widths))
-    n, rng = max(widths), np.random.default_rng(SEED)
+    operations = 4 * gradients * sum(
+        n_in * n_out for widths in networks for n_in, n_out in pairwise(widths))
+    n, rng = max(map(max, networks)), np.random.default_rng(SEED)
     weight, batch = rng.normal(size=(n, n)), rng.normal(size=(n, 2000))
     result = np.empty_like(batch)
 

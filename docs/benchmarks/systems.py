@@ -1,31 +1,55 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Twelve systems that are not shipped, and random networks."""
+"""Twelve systems that are not shipped, and models of random networks."""
 
 from dataclasses import replace
 from itertools import pairwise
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import Formula
 from hnn_vi_ros.hamiltonians.kepler import Kepler
-from hnn_vi_ros.models import Box, Checkpoint, CoordinateCard, Layers, ModelCard, NeuralHamiltonian
+from hnn_vi_ros.models import (
+    Box, Checkpoint, CoordinateCard, FrictionCard, Layers, MechanicalCard, ModelCard,
+    NeuralHamiltonian)
 from hnn_vi_ros.simulation import InitialValueProblem
 import numpy as np
 
 
+# Models of two joints, or of one coordinate: entries of their cards.
+FAMILIES: dict[str, dict[str, Any]] = {
+    'separable_hnn': {'networks': {'kinetic': [1, 32, 32, 1], 'potential': [1, 32, 32, 1]}},
+    'control_affine': {'networks': {
+        'mass_inverse': [2, 32, 32, 3], 'potential': [2, 32, 32, 1], 'input_map': [2, 4, 2]}},
+    'mechanical': {
+        'networks': {'mass': [2, 32, 32, 3], 'potential': [4, 32, 32, 1]},
+        'mechanical': MechanicalCard(
+            kinds=['continuous', 'continuous'], features=[[1.0, 0.0], [1.0, 1.0]],
+            mass_features=[[0.0, 1.0]], mass_scale=[1.0, 1.0], floor=0.5,
+            friction=FrictionCard(viscous=[0.0, 0.0]))}}
+
+
 def random_checkpoint(widths: list[int], seed: int) -> Checkpoint:
     """Return a network of these widths with random weights of the usual size."""
+    return random_model('hnn', widths[0] // 2, seed, widths=widths)
+
+
+def random_family(family: str, seed: int) -> Checkpoint:
+    """Return a model of a row of FAMILIES with random weights of the usual size."""
+    return random_model(family, 1 if family == 'separable_hnn' else 2, seed, **FAMILIES[family])
+
+
+def random_model(family: str, d: int, seed: int, **entries: Any) -> Checkpoint:
+    """Return a model of d coordinates with these entries of its card, and random weights."""
     rng = np.random.default_rng(seed)
-    d = widths[0] // 2
-    pairs = list(pairwise(widths))
     card = ModelCard(
-        name='random', widths=widths, dataset='none', seed=seed, losses={}, training_command='',
+        name='random', family=family, dataset='none', seed=seed, losses={}, training_command='',
         package_version='0', box=Box(q=[[-1.0, 1.0]] * d, p=[[-1.0, 1.0]] * d),
-        coordinates=[CoordinateCard(name=f'x{i}') for i in range(d)])
-    return Checkpoint(card, {'energy': Layers(
-        tuple(rng.normal(size=(n_out, n_in)) / np.sqrt(n_in) for n_in, n_out in pairs),
-        tuple(0.1 * rng.normal(size=n_out) for _, n_out in pairs))})
+        coordinates=[CoordinateCard(name=f'x{i}') for i in range(d)], **entries)
+    return Checkpoint(card, {name: Layers(
+        tuple(rng.normal(size=(n_out, n_in)) / np.sqrt(n_in) for n_in, n_out in pairwise(widths)),
+        tuple(0.1 * rng.normal(size=n_out) for n_out in widths[1:]))
+        for name, widths in card.layout.items()})
 
 
 class System(NamedTuple):
