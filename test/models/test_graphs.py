@@ -10,9 +10,11 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.models import Builder, graph_data, read_graph
 from hnn_vi_ros.models.graphs import machine
 from hnn_vi_ros.models.graphs.derivatives import dependence, gradient, tangent
-from hnn_vi_ros.models.graphs.graph import MAX_PRODUCTS
+from hnn_vi_ros.models.graphs.graph import MAX_PRODUCTS, needed
 from hnn_vi_ros.models.graphs.operations import BINARY, SWITCHES, UNARY
-from hnn_vi_ros.models.graphs.tape import Assembler
+from hnn_vi_ros.models.graphs.perceptrons import ACTIVATIONS, fused, whole_perceptron
+from hnn_vi_ros.models.graphs.tape import Assembler, Tape
+from hnn_vi_ros.models.networks.perceptron_memory import pack_mapping
 import numpy as np
 import pytest
 
@@ -28,9 +30,15 @@ def run(b: Builder, output: int, z: np.ndarray) -> np.ndarray:
     tape = assembler.tape(output)
     memory = assembler.memory()
     memory[:z.size] = z
-    machine.run(tape.code, memory, assembler.index())
+    run_tape(b, tape, memory, assembler.index())
     shape = b.shape(output)
     return memory[tape.place:tape.place + math.prod(shape)].reshape(shape).copy()
+
+
+def run_tape(b: Builder, tape: Tape, memory: np.ndarray, index: np.ndarray) -> None:
+    """Run one tape in its memory."""
+    machine.run(machine.assembled(memory, index, 3 * [tape], [
+        pack_mapping(*layers, activation) for layers, activation in b.networks], 1), 0)
 
 
 @pytest.mark.parametrize('op', UNARY)
@@ -147,6 +155,89 @@ def test_slopes_of_powers_at_zero_are_finite():
     assert run(b, along, np.zeros(4)).tolist() == [0.0, 0.0, 2.0, 0.0]
 
 
+def dense(b: Builder, x: int, outputs: int, seed: int) -> int:
+    """Return a dense layer of a row, with weights and biases of the usual size."""
+    (_, inputs), rng = b.shape(x), np.random.default_rng(seed)
+    y = b.matmul(x, b.constant(rng.normal(size=(outputs, inputs)) / inputs**0.5), t_y=True)
+    return b.add(y, b.constant(rng.normal(size=(1, outputs))))
+
+
+def network(b: Builder, x: int, activation: str, outputs: int) -> int:
+    """Return a network of two hidden layers, with scaled inputs and outputs, of a row."""
+    inputs = b.shape(x)[1]
+    y = b.div(b.sub(x, b.constant(np.full((1, inputs), 0.3))), b.constant(
+        np.full((1, inputs), 1.7)))
+    for k, width in enumerate((9, 12)):
+        y = b.unary(activation, dense(b, y, width, k))
+    y = dense(b, y, outputs, 2)
+    return b.mul(y, b.full(y, 2.5))
+
+
+def count(b: Builder, output: int) -> int:
+    """Return the number of perceptrons that a node depends on."""
+    return sum(b.nodes[k].op == 'perceptron' for k in needed(b.nodes, [output]))
+
+
+def product_of_networks(b: Builder, x: int, activation: str) -> int:
+    """Return a function of four values by two networks whose outputs and inputs are used twice."""
+    row = b.reshape(x, (1, 4))
+    y = network(b, b.take(row, np.array([[0, 1, 3]])), activation, 3)
+    z = network(b, b.mul(row, row), activation, 4)
+    weighted = b.mul(b.take(y, np.array([[0, 1, 2, 0]])), b.unary('sin', b.mul(z, row)))
+    return b.sum(b.mul(weighted, b.take(y, np.array([[2, 0, 1, 1]]))), (0, 1))
+
+
+@pytest.mark.parametrize('activation', ACTIVATIONS)
+def test_fused_perceptrons_have_the_values_and_derivatives_of_their_layers(activation):
+    b, rng = Builder(), np.random.default_rng(6)
+    z, v = rng.normal(size=(2, 4))
+    output = product_of_networks(b, b.input(4), activation)
+    both = [(b, output), fused(b, output)]
+    assert [count(*graph) for graph in both] == [0, 2]
+    for one, other in zip(*(evaluations(*graph, z, v) for graph in both), strict=True):
+        # Sums of up to 12 products in another order, in some ten operations one after another.
+        assert one == pytest.approx(other, rel=0.0, abs=100.0 * EPS * np.abs(one).max())
+
+
+def evaluations(b: Builder, output: int, z: np.ndarray, v: np.ndarray) -> list[np.ndarray]:
+    """Return the value, the gradient, and the Hessian times v."""
+    x = b.input(z.size)
+    slopes = gradient(b, output, x)
+    return [run(b, k, z) for k in (output, slopes, tangent(b, slopes, x, b.constant(v)))]
+
+
+def test_only_chains_of_layers_that_nothing_else_uses_are_fused():
+    b = Builder()
+    row = b.reshape(b.input(4), (1, 4))
+    residual = b.add(row, b.unary('tanh', dense(b, row, 4, 0)))
+    mixed_up = dense(b, b.unary('tanh', dense(b, b.unary('sin', dense(b, row, 4, 1)), 4, 2)), 1, 3)
+    shared = b.unary('tanh', dense(b, row, 4, 4))
+    for output, expected in ((b.sum(b.mul(residual, residual), (0, 1)), 0),
+                             (b.add(dense(b, shared, 4, 5), b.mul(shared, shared)), 0),
+                             # The last layer of the first network is the first of another one.
+                             (mixed_up, 1)):
+        assert count(*fused(b, output)) == expected
+
+
+def test_layers_of_several_rows_are_not_one_larger_matrix():
+    b = Builder()
+    rows = b.reshape(b.input(6), (3, 2))
+    weights = b.constant(np.ones((16, 2)))
+    hidden = b.unary('tanh', b.matmul(rows, weights, t_y=True))
+    output = b.sum(b.matmul(hidden, b.constant(np.ones((16, 1)))), (0, 1))
+    assert count(*fused(b, output)) == 0
+
+
+def test_graph_that_is_one_perceptron_is_recognised():
+    b = Builder()
+    x = b.input(4)
+    output = b.reshape(network(b, b.reshape(x, (1, 4)), 'tanh', 1), ())
+    found = whole_perceptron(*fused(b, output))
+    assert found is not None
+    assert found.layers.widths == [4, 9, 12, 1]
+    assert whole_perceptron(*fused(b, b.mul(output, output))) is None
+
+
 def test_constant_number_keeps_its_shape():
     b = Builder()
     assert b.shape(b.constant(np.array(2.0))) == ()
@@ -260,5 +351,5 @@ def check_places(b: Builder, output: int, x: int) -> None:
     memory, index = assembler.memory(), assembler.index()
     for code in tape.code.astype(int):
         assert (code >= 0).all() and code[1] < memory.size
-    machine.run(tape.code, memory, index)
+    run_tape(b, tape, memory, index)
     assert tape.place + math.prod(b.shape(output)) <= memory.size

@@ -124,6 +124,8 @@ def _back(b: Builder, k: int, g: int, own: set[int]) -> list[tuple[int, int]]:
             parts = [b.put(g, b.tensors[node.tensor], shapes[0])]
         case 'put':
             parts = [b.take(g, b.tensors[node.tensor].reshape(shapes[0]))]
+        case 'perceptron':
+            parts = [b.pullback(node.tensor, x, g)]
         case _:
             ends = [0, *accumulate(map(math.prod, shapes))]
             parts = [b.take(g, np.arange(first, last).reshape(shape)) for first, last, shape
@@ -169,6 +171,11 @@ def _forth(b: Builder, k: int, found: dict[int, int]) -> int:
             return b.take(t, b.tensors[node.tensor])
         case 'put':
             return b.put(t, b.tensors[node.tensor], node.options)
+        case 'perceptron':
+            return b.pushforward(node.tensor, x, t)
+        case 'pullback':
+            return b.add(b.pullback(node.tensor, x, own[1]),
+                         b.pullback_tangent(node.tensor, x, node.inputs[1], t))
     return b.concatenate(own)
 
 
@@ -203,4 +210,7 @@ def _reached(b: Builder, k: int, found: dict[int, np.ndarray], count: int) -> np
             return total
         case 'concatenate':
             return np.concatenate(own)
+        case 'perceptron' | 'pullback':
+            return np.broadcast_to(np.logical_or.reduce([part.any(axis=0) for part in own]),
+                                   (size, count))
     return np.logical_or.reduce(own) if len(own) > 1 else own[0]

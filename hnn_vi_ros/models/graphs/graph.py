@@ -9,6 +9,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.graphs.operations import BINARY, STRUCTURAL, UNARY, VERSION
 import numpy as np
 
@@ -29,8 +30,15 @@ class GraphNode(NamedTuple):
     shape: Shape
     # Axes, transposes or a shape; see operations.
     options: tuple[int, ...] = ()
-    # Number of a tensor among the builder's tensors.
+    # Number of a tensor among the builder's tensors, or of a network among its networks.
     tensor: int = -1
+
+
+class GraphNetwork(NamedTuple):
+    """A network in a graph: its layers, and the activation between them."""
+
+    layers: Layers
+    activation: str
 
 
 class Builder:
@@ -46,6 +54,8 @@ class Builder:
         Nodes in the order of their computation.
     tensors : list of np.ndarray
         Constants (float64) and indices (int64).
+    networks : list of GraphNetwork
+        Networks of the nodes that ``fused`` finds; see perceptrons.py.
     products : int
         Multiplications of all products of matrices so far, also of constants.
 
@@ -55,6 +65,7 @@ class Builder:
         self.products = 0
         self.nodes: list[GraphNode] = []
         self.tensors: list[np.ndarray] = []
+        self.networks: list[GraphNetwork] = []
         self._known: dict[GraphNode, int] = {}
         self._known_tensors: dict[tuple[str, Shape, bytes], int] = {}
         self._fills: dict[int, float | None] = {}
@@ -266,6 +277,54 @@ class Builder:
             return self.reshape(parts[0], (size,))
         return self._add(GraphNode('concatenate', tuple(parts), (size,)))
 
+    def perceptron(self, network: int, x: int) -> int:
+        """Return N(x), a vector, of a network and its vector of inputs."""
+        outputs = self.networks[network].layers.biases[-1].size
+        return self._add(GraphNode('perceptron', (x,), (outputs,), (), network))
+
+    def pullback(self, network: int, x: int, g: int) -> int:
+        """Return N'(x)^T g."""
+        return self._linear('pullback', network, (x, g), self.shape(x))
+
+    def pushforward(self, network: int, x: int, v: int) -> int:
+        """Return N'(x) v."""
+        return self._linear('pushforward', network, (x, v), self.networks[
+            network].layers.biases[-1].shape)
+
+    def pullback_tangent(self, network: int, x: int, g: int, v: int) -> int:
+        """Return the derivative of N'(x)^T g along the change v of x."""
+        return self.full(x, 0.0) if self._fill(g) == 0.0 else self._linear(
+            'pullback_tangent', network, (x, g, v), self.shape(x))
+
+    def _linear(self, op: str, network: int, inputs: tuple[int, ...], shape: Shape) -> int:
+        """Return a function that is linear in its last input."""
+        return self.constant(np.zeros(shape)) if self._fill(inputs[-1]) == 0.0 else self._add(
+            GraphNode(op, inputs, shape, (), network))
+
+    def operation(self, op: str, at: Sequence[int], options: tuple[int, ...] = (),
+                  tensor: np.ndarray | None = None) -> int:
+        """Return any operation of a file but the input, given its entries there."""
+        match op:
+            case 'constant':
+                assert tensor is not None, 'checked by the caller'
+                return self.constant(tensor)
+            case 'take':
+                assert tensor is not None, 'checked by the caller'
+                return self.take(at[0], tensor)
+            case 'put':
+                assert tensor is not None, 'checked by the caller'
+                return self.put(at[0], tensor, options)
+            case 'matmul':
+                return self.matmul(at[0], at[1], *map(bool, options))
+            case 'sum' | 'amax' | 'reshape':
+                found: int = getattr(self, op)(at[0], options)
+                return found
+            case 'concatenate':
+                return self.concatenate(at)
+            case 'where':
+                return self.where(*at)
+        return self.unary(op, *at) if op in UNARY else self.binary(op, *at)
+
     def broadcast(self, x: int, shape: Sequence[int]) -> int:
         """Return a node in a shape that numpy broadcasts its own to."""
         own = self.shape(x)
@@ -409,8 +468,7 @@ def _node(b: Builder, found: Sequence[int], row: Any, tensors: Mapping[str, np.n
         _expect(len(at) == count and tensor is None and not options,
                 f'{op} takes {count} inputs')
         _expect(len(set(shapes)) == 1, f'{op} of shapes {shapes}')
-        return b.unary(op, *at) if count == 1 else b.binary(op, *at) if count == 2 else \
-            b.where(*at)
+        return b.operation(op, at)
     _expect(op in STRUCTURAL, f'unknown operation {op[:40]!r}')
     kind = {'constant': 'f', 'take': 'i', 'put': 'i'}.get(op)
     _expect((tensor is None) == (kind is None) and (
@@ -422,14 +480,15 @@ def _node(b: Builder, found: Sequence[int], row: Any, tensors: Mapping[str, np.n
     if op == 'concatenate':
         size = sum(math.prod(shape) for shape in shapes)
         _expect(0 < size <= MAX_SIZE and not options, 'concatenate of nothing, or of too much')
-        return b.concatenate(at)
-    _expect(len(at) == (2 if op == 'matmul' else 1), f'{op} takes another number of inputs')
-    return _structural(b, op, at, options, tensor)
+    else:
+        _expect(len(at) == (2 if op == 'matmul' else 1), f'{op} takes another number of inputs')
+        _check_structural(b, op, at, options, tensor)
+    return b.operation(op, at, options, tensor)
 
 
-def _structural(b: Builder, op: str, at: Sequence[int], options: tuple[int, ...],
-                tensor: np.ndarray | None) -> int:
-    x, shape = at[0], b.shape(at[0])
+def _check_structural(b: Builder, op: str, at: Sequence[int], options: tuple[int, ...],
+                      tensor: np.ndarray | None) -> None:
+    shape = b.shape(at[0])
     if op == 'matmul':
         other = b.shape(at[1])
         _expect(len(options) == 2 and max(options) <= 1, 'matmul needs two flags')
@@ -441,16 +500,16 @@ def _structural(b: Builder, op: str, at: Sequence[int], options: tuple[int, ...]
         _expect(0 < size <= MAX_SIZE, f'matmul gives {size} values, the limit is {MAX_SIZE}')
         _expect(b.products + count_products(shape, other, *options) <= MAX_PRODUCTS,
                 f'its products of matrices take over {MAX_PRODUCTS} multiplications')
-        return b.matmul(x, at[1], bool(options[0]), bool(options[1]))
+        return
     if op in ('sum', 'amax'):
         _expect(len(set(options)) == len(options) and all(k < len(shape) for k in options)
                 and all(shape), f'{op} over axes {options} of shape {shape}')
-        return b.sum(x, options) if op == 'sum' else b.amax(x, options)
+        return
     size = math.prod(shape)
     if op == 'reshape':
         _expect(math.prod(options) == size and len(options) <= MAX_AXES,
                 f'{shape} cannot become {options}')
-        return b.reshape(x, options)
+        return
     assert tensor is not None, 'checked above'
     target = size if op == 'take' else math.prod(options)
     _expect(0 < target <= MAX_SIZE and 0 < tensor.size <= MAX_SIZE
@@ -458,11 +517,8 @@ def _structural(b: Builder, op: str, at: Sequence[int], options: tuple[int, ...]
             f'{op} of too many values, or of none')
     _expect(0 <= int(tensor.min()) and int(tensor.max()) < target,
             f'{op} has an index outside of its {target} values')
-    if op == 'take':
-        _expect(not options, 'take has no options')
-        return b.take(x, tensor)
-    _expect(tensor.size == size, f'put of {size} values to {tensor.size} places')
-    return b.put(x, tensor, options)
+    _expect(op == 'put' or not options, 'take has no options')
+    _expect(op == 'take' or tensor.size == size, f'put of {size} values to {tensor.size} places')
 
 
 def _expect(holds: bool, otherwise: str) -> None:

@@ -3,29 +3,39 @@
 """
 Compiled loops that run tapes: one loop for each operation, over one memory.
 
-Places and counts are unsigned, since a check for negative indices would prevent vectorisation.
+Places and counts are unsigned, since a check for negative indices would prevent vectorisation. The
+loops are compiled once, and called by address, because they are the same for all graphs.
 """
 
+from collections.abc import Sequence
+from functools import cache
 import math
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.kernels import kept, part
+from hnn_vi_ros.kernels import (
+    address_of, block, entry_caller, flat, kept, load, part, type_of, Whole)
 from hnn_vi_ros.models.graphs.tape import (
-    AMAX, COPY, FILL, FIRST_BINARY, FIRST_UNARY, MATMUL, PUT, SUM, TAKE, WHERE)
+    AMAX, COPY, FILL, FIRST_BINARY, FIRST_UNARY, MATMUL, NETWORK, PUT, SUM, TAKE, Tape, WHERE)
 from hnn_vi_ros.models.networks.activations import (
     exponential, FASTMATH, logarithm, sine_and_cosine, softplus_and_slope, tanh)
+from hnn_vi_ros.models.networks.mapping import run_network
+from hnn_vi_ros.models.networks.perceptron_memory import Mapping, pack_mapping
+from numba.core import types
 import numpy as np
 
-_compiled = kept(fastmath=FASTMATH, error_model='numpy')
 _part = part(fastmath=FASTMATH, error_model='numpy', forceinline=True)
+_compiled = kept(error_model='numpy')
 _ONE, _TILE = np.uint64(1), np.uint64(8)
 _FIRST_TRANSCENDENTAL = FIRST_UNARY + 10
 _1, _2, _3, _4, _5, _6, _7 = (np.uint64(k) for k in range(1, 8))
+# The type of a network, and its size in memory in bytes.
+_EXAMPLE = pack_mapping(2 * (np.zeros((1, 1)),), 2 * (np.zeros(1),), 'tanh')
+_NETWORK, _BYTES = type_of(_EXAMPLE), 8 * len(flat(_EXAMPLE))
 
 
-class GraphParameters(NamedTuple):
+class Program(NamedTuple):
     """
-    Parameters of the functions of a graph.
+    Tapes with everything that they use.
 
     Parameters
     ----------
@@ -35,8 +45,8 @@ class GraphParameters(NamedTuple):
         Indices of take and put.
     energy, gradient, product : np.ndarray of uint64, shape (instructions, 9)
         Tapes of H, its gradient, and its Hessian times a vector; see tape.
-    places : np.ndarray of uint64, shape (4,)
-        Places of the results of the three, and d.
+    networks : np.ndarray of int64
+        Networks in the graph, each a Mapping, as words in numba's layout.
 
     """
 
@@ -45,14 +55,73 @@ class GraphParameters(NamedTuple):
     energy: np.ndarray
     gradient: np.ndarray
     product: np.ndarray
+    networks: np.ndarray
+
+
+_PROGRAM = type_of(Program(*(np.zeros(1), np.zeros(1, dtype=np.uint64)),
+                           *3 * (np.zeros((1, 9), dtype=np.uint64),),
+                           np.zeros(1, dtype=np.int64)))
+
+
+class GraphParameters(NamedTuple):
+    """
+    Parameters of the functions of a graph.
+
+    Parameters
+    ----------
+    words : np.ndarray of int64
+        Address of ``_run``, then a Program as words in numba's layout.
+    memory : np.ndarray
+        Memory of the program.
+    places : np.ndarray of int64, shape (4,)
+        Places of the results of the three tapes, and d.
+
+    """
+
+    words: np.ndarray
+    memory: np.ndarray
     places: np.ndarray
+
+
+def assembled(memory: np.ndarray, numbers: np.ndarray, tapes: Sequence[Tape],
+              networks: Sequence[Mapping], d: int) -> GraphParameters:
+    """Return the parameters of three tapes and their memory."""
+    energy_code, gradient_code, product_code = (tape.code for tape in tapes)
+    program = Program(memory, numbers, energy_code, gradient_code, product_code,
+                      block(tuple(networks), 0)[1:])
+    return GraphParameters(block(program, _address()), memory, np.array(
+        [*(tape.place for tape in tapes), d], dtype=np.int64))
+
+
+def run(graph: GraphParameters, which: int) -> None:
+    """Run a tape of a graph from Python: 0 energy, 1 gradient, 2 product."""
+    _entry().entry_point(graph.words.ctypes.data + 8, which)
+
+
+@cache
+def _entry() -> Any:
+    entry: Any = kept(fastmath=FASTMATH, error_model='numpy', nogil=True, no_cfunc_wrapper=True,
+                 pipeline_class=Whole)(_run)
+    entry.compile((types.int64, types.int64))
+    (found,) = entry.overloads.values()
+    return found
+
+
+@cache
+def _address() -> int:
+    found = _entry()
+    address: int = found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
+    return address
+
+
+_call = entry_caller(types.none)
 
 
 @_compiled
 def energy(graph: GraphParameters, q: np.ndarray, p: np.ndarray) -> float:
     """Return H(q, p) [J] for q and p of shape (d,)."""
     _load(graph.memory, 0, q.size, q, p, 0)
-    run(graph.energy, graph.memory, graph.numbers)
+    _call(graph.words[0], (address_of(graph.words) + 8, 0))
     return float(graph.memory[graph.places[0]])
 
 
@@ -60,11 +129,10 @@ def energy(graph: GraphParameters, q: np.ndarray, p: np.ndarray) -> float:
 def gradient(graph: GraphParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
              dH_dp: np.ndarray) -> None:
     """Fill dH_dq and dH_dp, all of shape (m d,): m states in sequence."""
-    memory, place = graph.memory, np.int64(graph.places[1])
-    d = np.int64(graph.places[3])
+    memory, place, d = graph.memory, graph.places[1], graph.places[3]
     for s in range(0, q.size, d):
         _load(memory, 0, d, q, p, s)
-        run(graph.gradient, memory, graph.numbers)
+        _call(graph.words[0], (address_of(graph.words) + 8, 1))
         for i in range(d):
             dH_dq[s + i], dH_dp[s + i] = memory[place + i], memory[place + d + i]
 
@@ -73,12 +141,11 @@ def gradient(graph: GraphParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.nda
 def hessian_vector(graph: GraphParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the last two with H''(q, p) (v_q, v_p), all of shape (m d,)."""
-    memory, place = graph.memory, np.int64(graph.places[2])
-    d = np.int64(graph.places[3])
+    memory, place, d = graph.memory, graph.places[2], graph.places[3]
     for s in range(0, q.size, d):
         _load(memory, 0, d, q, p, s)
         _load(memory, 2 * d, d, v_q, v_p, s)
-        run(graph.product, memory, graph.numbers)
+        _call(graph.words[0], (address_of(graph.words) + 8, 2))
         for i in range(d):
             product_q[s + i], product_p[s + i] = memory[place + i], memory[place + d + i]
 
@@ -89,9 +156,11 @@ def _load(memory: np.ndarray, at: int, d: int, q: np.ndarray, p: np.ndarray, s: 
         memory[at + i], memory[at + d + i] = q[s + i], p[s + i]
 
 
-@_compiled
-def run(code: np.ndarray, x: np.ndarray, index: np.ndarray) -> None:
-    """Run a tape."""
+def _run(program: int, which: int) -> None:
+    """Run a tape of a program, given its address."""
+    own = load(program, _PROGRAM)
+    x, index = own.memory, own.numbers
+    code = own.energy if which == 0 else own.gradient if which == 1 else own.product
     for k in range(len(code)):
         op, out, n, a, b = code[k, 0], code[k, 1], code[k, 2], code[k, 3], code[k, 4]
         if op >= FIRST_BINARY:
@@ -100,6 +169,9 @@ def run(code: np.ndarray, x: np.ndarray, index: np.ndarray) -> None:
             _transcendental(op - np.uint64(FIRST_UNARY), x, out, n, a)
         elif op >= FIRST_UNARY:
             _unary(op - np.uint64(FIRST_UNARY), x, out, n, a)
+        elif op == NETWORK:
+            network = load(address_of(own.networks) + _BYTES * np.int64(code[k, 7]), _NETWORK)
+            run_network(network, x, out, a, b, code[k, 5], code[k, 6], code[k, 8])
         elif op == MATMUL:
             if code[k, 8]:
                 _times_rows(x, code[k])

@@ -3,6 +3,7 @@
 """Graphs as tapes: instructions for the compiled loops of machine.py, with places in memory."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import accumulate
 import math
 from typing import NamedTuple
@@ -16,10 +17,14 @@ _LINE = 8
 # Instructions: an operation, the place of its result, and up to seven numbers.
 WIDTH = 9
 # Structural instructions come first, then elementwise ones in the order of their tables.
-MATMUL, SUM, AMAX, FILL, TAKE, PUT, COPY, WHERE = range(8)
-FIRST_UNARY = 8
+MATMUL, SUM, AMAX, FILL, TAKE, PUT, COPY, WHERE, NETWORK = range(9)
+FIRST_UNARY = 9
 FIRST_BINARY = FIRST_UNARY + len(UNARY)
 CODES = {op: k for k, op in enumerate((*UNARY, *BINARY), start=FIRST_UNARY)}
+# Flags of NETWORK: compute the activations, their tangents; then go back, and along a tangent.
+VALUES, TANGENTS, BACK, ALONG = 1, 2, 4, 8
+_OF_NETWORKS = {'perceptron': 0, 'pullback': BACK, 'pushforward': ALONG,
+                'pullback_tangent': BACK + ALONG}
 
 
 class Tape(NamedTuple):
@@ -39,6 +44,14 @@ class Tape(NamedTuple):
     place: int
 
 
+@dataclass
+class _Evaluated:
+    """A network's workspace at some place of a tape: its activations, its tangent's node."""
+
+    values: bool = False
+    tangent: int = -1
+
+
 class Assembler:
     """
     Places of constants, indices and results in the memory that several tapes share.
@@ -50,6 +63,11 @@ class Assembler:
     inputs : sequence of int
         Inputs, placed at the start of memory one after another.
 
+    Attributes
+    ----------
+    networks : dict of int to int
+        Networks that tapes evaluate, each at one node.
+
     """
 
     def __init__(self, b: Builder, inputs: Sequence[int]):
@@ -57,6 +75,7 @@ class Assembler:
         self._values: list[tuple[int, np.ndarray]] = []
         self._indices, self._index_end = dict[int, int](), 0
         self._index: list[np.ndarray] = []
+        self.networks = dict[int, int]()
         for x in inputs:
             self._places[x] = self._end
             self._end += math.prod(b.shape(x))
@@ -88,6 +107,7 @@ class Assembler:
         free: dict[int, list[int]] = {}
         places, code = dict(self._places), list[list[int]]()
         at = dict.fromkeys(own, 0)
+        states = dict[int, _Evaluated]()
         for k in own:
             node, (root, offset) = b.nodes[k], roots[k]
             if root == k and k not in places:
@@ -100,7 +120,10 @@ class Assembler:
                     places[k] = self._free(free, size)
             at[k] = places[root] + offset
             if root == k and node.op not in ('constant', 'input'):
-                code += self._instructions(node, at[k], [at[i] for i in node.inputs])
+                inputs = [at[i] for i in node.inputs]
+                code += [self._of_network(node, at[k], inputs, states.setdefault(
+                    node.tensor, _Evaluated()))] if node.op in _OF_NETWORKS else \
+                    self._instructions(node, at[k], inputs)
             for other in {roots[i][0] for i in node.inputs}:
                 if last[other] == k and other not in self._places:
                     free.setdefault(_rounded(math.prod(b.shape(other))), []).append(places[other])
@@ -155,6 +178,20 @@ class Assembler:
             case _:
                 rows = [[CODES[node.op], out, size, *at]]
         return [row + [0] * (WIDTH - len(row)) for row in rows]
+
+    def _of_network(self, node: GraphNode, out: int, at: Sequence[int], known: '_Evaluated'
+                    ) -> list[int]:
+        """Return the instruction of a node with a network; see mapping.py."""
+        assert self.networks.setdefault(node.tensor, node.inputs[0]) == node.inputs[0], (
+            'a network has memory for one state')
+        flags, v = _OF_NETWORKS[node.op], node.inputs[-1]
+        g = at[1] if flags & BACK else 0
+        if flags & ALONG:
+            assert known.tangent in (-1, v), 'a network has memory for one tangent'
+            flags, known.tangent = flags + TANGENTS * (known.tangent == -1), v
+        flags, known.values = flags + VALUES * (not known.values), True
+        return [NETWORK, out, math.prod(node.shape), at[0], math.prod(
+            self.b.shape(node.inputs[0])), g, at[-1], node.tensor, flags]
 
     def _products(self, shapes: Sequence[tuple[int, ...]], options: tuple[int, ...], out: int,
                   at: Sequence[int]) -> list[list[int]]:

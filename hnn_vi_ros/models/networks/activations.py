@@ -6,14 +6,15 @@ Activation functions of a network: their value, slope and curvature.
 Each class of PackedPerceptron has one activation, by which the compiler selects among the loops
 below, so that a network contains no code of other activations. tanh needs no further memory: its
 slope is 1 - a^2. The others store their slope in a fifth group of rows of ``nodes``, and in a
-sixth its derivative along a_0' = v.
+sixth its derivative along a_0' = v. A Mapping has any of the four: of its loops, only those of
+tanh are inlined.
 """
 
 from typing import Any
 
 from hnn_vi_ros.kernels import kept, LINK_ONLY, part
 from hnn_vi_ros.models.networks.perceptron_memory import (
-    PackedPerceptron, Relu, Sine, Softplus, Tanh, TILE)
+    Mapping, PackedPerceptron, Relu, Sine, Softplus, Tanh, TILE)
 from numba.extending import overload
 import numpy as np
 
@@ -264,6 +265,38 @@ def scale_tangent(network: PackedPerceptron, s: int, layer: int, first: int, las
     raise NotImplementedError('compiled code only')
 
 
+def _typed(kind: type) -> Any:
+    @_inlined
+    def typed(network: Mapping) -> PackedPerceptron:
+        found: PackedPerceptron = kind(
+            network.sizes, network.rows, network.tiles, network.nodes, network.node_tiles)
+        return found
+    return typed
+
+
+_as_tanh, _as_sine, _as_relu, _as_softplus = map(_typed, (Tanh, Sine, Relu, Softplus))
+
+
+@part(fastmath=FASTMATH, error_model='numpy')
+def _activate_others(network: Mapping, s: int, layer: int, first: int, last: int) -> None:
+    if network.activation == 1:
+        activate(_as_sine(network), s, layer, first, last)
+    elif network.activation == 2:
+        activate(_as_relu(network), s, layer, first, last)
+    else:
+        activate(_as_softplus(network), s, layer, first, last)
+
+
+@part(fastmath=FASTMATH, error_model='numpy')
+def _scale_forth_others(network: Mapping, s: int, layer: int, first: int, last: int) -> None:
+    if network.activation == 1:
+        scale_forth(_as_sine(network), s, layer, first, last)
+    elif network.activation == 2:
+        scale_forth(_as_relu(network), s, layer, first, last)
+    else:
+        scale_forth(_as_softplus(network), s, layer, first, last)
+
+
 # In the loops below, an unsigned index cannot be negative; the wrap-around check for negative
 # indices would prevent vectorisation.
 @overload(activate, jit_options={**_OPTIONS, **LINK_ONLY})
@@ -282,6 +315,14 @@ def _activate(network: Any, s: int, layer: int, first: int, last: int) -> Any:
             nodes[s, layer, i] = value
             nodes[s, slope, i] = derivative
 
+    def of_any(network: Any, s: int, layer: int, first: int, last: int) -> None:
+        if network.activation == 0:
+            activate(_as_tanh(network), s, layer, first, last)
+        else:
+            _activate_others(network, s, layer, first, last)
+
+    if network.instance_class is Mapping:
+        return of_any
     if network.instance_class is Tanh:
         return of_tanh
     value_and_slope, _ = _FUNCTIONS[network.instance_class]
@@ -300,6 +341,14 @@ def _scale(network: Any, s: int, layer: int, row: int, first: int, last: int) ->
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             nodes[s, row + layer, i] *= nodes[s, slope, i]
 
+    def of_any(network: Any, s: int, layer: int, row: int, first: int, last: int) -> None:
+        if network.activation == 0:
+            scale(_as_tanh(network), s, layer, row, first, last)
+        else:
+            scale(_as_sine(network), s, layer, row, first, last)
+
+    if network.instance_class is Mapping:
+        return of_any
     return of_tanh if network.instance_class is Tanh else of_others
 
 
@@ -316,6 +365,14 @@ def _scale_forth(network: Any, s: int, layer: int, first: int, last: int) -> Any
             nodes[s, 5 * g + layer, i] = curvature(value, slope) * z
             nodes[s, 2 * g + layer, i] = slope * z
 
+    def of_any(network: Any, s: int, layer: int, first: int, last: int) -> None:
+        if network.activation == 0:
+            scale_forth(_as_tanh(network), s, layer, first, last)
+        else:
+            _scale_forth_others(network, s, layer, first, last)
+
+    if network.instance_class is Mapping:
+        return of_any
     if network.instance_class is Tanh:
         return of_tanh
     _, curvature = _FUNCTIONS[network.instance_class]
@@ -339,4 +396,12 @@ def _scale_tangent(network: Any, s: int, layer: int, first: int, last: int) -> A
                 nodes[s, 4 * g + layer, i] * nodes[s, 3 * g + layer, i]
                 + nodes[s, 5 * g + layer, i] * nodes[s, g + layer, i])
 
+    def of_any(network: Any, s: int, layer: int, first: int, last: int) -> None:
+        if network.activation == 0:
+            scale_tangent(_as_tanh(network), s, layer, first, last)
+        else:
+            scale_tangent(_as_sine(network), s, layer, first, last)
+
+    if network.instance_class is Mapping:
+        return of_any
     return of_tanh if network.instance_class is Tanh else of_others

@@ -34,7 +34,7 @@ def energy(network: PackedPerceptron, q: np.ndarray, p: np.ndarray) -> float:
     sizes, rows, nodes = network.sizes, network.rows, network.nodes
     n_layers = sizes.size - 1
     _load(network, 0, 1, 0, q, p)
-    _forward(network, 1, n_layers, False)
+    forward(network, 1, n_layers, True, False)
     last = sizes[0] + n_layers
     total = rows[last + 1, 0]
     for i in range(sizes[n_layers]):
@@ -98,17 +98,29 @@ def _propagate(network: PackedPerceptron, n_states: int, tangent: bool) -> None:
     """Fill g_0 from a_0 of the first states; with ``tangent``, also g_0' from a_0'."""
     sizes, rows, nodes = network.sizes, network.rows, network.nodes
     n_layers, g = sizes.size - 1, sizes.size
-    at = _forward(network, n_states, max(1, n_layers - 1), tangent)
+    at = forward(network, n_states, max(1, n_layers - 1), True, tangent)
     for s in range(n_states):
         if tangent:
             for i in range(sizes[n_layers]):
                 nodes[s, 3 * g + n_layers, i] = 0.0
         for i in range(sizes[n_layers]):
             nodes[s, g + n_layers, i] = rows[sizes[0] + n_layers, i]
+    backward(network, n_states, at, True, tangent)
+
+
+@_part
+def backward(network: PackedPerceptron, n_states: int, at: int, forth: bool, tangent: bool
+             ) -> None:
+    """
+    Fill g_0 from g_K of the first states; with ``tangent``, also g_0' from g_K'.
+
+    With ``forth`` the last layer, whose first tile is ``at``, is evaluated as well.
+    """
+    sizes, n_layers, g = network.sizes, network.sizes.size - 1, network.sizes.size
     for layer in range(n_layers, 1, -1):
         if layer < n_layers:
             at -= sizes[layer] // TILE
-        _back(network, n_states, at, layer, layer == n_layers, tangent)
+        _back(network, n_states, at, layer, forth and layer == n_layers, tangent)
     for s in range(n_states):
         if tangent:
             scale_tangent(network, s, 1, 0, sizes[1] // TILE)
@@ -118,12 +130,28 @@ def _propagate(network: PackedPerceptron, n_states: int, tangent: bool) -> None:
 
 
 @_part
-def _forward(network: PackedPerceptron, n_states: int, n_layers: int, tangent: bool) -> int:
-    """Fill a_1 to the activations of layer n_layers; return the first tile of the next layer."""
+def last_tile(network: PackedPerceptron) -> int:
+    """Return the first tile of the last hidden layer, or of the next one if there is one."""
+    sizes = network.sizes
+    at = (sizes[0] + sizes.size + TILE) // TILE
+    for layer in range(2, sizes.size - 1):
+        at += sizes[layer] // TILE
+    return at
+
+
+@_part
+def forward(network: PackedPerceptron, n_states: int, n_layers: int, values: bool, tangent: bool
+            ) -> int:
+    """
+    Fill a_1 to a_l of layer l = n_layers; return the first tile of the next layer.
+
+    Activations are filled with ``values``, their changes along a_0' with ``tangent``.
+    """
     sizes = network.sizes
     for s in range(n_states):
-        _columns(network, s, 0)
-        activate(network, s, 1, 0, sizes[1] // TILE)
+        if values:
+            _columns(network, s, 0)
+            activate(network, s, 1, 0, sizes[1] // TILE)
         if tangent:
             _columns(network, s, 2 * sizes.size)
             scale_forth(network, s, 1, 0, sizes[1] // TILE)
@@ -134,7 +162,7 @@ def _forward(network: PackedPerceptron, n_states: int, n_layers: int, tangent: b
         for block in range(n_blocks):
             first, last = block * size, min(block * size + size, n_tiles)
             for s in range(n_states):
-                _block_forth(network, at, s, layer, first, last, tangent)
+                _block_forth(network, at, s, layer, first, last, values, tangent)
         at += n_tiles
     return at
 
@@ -150,7 +178,7 @@ def _back(network: PackedPerceptron, n_states: int, at: int, layer: int, forth: 
         first, last = block * size, min(block * size + size, n_tiles)
         for s in range(n_states):
             if forth:
-                _block_forth(network, at, s, layer, first, last, tangent)
+                _block_forth(network, at, s, layer, first, last, True, tangent)
             _block_back(network, at, s, layer, first, last, tangent)
 
 
@@ -163,10 +191,11 @@ def _blocks(n_in: int, n_tiles: int) -> tuple[int, int]:
 
 @_part
 def _block_forth(network: PackedPerceptron, at: int, s: int, layer: int, first: int, last: int,
-                 tangent: bool) -> None:
+                 values: bool, tangent: bool) -> None:
     sizes = network.sizes
-    _product(network, at, s, layer, sizes[layer - 1], first, last)
-    activate(network, s, layer, first, last)
+    if values:
+        _product(network, at, s, layer, sizes[layer - 1], first, last)
+        activate(network, s, layer, first, last)
     if tangent:
         _product(network, at, s, 2 * sizes.size + layer, sizes[layer - 1], first, last)
         scale_forth(network, s, layer, first, last)

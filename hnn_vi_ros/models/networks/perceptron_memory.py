@@ -69,12 +69,55 @@ class Softplus(PackedPerceptron):
     __slots__ = ()
 
 
+class Mapping(NamedTuple):
+    """
+    A network y = Y a_K + b of any activation and number of outputs, for graphs.
+
+    Parameters
+    ----------
+    sizes, rows, tiles, nodes, node_tiles : np.ndarray
+        As of a PackedPerceptron of another class than Tanh, without w and b.
+    activation : int
+        Number of the activation in the order of ACTIVATIONS.
+    last : np.ndarray, shape (k, n)
+        Y.
+    bias : np.ndarray, shape (k,)
+        b.
+
+    """
+
+    sizes: np.ndarray
+    rows: np.ndarray
+    tiles: np.ndarray
+    nodes: np.ndarray
+    node_tiles: np.ndarray
+    activation: int
+    last: np.ndarray
+    bias: np.ndarray
+
+
 _KINDS: dict[str, type[PackedPerceptron]] = {
     'tanh': Tanh, 'sine': Sine, 'relu': Relu, 'softplus': Softplus}
 
 
+ACTIVATIONS = tuple(_KINDS)
+
+
+def pack_mapping(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
+                 activation: str) -> Mapping:
+    """Return a network of any number of inputs and outputs, with workspace for one state."""
+    first, *others, last = weights
+    # The loops take inputs in pairs.
+    first = np.pad(first, ((0, 0), (0, first.shape[1] % 2)))
+    one = np.zeros((1, last.shape[1]))
+    packed = pack((first, *others, one), (*biases[:-1], np.zeros(1)), activation, 1, 6)
+    return Mapping(*packed, ACTIVATIONS.index(activation), np.ascontiguousarray(last),
+                   np.ascontiguousarray(biases[-1]))
+
+
 def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
-         activation: str = 'tanh') -> PackedPerceptron:
+         activation: str = 'tanh', states: int = MAX_STATES, groups: int = 0
+         ) -> PackedPerceptron:
     """
     Return a network for the functions of perceptron.py, with its own workspace.
 
@@ -88,6 +131,10 @@ def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
         b_1, ..., b_K and b.
     activation : str
         Activation between the layers.
+    states : int
+        Number of states that the workspace is for.
+    groups : int
+        Groups of rows in the workspace of a state; default: those that the activation needs.
 
     """
     first, *middle, last = weights
@@ -102,7 +149,7 @@ def pack(weights: tuple[np.ndarray, ...], biases: tuple[np.ndarray, ...],
         rows[at:at + weight.shape[0], :weight.shape[1]] = weight
         at += n_out
     kind = _KINDS[activation]
-    nodes = _aligned(MAX_STATES, (4 if kind is Tanh else 6) * sizes.size, width)
+    nodes = _aligned(states, (groups or (4 if kind is Tanh else 6)) * sizes.size, width)
     return kind(sizes, rows, rows.reshape(-1, TILE, width),
                 nodes, nodes.reshape(*nodes.shape[:2], -1, TILE))
 
