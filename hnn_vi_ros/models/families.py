@@ -118,8 +118,8 @@ FAMILIES = {
         {'mass_inverse': NetworkShape(1, lambda d, found: d * (d + 1) // 2),
          'potential': NetworkShape(1),
          'input_map': NetworkShape(1, lambda d, found: -(-found // d) * d)},
-        'models.control_affine:ControlAffineHamiltonian',
-        'learning.families.hnn:ControlAffine', conservative=False),
+        'models.graphs.hamiltonian:GraphHamiltonian', 'learning.families.hnn:ControlAffine',
+        conservative=False),
     # The inputs of its networks are features of q in the card's ``mechanical`` entry, which also
     # states if there is a third network, of friction.
     'mechanical': Family(

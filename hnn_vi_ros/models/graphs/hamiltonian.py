@@ -6,6 +6,7 @@ from hnn_vi_ros.hamiltonians import is_continuous
 from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.graphs.derivatives import dependence, gradient, tangent
+from hnn_vi_ros.models.graphs.family_graphs import family_graph
 from hnn_vi_ros.models.graphs.graph import Builder, varied
 from hnn_vi_ros.models.graphs.operations import SWITCHES
 from hnn_vi_ros.models.graphs.perceptrons import fused, whole_perceptron
@@ -30,15 +31,15 @@ class GraphHamiltonian(LearnedHamiltonian):
     Parameters
     ----------
     checkpoint : Checkpoint
-        A model of the family ``graph``.
+        A model with a graph, or of a family of ``family_graph``.
 
     """
 
     def __init__(self, checkpoint: Checkpoint):
         super().__init__(checkpoint)
-        assert checkpoint.graph is not None, 'checked when it was loaded'
-        self.separable = self._is_separable(*checkpoint.graph)
-        self.smooth = self._is_smooth(*checkpoint.graph)
+        self._graph = family_graph(checkpoint)
+        self.separable = self._is_separable(*self._graph)
+        self.smooth = self.smooth and self._is_smooth(*self._graph)
 
     def _is_smooth(self, b: Builder, output: int) -> bool:
         """Return whether H and its gradient are continuous where functions in it switch."""
@@ -70,8 +71,7 @@ class GraphHamiltonian(LearnedHamiltonian):
         return not (depends[:d, d:].any() or depends[d:, :d].any())
 
     def _kernel(self) -> Kernel:
-        assert self.checkpoint.graph is not None, 'checked when it was loaded'
-        b, output = fused(*self.checkpoint.graph)
+        b, output = fused(*self._graph)
         network = whole_perceptron(b, output)
         if network is not None:
             return self._kernel_of(
