@@ -132,8 +132,8 @@ _ROUNDED = 1e-6
 # Time-out of the external force, which gets a value at every step [s]; an effect that has it is
 # taken as it is.
 FOREVER = 1e9
-# Number of windows differentiated together.
-_TOGETHER = 128
+# Number of windows differentiated together, and of steps that are followed in one call.
+_TOGETHER, _FOLLOWED = 128, 1 << 16
 
 
 class MeasuredColumns(NamedTuple):
@@ -384,13 +384,17 @@ class Prediction:
         rows = simulation.rows(flat, step=np.repeat(self._first[own], copies))
         rows[~usable] = np.nan
         forces = np.repeat(self._forces[own], copies, axis=0)
-        for sample in range(self._samples):
+        # Each call takes longer than many steps.
+        most = 1 if len(self._parts) > 1 else max(1, _FOLLOWED // (len(flat) * self._per_sample))
+        for first in range(0, self._samples, most):
+            count = min(most, self._samples - first)
             for h, steps in self._parts:
                 simulation.step_size = h
                 path = simulation.follow_on(rows, np.ascontiguousarray(
-                    forces[:, at:at + steps]), strict=False)
-                at += steps
-            found[own, :, sample + 1] = path[:, -1].reshape(len(own), copies, -1)
+                    forces[:, at:at + count * steps]), strict=False)
+                at += count * steps
+            found[own, :, first + 1:first + 1 + count] = path[:, steps::steps].reshape(
+                len(own), copies, count, -1)
         return found
 
     def _closed(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
