@@ -150,6 +150,7 @@ REFUSED: dict[str, Callable[[], str | bytes]] = {
     'a sheet': lambda: b'PK\x03\x04' + bytes(range(256)) * 9,
     'dates': lambda: rows([f'2026-01-01 10:00:{t:08.5f}' for t in T], Q),
     'nothing': lambda: 't,theta\n',
+    'one column': lambda: rows(T, head=''),
 }
 
 

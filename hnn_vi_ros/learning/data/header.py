@@ -234,6 +234,8 @@ def read_header(path: Path, coordinates: Sequence[Named] = ()) -> Reading:
 
     """
     table, doubts = read_log(path, LogFormat()), list[str]()
+    if len(table.names) < 2:
+        raise DataError(f'{path}: one column of numbers, expected times and coordinates')
     if table.names[0] == COLUMN.format(1):
         first = ['t [s]', *([one.name for one in coordinates] or ['angle [rad]'])][
             :len(table.names)]
