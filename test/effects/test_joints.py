@@ -18,24 +18,17 @@ from messages import refused
 from numba import typeof
 import numpy as np
 import pytest
+from scene_files import write_scene
 from urdf_robots import ROOT, TREE, TREE_ARGUMENTS
 
 ARM = ROOT / 'config' / 'robots' / 'two_joint_arm.urdf'
 GRIPPER = ARM.with_name('gripper.urdf')
-SCENE = """\
-hamiltonian: {{kind: urdf, file: {file}}}
-effects:
-  - {effects}
-integrator: {{kind: generalized_leapfrog}}
-step_size: {h}
-initial_state: {{q: [2.0, 0.5], p: [0.0, 0.0]}}
-"""
 
 
 def scene(folder: Path, *effects: str, h: float = 0.005, file: str = str(ARM)):
-    path = folder / 'scene.yaml'
-    path.write_text(SCENE.format(file=file, effects='\n  - '.join(effects), h=h))
-    return load_scene(path)
+    return load_scene(write_scene(
+        folder / 'scene.yaml', f'urdf, file: {file}', ', '.join(effects), step_size=h,
+        q=[2.0, 0.5], p=[0.0, 0.0]))
 
 
 def tree(folder: Path, text: str = TREE) -> RigidBodyTree:

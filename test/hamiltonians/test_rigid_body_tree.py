@@ -15,6 +15,7 @@ from hnn_vi_ros.simulation import Simulation
 from messages import refused
 import numpy as np
 import pytest
+from scene_files import write_scene
 from urdf_robots import chain, ROOT, SHIPPED, SMALL_ARGUMENTS, TREE, TREE_ARGUMENTS
 import yaml
 
@@ -210,13 +211,7 @@ def test_arm_keeps_its_energy_without_drift():
 
 def test_scene_of_a_robot_is_found_again_from_a_recording_by_its_digest(tmp_path):
     (tmp_path / 'robot.urdf').write_text(chain([1.0], [1.0]))
-    scene_file = tmp_path / 'mine.yaml'
-    scene_file.write_text("""\
-hamiltonian: {kind: urdf, file: robot.urdf}
-integrator: {kind: generalized_leapfrog}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0]}
-""")
+    scene_file = write_scene(tmp_path / 'mine.yaml', 'urdf, file: robot.urdf')
     scene = load_scene(scene_file)
     assert scene.model_files() == {'robot.urdf': tmp_path / 'robot.urdf'}
     recorded = yaml.safe_dump(scene.model_dump(mode='json') | {

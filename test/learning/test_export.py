@@ -14,6 +14,7 @@ from hnn_vi_ros.torch import DifferentiableSimulation
 from messages import refused
 import numpy as np
 import pytest
+from scene_files import write_scene
 import torch
 from torch import nn
 from torch.nn import functional
@@ -466,16 +467,11 @@ def test_domain_that_does_not_fit_is_refused_in_a_line(coordinates, domain, tmp_
 @pytest.fixture
 def scene(tmp_path):
     """Return the scene of an exported pendulum."""
-    path, scene = tmp_path / 'model.safetensors', tmp_path / 'scene.yaml'
+    path = tmp_path / 'model.safetensors'
     export(Written(lambda x: 0.5 * x[:, 1]**2 - torch.cos(x[:, 0])), path, ['theta'],
            {'q': [(-math.pi, math.pi)], 'p': [(-3, 3)]})
-    scene.write_text(f"""\
-hamiltonian: {{kind: hnn, model: {path}}}
-integrator: {{kind: gauss4}}
-step_size: 0.1
-initial_state: {{q: [1.0], p: [0.0]}}
-""")
-    return load_scene(scene)
+    return load_scene(write_scene(
+        tmp_path / 'scene.yaml', f'hnn, model: {path}', '', 'gauss4', 0.1))
 
 
 def test_exported_pendulum_keeps_its_energy(scene):

@@ -19,15 +19,10 @@ from hnn_vi_ros.simulation import Simulation
 from messages import refused
 import numpy as np
 import pytest
+from scene_files import write_scene
 
 MODELS = [name for name in shipped_names('model')
           if load_checkpoint(shipped_file('model', name)).card.family == 'hnn']
-SCENE = """\
-hamiltonian: {{kind: hnn, model: {model}}}
-integrator: {{kind: generalized_leapfrog}}
-step_size: 0.01
-initial_state: {{q: [1.0], p: [0.0]}}
-"""
 STARTS = np.array([[1.5], [2.0], [3.0]])
 
 
@@ -194,8 +189,7 @@ def test_model_card_says_whether_a_scene_confines_unless_the_scene_does(tmp_path
     save_checkpoint(model, Checkpoint(card, shipped.networks))
     assert load_checkpoint(model).card.confine == in_card
     for text, expected in (('', in_card), (', confine: true', True), (', confine: false', False)):
-        scene = tmp_path / 'scene.yaml'
-        scene.write_text(SCENE.format(model=f'{model}{text}'))
+        scene = write_scene(tmp_path / 'scene.yaml', f'hnn, model: {model}{text}')
         hamiltonian = load_scene(scene).create_hamiltonian()
         assert isinstance(hamiltonian, ConfinedHamiltonian) == expected
 

@@ -39,6 +39,7 @@ from rclpy.logging import get_logger, LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from recorded import record_run
+from scene_files import write_scene
 from simulation_stand_ins import FAILED, interfaces
 from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool, Trigger
@@ -177,13 +178,6 @@ class Storm:
         raise AssertionError(f'{name}: no response')
 
 
-PENDULUM = """\
-hamiltonian: {kind: pendulum, mass: 1.0, length: 1.0, gravity: 9.81}
-integrator: {kind: stormer_verlet}
-step_size: 0.002
-initial_state: {q: [0.5], p: [0.0]}
-"""
-TWIN = f'{PENDULUM}effects: [{{kind: observer, coordinates: [angle]}}]\n'
 QUIET = {'record': 'false', 'rerun_sink': 'none', 'discovery_time': '0.0'}
 
 
@@ -193,8 +187,9 @@ def words(**values: str) -> list[str]:
 
 
 def make_twin(folder: Path) -> tuple[type[Node], list[str]]:
-    (folder / 'twin.yaml').write_text(TWIN)
-    return SimulatorNode, words(scene=str(folder / 'twin.yaml'), **QUIET)
+    scene = write_scene(folder / 'twin.yaml', 'pendulum', (
+        '{kind: observer, coordinates: [angle]}'), 'stormer_verlet', 0.002, [0.5])
+    return SimulatorNode, words(scene=str(scene), **QUIET)
 
 
 # Each node with a scene, so that all subscriptions of all nodes exist once.

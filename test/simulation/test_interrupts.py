@@ -23,13 +23,9 @@ from hnn_vi_ros.simulation.processors import in_threads
 from numba.core.registry import CPUDispatcher
 import numpy as np
 import pytest
+from scene_files import scene_text
 
-SCENE = """\
-hamiltonian: {kind: harmonic_oscillator}
-integrator: {kind: variational_euler}
-step_size: 0.001
-initial_state: {q: [1.0], p: [0.0]}
-"""
+SCENE = scene_text(integrator='variational_euler', step_size=0.001)
 # A step takes a microsecond: as many as take some years [s].
 DURATION = 1e11
 STATES = [[1.0]] * 64, [[0.0]] * 64

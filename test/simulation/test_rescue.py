@@ -15,14 +15,10 @@ from messages import refused
 import numpy as np
 from plain_systems import Plain
 import pytest
+from scene_files import scene_text
 
 OMEGA = 50.0
-SCENE = """\
-hamiltonian: {kind: harmonic_oscillator, stiffness: 4.84, mass: 1.0}
-integrator: {kind: stormer_verlet}
-step_size: 1.0
-initial_state: {q: [1.0], p: [0.0]}
-"""
+SCENE = scene_text('harmonic_oscillator, stiffness: 4.84', '', 'stormer_verlet', 1.0)
 
 
 def stiff_chain(h_omega: float, on_failure: str, compiled: bool = False) -> Simulation:
@@ -191,7 +187,7 @@ def test_scene_says_what_is_done_about_a_step_that_fails(tmp_path):
     many = simulate_many(load_scene(scene), [[1.0], [2.0]], [[0.0], [0.0]], 10.0)
     assert many.energy[-1] == pytest.approx([2.42, 9.68], rel=1e-12)
     scene.write_text(f'{SCENE}on_failure: hope\n')
-    with pytest.raises(SceneError, match=r'scene.yaml:5: on_failure: .*substep.*implicit.*stop'):
+    with refused(SceneError):
         load_scene(scene)
 
 

@@ -31,6 +31,7 @@ from ports import free_port
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from scene_files import scene_text
 
 DOCS = Path(__file__).resolve().parents[2] / 'docs' / 'how-to' / 'scale.md'
 STATE = ['initial_state.q.angle', 'initial_state.p.angle']
@@ -43,13 +44,8 @@ LENGTHS = {'scene': 'exact_pendulum', 'duration': 0.2, 'shard_size': 64, 'vary':
     BOX | {'count': 70}]}
 COMMAND = [sys.executable, '-c',
            'import sys; sys.argv[0] = "sweep"; from hnn_vi_ros.cli import sweep; sweep()']
-EVENTS = """\
-hamiltonian: {kind: pendulum, mass: 1.0, length: 1.0, gravity: 9.81}
-integrator: {kind: variational_euler}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-events: [{when: angle = 0}, {when: angle = -0.5, then: stop}]
-"""
+EVENTS = scene_text('pendulum', integrator='variational_euler', more=(
+    'events: [{when: angle = 0}, {when: angle = -0.5, then: stop}]\n'))
 
 
 def contents(folder: Path) -> dict[str, bytes]:

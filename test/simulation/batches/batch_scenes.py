@@ -7,6 +7,7 @@ from pathlib import Path
 from hnn_vi_ros.models import Checkpoint, Layers, load_checkpoint, save_checkpoint
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
+from scene_files import write_scene
 
 
 def random_network(tmp_path: Path, size: float) -> Scene:
@@ -18,9 +19,6 @@ def random_network(tmp_path: Path, size: float) -> Scene:
                           for w in layers.weights), layers.biases)
     save_checkpoint(tmp_path / 'network.safetensors',
                     Checkpoint(checkpoint.card, {'energy': scaled}))
-    path = tmp_path / 'scene.yaml'
-    path.write_text(
-        'hamiltonian: {kind: hnn, model: ./network.safetensors}\n'
-        'integrator: {kind: variational_euler}\nstep_size: 0.1\n'
-        'initial_state: {q: [0.1], p: [0.2]}\n')
-    return load_scene(path)
+    return load_scene(write_scene(
+        tmp_path / 'scene.yaml', 'hnn, model: ./network.safetensors', '', 'variational_euler',
+        0.1, [0.1], [0.2]))
