@@ -71,8 +71,8 @@ def markdown_table(table: Sequence[parameters.Specification]) -> str:
     for item in table:
         choices = f' ({", ".join(item.choices)})' if item.choices else ''
         changes = f'{item.changes} | ' if differs else ''
-        rows.append(f'| `{item.name}` | {parameters.as_markdown(item.default)} | {item.unit} | {changes}'
-                    f'{item.description}{choices} |')
+        rows.append(f'| `{item.name}` | {parameters.as_markdown(item.default)} | {item.unit} | '
+                    f'{changes}{item.description}{choices} |')
     return '\n'.join(rows)
 
 

@@ -28,14 +28,14 @@ from hnn_vi_ros.learning.fit.loop import (
     Fitted, kept, member_files, members_kept, trained, TrainingCheckpoint)
 from hnn_vi_ros.learning.judging.ensemble import check_count, combined
 from hnn_vi_ros.learning.judging.report import Outputs, write_report
-from hnn_vi_ros.learning.tasks import Task
+from hnn_vi_ros.learning.tasks import TrainingTask
 from hnn_vi_ros.learning.tasks.body import BODY
 from hnn_vi_ros.learning.tasks.field import FIELD
 from hnn_vi_ros.learning.tasks.machine import MACHINE
 from hnn_vi_ros.models import averaged_families, Checkpoint, complete_checkpoint, FAMILIES
 import torch
 
-_TASKS: dict[type[AnyConfig], Task] = {
+_TASKS: dict[type[AnyConfig], TrainingTask] = {
     FieldConfig: FIELD, MachineConfig: MACHINE, BodyConfig: BODY}
 
 

@@ -15,7 +15,7 @@ OPEN_BY_MAP = ('; the energy scale is arbitrary, since the input map was learned
                'of its columns is 1')
 
 
-class Task(NamedTuple):
+class TrainingTask(NamedTuple):
     """
     Functions that train models of some families, called in this order.
 

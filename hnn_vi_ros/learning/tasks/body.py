@@ -19,7 +19,7 @@ from hnn_vi_ros.learning.fit.config import BodyConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import Fitted, Train, trained
 from hnn_vi_ros.learning.fit.model_files import described
 from hnn_vi_ros.learning.judging.report import Judged
-from hnn_vi_ros.learning.tasks import OPEN_BY_MAP, Task
+from hnn_vi_ros.learning.tasks import OPEN_BY_MAP, TrainingTask
 from hnn_vi_ros.models import Box, Checkpoint, group_of, load_checkpoint, Scheme
 import numpy as np
 import torch
@@ -62,14 +62,14 @@ class BodyData(NamedTuple):
 
 
 def read(source: Path, config: BodyConfig, given: Sequence[str], ensemble: bool) -> BodyData:
-    """Read the motions of a configuration, or of a given file in their place; see Task."""
+    """Read the motions of a configuration, or of a given file in their place."""
     train, test, description = read_bodies(
         one_file(source, config.data.path, given), config.data, config.kind)
     return BodyData(config, train, _judged(test), description)
 
 
 def fit(data: BodyData, config: BodyConfig, device: str, train: Train = trained) -> Fitted:
-    """Fit a network, with its energy scale fixed; see Task."""
+    """Fit a network, with its energy scale fixed."""
     fitted = fit_body(config, data.train, train)
     return replace(fitted, module=fitted.module.scaled(
         1.0 / _open_scale(fitted.module, data.train))) if _scale(fitted.module, data.train) else \
@@ -78,7 +78,7 @@ def fit(data: BodyData, config: BodyConfig, device: str, train: Train = trained)
 
 def describe(data: BodyData, fitted: Fitted, config: BodyConfig, name: str, command: str
              ) -> Checkpoint:
-    """Return a trained network with its card; see Task."""
+    """Return a trained network with its card."""
     network = fitted.module
     with torch.no_grad():
         p = torch.cat([
@@ -95,12 +95,12 @@ def describe(data: BodyData, fitted: Fitted, config: BodyConfig, name: str, comm
 
 
 def judge(data: BodyData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
-    """Return the model with window errors as text; see Task."""
+    """Return the model with window errors as text."""
     text = _text(fitted.module, data.config, data.windows)
     return Judged(checkpoint, text, text)
 
 
-BODY = Task('windows', read, lambda data: data, fit, describe, judge)
+BODY = TrainingTask('windows', read, lambda data: data, fit, describe, judge)
 
 
 def _open_scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> float:

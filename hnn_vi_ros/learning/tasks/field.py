@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped, calibrated, ensemble_text, field_calibration, held_out)
 from hnn_vi_ros.learning.judging.evaluation import friction_work, integrated
 from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
-from hnn_vi_ros.learning.tasks import Task
+from hnn_vi_ros.learning.tasks import TrainingTask
 from hnn_vi_ros.models import (
     Box, Checkpoint, energy_error, energy_spread, EnergyError, FAMILIES, load_member, Units)
 import numpy as np
@@ -62,7 +62,7 @@ class FieldData(NamedTuple):
 
 
 def read(source: Path, config: FieldConfig, given: Sequence[str], ensemble: bool) -> FieldData:
-    """Read the data of a configuration, or given files in their place; see Task."""
+    """Read the data of a configuration, or given files in their place."""
     dataset = make_dataset(
         config.data, config.seed, source, given, [one.q_unit for one in config.coordinates])
     print(f'data: {dataset.description}', flush=True)
@@ -72,14 +72,14 @@ def read(source: Path, config: FieldConfig, given: Sequence[str], ensemble: bool
 
 def fit(data: FieldData, config: FieldConfig, device: str, train: Train = trained
         ) -> FittedField:
-    """Fit a model; see Task."""
+    """Fit a model."""
     return fit_field(config, bootstrapped(data.known, config.seed) if data.ensemble else
                      data.known, device, train)
 
 
 def describe(data: FieldData, fitted: FittedField, config: FieldConfig, name: str, command: str
              ) -> Checkpoint:
-    """Return a trained model with its card; see Task."""
+    """Return a trained model with its card."""
     family, samples, reference = fitted.module, fitted.samples, config.reference
     dataset, scales = samples.dataset, Scales.of(samples.dataset)
     box = replace(dataset, p=family.momenta(dataset)).box
@@ -94,7 +94,7 @@ def describe(data: FieldData, fitted: FittedField, config: FieldConfig, name: st
 
 
 def judge(data: FieldData, checkpoint: Checkpoint, fitted: FittedField) -> Judged:
-    """Return the model with its energy error, if the energy is known; see Task."""
+    """Return the model with its energy error, if the energy is known."""
     config, card, family = data.config, checkpoint.card, fitted.module
     error = judge_energy(checkpoint, family, config, data.known)
     where = _where_valid(checkpoint, family, config, data.known)
@@ -113,7 +113,7 @@ def judge(data: FieldData, checkpoint: Checkpoint, fitted: FittedField) -> Judge
                   lambda path: plot_field(compared(fitted), card, path))
 
 
-FIELD = Task('field', read, lambda data: data, fit, describe, judge)
+FIELD = TrainingTask('field', read, lambda data: data, fit, describe, judge)
 
 
 def compared(fitted: FittedField) -> Comparison:

@@ -33,7 +33,7 @@ from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.judging.residuals import (
     errors_text, is_noise, judged_along, judged_model, STEP)
-from hnn_vi_ros.learning.tasks import OPEN_BY_MAP, Task
+from hnn_vi_ros.learning.tasks import OPEN_BY_MAP, TrainingTask
 from hnn_vi_ros.learning.tasks.selection import selected
 from hnn_vi_ros.models import (
     CHAINS, Checkpoint, domain_of, energy_spread, interval_text, load_member, ModelCard,
@@ -96,7 +96,7 @@ class MachineData:
 
 
 def read(source: Path, config: MachineConfig, given: Sequence[str], ensemble: bool) -> MachineData:
-    """Read the motions of a configuration, or of given files in their place; see Task."""
+    """Read the motions of a configuration, or of given files in their place."""
     motions, description = config.motions(
         source, [coordinate.name for coordinate in config.coordinates], given)
     train, test = train_and_test(motions, config.data.test_runs)
@@ -112,7 +112,7 @@ def read(source: Path, config: MachineConfig, given: Sequence[str], ensemble: bo
 
 
 def select(data: MachineData) -> MachineData:
-    """Return the data with the configuration that suits them, and a delay of forces; see Task."""
+    """Return the data with the configuration that suits them, and a delay of forces."""
     config, description, (train, _) = data.config, data.description, data.measured
     delay = estimated_delay(config, train) if config.data.delay == 'estimate' else \
         config.data.delay
@@ -161,7 +161,7 @@ def _with_smooth_forces(data: MachineData, given: MachineConfig) -> MachineData:
 
 
 def fit(data: MachineData, config: MachineConfig, device: str, train: Train = trained) -> Fitted:
-    """Fit the selected model; see Task."""
+    """Fit the selected model."""
     config = data.chosen(config)
     motions = bootstrapped_blocks(data.known, config.seed) if data.ensemble else data.known
     fitted = fit_machine(config, motions, data.rigid, train)
@@ -177,7 +177,7 @@ def with_scale(fitted: Fitted, motions: Sequence[EvenMotion]) -> Fitted:
 
 def describe(data: MachineData, fitted: Fitted, config: MachineConfig, name: str, command: str
              ) -> Checkpoint:
-    """Return a trained network with its card; see Task."""
+    """Return a trained network with its card."""
     config, description, estimates = data.chosen(config), data.description, {}
     if isinstance(fitted, FittedRigidBody) and fitted.numbers is not None:
         opens = _opens_scale(config, data.train)
@@ -195,7 +195,7 @@ def describe(data: MachineData, fitted: Fitted, config: MachineConfig, name: str
 
 
 def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
-    """Return the model with the prediction errors of itself and of the baselines; see Task."""
+    """Return the model with the prediction errors of itself and of the baselines."""
     if data.ensemble:
         checkpoint = calibrated(checkpoint, lambda: machine_calibration(
             checkpoint, data.held, data.test))
@@ -237,7 +237,7 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
                                       shown(fans, max(horizons))))
 
 
-MACHINE = Task('predictions', read, select, fit, describe, judge)
+MACHINE = TrainingTask('predictions', read, select, fit, describe, judge)
 
 
 def _baselines(data: MachineData, network: MechanicalNetwork) -> dict[str, Predict]:
