@@ -9,8 +9,8 @@ from pathlib import Path
 from bag_files import ARRAY, array, JOINTS, Message, state, write
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning import read_motions
-from hnn_vi_ros.learning.data.bags import BagData, BagMotions, BLOCKS
-from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.bags import BagData, BagMotions
+from hnn_vi_ros.learning.data.dataset import BLOCKS, Dataset
 from hnn_vi_ros.learning.data.sources import configuration_of, make_dataset
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models import load_checkpoint, NeuralHamiltonian

@@ -10,15 +10,13 @@ from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.data.bag_signals import ARRAY, JOINT_STATE, SignalReader, STATES
 from hnn_vi_ros.learning.data.dataset import (
-    Derivatives, mass_matrix, Names, SavitzkyGolay, StateOptions, time_blocks)
+    BLOCKS, Derivatives, mass_matrix, Names, SavitzkyGolay, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.motions import GAP, Motion, MotionData, NONE, Recording
 from hnn_vi_ros.learning.data.sampling import cubic, increasing_samples, unwrap_turns
 from hnn_vi_ros.recording import MOMENTUM, RATE
 import numpy as np
 from pydantic import Field, model_validator
 
-# Number of blocks of a recording unless data.block gives their length.
-BLOCKS = 20
 # Default window and degree of data.derivatives.
 _WINDOW, _DEGREE = 9, 4
 EFFORT = 'effort'

@@ -22,6 +22,8 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.signal import savgol_filter
 
 MIN_ROWS = 10
+# Number of blocks of a motion unless data.block gives their length, or the filter has a window.
+BLOCKS = 20
 # Largest deviation of evenly spaced times, as a share of the interval: more than the error of
 # clocks written with few digits, less than a dropped sample.
 UNEVENNESS = 0.1

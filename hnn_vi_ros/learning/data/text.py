@@ -16,7 +16,7 @@ from hnn_vi_ros.errors import DataError, did_you_mean, listed
 from hnn_vi_ros.files import (
     limited, LONGEST_LINE, no_file, plain_number, sha256_of, StrictModel, text_lines)
 from hnn_vi_ros.learning.data.dataset import (
-    Derivatives, mass_matrix, Names, StateOptions, time_blocks)
+    BLOCKS, Derivatives, mass_matrix, Names, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.faults import times_text
 from hnn_vi_ros.learning.data.motions import MAX_VALUE, Motion, MotionData, Recording
 from hnn_vi_ros.learning.data.units import conversion, parse_unit, split_unit
@@ -28,8 +28,6 @@ MAX_BYTES = 256 << 20
 _MOST_COLUMNS, _MOST_QUOTED = 1000, 100_000
 # Maximum number of lines before the first row of numbers, and of rows that show the delimiter.
 _MOST_HEAD, _ROWS = 200, 10
-# Number of blocks of neighbouring rows in a trial differentiated with one spline.
-BLOCKS = 20
 
 # Names of columns without a header.
 COLUMN = 'column {}'
