@@ -20,7 +20,8 @@ if TYPE_CHECKING:
         Choice, choose, Chosen, problem_of, tolerance_of)
     from hnn_vi_ros.simulation.accuracy.cost import CostStudy, measure_costs, MethodCost
     from hnn_vi_ros.simulation.accuracy.diagnostics import local_error, secular_change
-    from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time, time_between_motions
+    from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time
+    from hnn_vi_ros.simulation.accuracy.neighbouring_motions import time_between_motions
     from hnn_vi_ros.simulation.accuracy.trials import (
         InitialValueProblem, Method, time_scale, Tolerance)
     from hnn_vi_ros.simulation.batches.batch_simulation import (

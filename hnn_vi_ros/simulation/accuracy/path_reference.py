@@ -7,7 +7,7 @@ import math
 
 from hnn_vi_ros.errors import CalibrationError, HnnViRosError, StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation.accuracy.lyapunov import time_between_motions
+from hnn_vi_ros.simulation.accuracy.neighbouring_motions import time_between_motions
 from hnn_vi_ros.simulation.accuracy.trials import (
     CalibrationTask, InitialValueProblem, PathSurvey)
 import numpy as np
