@@ -238,8 +238,9 @@ def test_long_work_without_a_terminal_says_how_long_it_takes(monkeypatch, capsys
     assert re.match(r'simulating, 0 s so far\n', said)
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize('words', ['simulator', 'replay bag', 'controller'])
+@pytest.mark.parametrize('words, number', [
+    *(('simulator', number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)),
+    ('replay bag', signal.SIGTERM), ('controller', signal.SIGTERM)])
 def test_signal_while_a_node_loads_its_libraries_ends_it_with_status_0(words, number):
     assert status_at(number, words) == 0
 

@@ -22,6 +22,7 @@ from messages import misfit, refused
 import numpy as np
 from pydantic import TypeAdapter
 import pytest
+from scene_files import write_scene
 import torch
 
 # Learned one-forms are not canonical; machines, bodies that turn and graphs have own tests.
@@ -279,22 +280,14 @@ def test_external_force_refuses_a_model_without_an_input_map(tmp_path):
         EFFECTS['external_force']()
 
 
-SCENE = """
-hamiltonian: {{kind: learned, model: {model}}}
-integrator: {{kind: {integrator}}}
-step_size: {step_size}
-initial_state: {{q: [0.3], p: [0.1]}}
-"""
-
-
 @pytest.mark.parametrize('integrator, step_size, said', [
     ('implicit_midpoint', 0.1, False), ('implicit_midpoint', 0.05, True),
     ('generalized_leapfrog', 0.1, True)])
 def test_scene_warns_in_one_line_when_the_scheme_is_not_that_of_the_training(
         tmp_path, integrator: str, step_size: float, said: bool):
     model = saved(tmp_path, 'hnn', 1, scheme=Scheme(integrator='implicit_midpoint', step_size=0.1))
-    scene = tmp_path / 'scene.yaml'
-    scene.write_text(SCENE.format(model=model, integrator=integrator, step_size=step_size))
+    scene = write_scene(
+        tmp_path / 'scene.yaml', f'learned, model: {model}', '', integrator, step_size, [0.3])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
         build(load_scene(scene))
@@ -307,7 +300,6 @@ def test_scene_warns_in_one_line_when_the_scheme_is_not_that_of_the_training(
 
 def test_scene_of_a_damaged_family_names_file_and_line(tmp_path):
     model = saved(tmp_path, 'lagrangian', 1, mass=[[0.01]])
-    scene = tmp_path / 'scene.yaml'
-    scene.write_text(SCENE.format(model=model, integrator='implicit_midpoint', step_size=0.1))
+    scene = write_scene(tmp_path / 'scene.yaml', f'learned, model: {model}')
     with refused(HnnViRosError):
         build(load_scene(scene))

@@ -11,27 +11,11 @@ from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels import original
-from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import BLOCK, simulate, simulate_many, Simulation, System
 from messages import refused
 import numpy as np
 import pytest
-
-SCENE = """\
-hamiltonian: {{kind: {kind}}}
-{effects}
-integrator: {{kind: {integrator}}}
-step_size: 0.05
-initial_state: {{q: {q}, p: {q}}}
-"""
-
-
-def scene_of(folder: Path, kind: str, effects: str, integrator: str, d: int, q: float = 0.0):
-    """Load a scene of some effects."""
-    path = folder / 'scene.yaml'
-    path.write_text(SCENE.format(kind=kind, effects=effects, integrator=integrator, q=[q] * d))
-    return load_scene(path)
-
 
 # What is not listed.
 
@@ -56,9 +40,10 @@ def test_system_of_potentials_leaves_the_method_alone():
     assert system.kernel.channels == 0
 
 
-def test_scene_with_its_effects_removed_is_bit_identical_to_one_that_never_had_any(tmp_path):
-    results = [simulate(scene_of(tmp_path, 'harmonic_oscillator', effects, 'variational_euler', 1,
-                                 0.7), 50.0) for effects in ('', 'effects: []')]
+def test_scene_with_its_effects_removed_is_bit_identical_to_one_that_never_had_any():
+    results = [simulate(Scene.build(
+        hamiltonian='harmonic_oscillator', integrator='variational_euler', step_size=0.05,
+        initial_state=([0.7], [0.7]), **effects), 50.0) for effects in ({}, {'effects': []})]
     for part in ('t', 'q', 'p', 'energy'):
         assert np.array_equal(*(getattr(result, part) for result in results))
     bare = Simulation(HAMILTONIANS['harmonic_oscillator'](), INTEGRATORS['variational_euler'](),
@@ -303,17 +288,18 @@ def test_step_that_fails_leaves_time_work_and_noise_as_they_were():
 # Many at once.
 
 @pytest.mark.parametrize('kind, d, integrator, effects', [
-    ('pendulum', 1, 'generalized_leapfrog',
-     '  - {kind: damping, rate: 0.3}\n'
-     '  - {kind: periodic_drive, coordinate: angle, amplitude: 1.0, frequency: 0.5}\n'),
-    long('henon_heiles', 2, 'implicit_midpoint', '  - {kind: magnetic_field, plane: [x, y]}\n'),
-    long('pendulum', 1, 'stormer_verlet',
-         '  - {kind: thermostat, temperature: 0.5, rate: 2.0, seed: 1}\n'
-         '  - {kind: impact, coordinate: angle, position: -1.0, restitution: 0.7}\n')],
+    ('pendulum', 1, 'generalized_leapfrog', [
+        {'kind': 'damping', 'rate': 0.3},
+        {'kind': 'periodic_drive', 'coordinate': 'angle', 'amplitude': 1.0, 'frequency': 0.5}]),
+    long('henon_heiles', 2, 'implicit_midpoint', [
+        {'kind': 'magnetic_field', 'plane': ['x', 'y']}]),
+    long('pendulum', 1, 'stormer_verlet', [
+        {'kind': 'thermostat', 'temperature': 0.5, 'rate': 2.0, 'seed': 1},
+        {'kind': 'impact', 'coordinate': 'angle', 'position': -1.0, 'restitution': 0.7}])],
     ids=['forces', 'magnetic field', 'bath and wall'])
-def test_many_trajectories_with_effects_are_those_of_each_alone(
-        kind, d, integrator, effects, tmp_path):
-    scene = scene_of(tmp_path, kind, f'effects:\n{effects}', integrator, d)
+def test_many_trajectories_with_effects_are_those_of_each_alone(kind, d, integrator, effects):
+    scene = Scene.build(hamiltonian=kind, integrator=integrator, step_size=0.05, effects=effects,
+                        initial_state=([0.0] * d, [0.0] * d))
     m, samples, every = BLOCK + 3, 4, 10
     q, p = np.random.default_rng(0).uniform(-0.4, 0.4, (2, m, d))
     many = simulate_many(scene, q, p, samples * every * 0.05, samples=samples, threads=2)
