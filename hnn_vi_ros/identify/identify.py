@@ -23,8 +23,8 @@ from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
 from hnn_vi_ros.learning import (
     ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FitProblem,
-    FittedNumbers, input_courses, InputCourses, keys_of, MeasuredColumns, MotionSource,
-    Prediction, read_motions, search, Solution, source_of, split_runs, steps_between, Windows)
+    FittedNumbers, input_courses, InputCourses, keys_of, LogSimulation, MeasuredColumns,
+    MotionSource, read_motions, search, Solution, source_of, split_runs, steps_between, Windows)
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build, DifferentiableRun, resolve
@@ -303,10 +303,10 @@ def _finer_steps(solution: Solution, problem: FitProblem, estimates: Estimates, 
     named, moved, halved, fitted = '', 0.0, 0, -1
     while fitted != halved:
         fitted = halved
-        now = Prediction(free, solution.values, windows).predict(solution.starts)
+        now = LogSimulation(free.parts_at(solution.values), windows).predict(solution.starts)
         while True:
             fine = usual.at_step(step_size / 2**(halved + 1))
-            after = Prediction(fine, solution.values, windows).predict(solution.starts)
+            after = LogSimulation(fine.parts_at(solution.values), windows).predict(solution.starts)
             change = np.where(windows.there[..., None], (after - now) / solution.noise, 0.0)
             if not np.isfinite(change).all():
                 raise DataError(

@@ -22,12 +22,14 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.export_module import export
     from hnn_vi_ros.learning.fit.config import load_machine
     from hnn_vi_ros.learning.fit.excitation import ExcitationData
+    from hnn_vi_ros.learning.fit.following import LogSimulation
     from hnn_vi_ros.learning.fit.growing import fit_numbers, FittedNumbers
     from hnn_vi_ros.learning.fit.input_courses import EVIDENCE, input_courses, InputCourses
     from hnn_vi_ros.learning.fit.noise import covariances, Process, processes
+    from hnn_vi_ros.learning.fit.prediction import Prediction
     from hnn_vi_ros.learning.fit.shooting import (
         FitProblem, identifiable_directions, projected, search, Solution, units_of)
     from hnn_vi_ros.learning.fit.windows import (
-        check_times, DELAY, MeasuredColumns, ModelParts, Number, Prediction, Windows)
+        check_times, DELAY, MeasuredColumns, ModelParts, Number, Windows)
 
 __getattr__, __dir__ = lazy_exports(__name__)

@@ -187,7 +187,7 @@ def test_each_step_of_a_long_window_gets_the_force_of_its_time(inputs, pendulum,
         {'kind': 'external_force', 'coordinates': ['angle']}]})
     windows = cut_windows([replace(smoothed('log', t, np.sin(t)[:, None], None, u, 40.0),
                                    inputs=inputs)], 60.0)
-    forces = Prediction(freed(scene, tmp_path, length=1.0), np.ones(1), windows)._forces[0]
+    forces = Prediction(freed(scene, tmp_path, length=1.0), np.ones(1), windows).log.forces[0]
     means = u[:-1] if inputs == 'held' else 0.5 * (u[1:] + u[:-1])
     # Of a linear force, the slopes at both ends are added: h / 12 times their difference.
     bound = 0.0 if inputs == 'held' else np.abs(np.diff(u, 2, axis=0)).max() / 6.0

@@ -429,13 +429,13 @@ def test_derivatives_of_a_fit_keep_loops_closed(tmp_path):
     prediction = Prediction(free, np.array([one.start for one in free.numbers]), windows)
     q, v = windows.start.swapaxes(0, 1)
     q = q + np.random.default_rng(1).normal(0.0, 0.01, q.shape)
-    starts, usable = prediction._closed(np.hstack([
-        q, momentum(prediction.hamiltonian, q, v, np.zeros_like(q))]))
+    starts, usable = prediction.log.closed(np.hstack([
+        q, momentum(prediction.log.hamiltonian, q, v, np.zeros_like(q))]))
     directions, (_, slopes) = prediction.directions(starts), prediction.by_starts(starts)
     # One degree of freedom: an angle and a momentum.
     assert usable.all() and len(directions) == 2 == slopes.shape[3]
     for k, way in enumerate(directions):
-        expected = derivative(lambda e, way=way: prediction.predict(starts + e * way), 0.1)
+        expected = derivative(lambda e, way=way: prediction.log.predict(starts + e * way), 0.1)
         np.testing.assert_allclose(slopes[..., k], expected, atol=1e-7 * np.abs(expected).max())
     for k, found in enumerate(np.moveaxis(prediction.parameter_jacobian(starts), -1, 0)):
         expected = prediction._difference(starts, k)

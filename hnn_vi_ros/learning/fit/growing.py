@@ -9,10 +9,12 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.noise import covariances, likeliest, Process
+from hnn_vi_ros.learning.fit.prediction import Prediction
 from hnn_vi_ros.learning.fit.shooting import FAILED, FitProblem, search, Solution, TOLERANCE
 from hnn_vi_ros.learning.fit.windows import (
-    CannotFollow, cut_windows, MeasuredColumns, ParametricModel, Prediction, refined, Windows)
+    CannotFollow, cut_windows, MeasuredColumns, ParametricModel, refined, Windows)
 import numpy as np
 
 # Tolerance of all searches but the last.
@@ -209,7 +211,7 @@ def _searched(model: ParametricModel, windows: Windows, noise: np.ndarray, start
         for k in range(_PLACES + 1):
             q, v = windows.start.swapaxes(0, 1) + hidden * seen.spread * random.normal(
                 size=(2, len(starts), d)) * np.array([1.0, 4.0 / length])[:, None, None]
-            tried = starts if not k else prediction.starts(q, v)
+            tried = starts if not k else prediction.log.starts(q, v)
             ended, residuals, _ = problem.descend(prediction, tried)
             cost = problem.cost(residuals)
             better = cost < best
@@ -264,9 +266,9 @@ def with_states_of(model: ParametricModel, motions: Sequence[EvenMotion], fitted
     # From other states, long windows of a chaotic motion would end in a false minimum.
     solution, _ = fit_with_noise(
         model, windows, fitted.noise, fitted.starts, none, True, _ROUGH, False)
-    prediction = Prediction(model, none, windows)
-    states = prediction.states(solution.starts[:, None])[:, 0]
-    q, v = states[..., :states.shape[-1] // 2], prediction.velocities(states)
+    log = LogSimulation(model.parts_at(none), windows)
+    states = log.states(solution.starts[:, None])[:, 0]
+    q, v = states[..., :states.shape[-1] // 2], log.velocities(states)
     found = []
     for run, motion in enumerate(motions):
         own = solution.windows.run == run
@@ -290,7 +292,7 @@ def cost_at_start(model: ParametricModel, motions: Sequence[EvenMotion]) -> floa
         motion.t[-1] - motion.t[0] for motion in motions)))
     values = np.array([number.start for number in model.numbers])
     prediction = Prediction(model, values, windows)
-    starts = prediction.starts(*windows.start.swapaxes(0, 1))
+    starts = prediction.log.starts(*windows.start.swapaxes(0, 1))
     problem = FitProblem(model, windows, first_noise(motions), starts, False, tolerance=1.0)
     _, residuals, _ = problem.descend(prediction, starts)
     cost = float(problem.cost(np.nan_to_num(residuals, nan=FAILED)).sum())
@@ -410,9 +412,10 @@ def _starts(model: ParametricModel, values: np.ndarray, windows: Windows,
     """Return initial guesses: the starts of shorter windows, or smoothed measurements."""
     q, v = windows.start.swapaxes(0, 1)
     if before is None:
-        return Prediction(model, values, windows).starts(q, v)
+        return LogSimulation(model.parts_at(values), windows).starts(q, v)
     solution = before.solution
-    states = Prediction(model, values, solution.windows).states(solution.starts[:, None])[:, 0]
+    states = LogSimulation(model.parts_at(values), solution.windows).states(
+        solution.starts[:, None])[:, 0]
     found = np.empty((len(q), 2 * q.shape[1]))
     for w in range(len(q)):
         own = np.flatnonzero((solution.windows.run == windows.run[w])

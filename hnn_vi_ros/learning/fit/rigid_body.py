@@ -20,6 +20,7 @@ from hnn_vi_ros.learning.families.choices import Structure, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.fitted_rigid_body import (
     downsampled, FittedRigidBody, positions_alone, sensors_of)
+from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.growing import (
     cost_at_start, excess_of, fit_numbers, FittedNumbers, refitted)
 from hnn_vi_ros.learning.fit.machine import (
@@ -28,7 +29,7 @@ from hnn_vi_ros.learning.fit.noise import covariances
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, parts_of_card, PriorUnknowns, RigidModel
 from hnn_vi_ros.learning.fit.shooting import projected, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows, KnownModel, Prediction
+from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows
 from hnn_vi_ros.models import chain_angles, PLANAR_CHAIN
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
@@ -269,8 +270,8 @@ def whole(network: MechanicalNetwork, motion: EvenMotion) -> np.ndarray:
     parts = parts_of_card(network.card(), motion.spacing, True)._replace(
         integrator=ImplicitMidpoint())
     windows = cut_windows([motion], len(motion.t) * motion.spacing)
-    prediction = Prediction(KnownModel(RigidModel.name, parts), np.zeros(0), windows)
-    states = prediction.states(prediction.starts(*windows.start.swapaxes(0, 1))[:, None])
+    log = LogSimulation(parts, windows)
+    states = log.states(log.starts(*windows.start.swapaxes(0, 1))[:, None])
     found: np.ndarray = states[0, 0, :, :network.d]
     return found
 

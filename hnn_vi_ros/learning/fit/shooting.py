@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.learning.fit.windows import (
-    CannotFollow, ParametricModel, Prediction, Windows)
+from hnn_vi_ros.learning.fit.prediction import Prediction
+from hnn_vi_ros.learning.fit.windows import CannotFollow, ParametricModel, Windows
 import numpy as np
 from scipy.optimize import least_squares
 
