@@ -8,12 +8,12 @@ loops are compiled once, and called by address, because they are the same for al
 """
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.kernels import (
-    address_of, block, entry_caller, flat, kept, load, part, type_of, Whole)
+    address_of, block, entry_caller, flat, kept, load, Part, part, type_of, Whole)
 from hnn_vi_ros.models.graphs.tape import (
     AMAX, COPY, FILL, FIRST_BINARY, FIRST_UNARY, MATMUL, NETWORK, PUT, SUM, TAKE, Tape, WHERE)
 from hnn_vi_ros.models.networks.activations import (
@@ -93,11 +93,6 @@ def assembled(memory: np.ndarray, numbers: np.ndarray, tapes: Sequence[Tape],
         [*(tape.place for tape in tapes), d], dtype=np.int64))
 
 
-def run(graph: GraphParameters, which: int) -> None:
-    """Run a tape of a graph from Python: 0 energy, 1 gradient, 2 product."""
-    _entry().entry_point(graph.words.ctypes.data + 8, which)
-
-
 @cache
 def _entry() -> Any:
     entry: Any = kept(fastmath=FASTMATH, error_model='numpy', nogil=True, no_cfunc_wrapper=True,
@@ -117,11 +112,25 @@ def _address() -> int:
 _call = entry_caller(types.none)
 
 
+class _ByAddress(Part):
+    """A call of ``_run`` by its address; from Python, of its entry point."""
+
+    def __call__(self, graph: GraphParameters, which: int) -> None:
+        """Run a tape."""
+        _entry().entry_point(graph.words.ctypes.data + 8, which)
+
+
+@partial(_ByAddress, targetoptions={'forceinline': True, 'error_model': 'numpy'})
+def run(graph: GraphParameters, which: int) -> None:
+    """Run a tape of a graph: 0 energy, 1 gradient, 2 product."""
+    _call(graph.words[0], (address_of(graph.words) + 8, which))
+
+
 @_compiled
 def energy(graph: GraphParameters, q: np.ndarray, p: np.ndarray) -> float:
     """Return H(q, p) [J] for q and p of shape (d,)."""
     _load(graph.memory, 0, q.size, q, p, 0)
-    _call(graph.words[0], (address_of(graph.words) + 8, 0))
+    run(graph, 0)
     return float(graph.memory[graph.places[0]])
 
 
@@ -132,7 +141,7 @@ def gradient(graph: GraphParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.nda
     memory, place, d = graph.memory, graph.places[1], graph.places[3]
     for s in range(0, q.size, d):
         _load(memory, 0, d, q, p, s)
-        _call(graph.words[0], (address_of(graph.words) + 8, 1))
+        run(graph, 1)
         for i in range(d):
             dH_dq[s + i], dH_dp[s + i] = memory[place + i], memory[place + d + i]
 
@@ -145,7 +154,7 @@ def hessian_vector(graph: GraphParameters, q: np.ndarray, p: np.ndarray, v_q: np
     for s in range(0, q.size, d):
         _load(memory, 0, d, q, p, s)
         _load(memory, 2 * d, d, v_q, v_p, s)
-        _call(graph.words[0], (address_of(graph.words) + 8, 2))
+        run(graph, 2)
         for i in range(d):
             product_q[s + i], product_p[s + i] = memory[place + i], memory[place + d + i]
 
