@@ -26,6 +26,7 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files import (
     in_plain_words, limited, one_line, parse_json, refuse_pointer, replacing,
     safetensors_header, write_new)
+from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import ModelCard
 import numpy as np
 from pydantic import ValidationError
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.graphs.graph import Builder
 
 MAX_BYTES = 256 << 20
-# Family of models that are graphs; see models.graphs.
-GRAPH = 'graph'
 
 _DTYPES = {'F64': '<f8', 'F32': '<f4'}
 _REMEDY = 'copy the file again, or train the model again'
@@ -75,9 +74,10 @@ class Layers(NamedTuple):
 
 
 def widths_of(networks: Mapping[str, Layers]) -> dict[str, Any]:
-    """Return the card's entry for the widths of networks; a single network is not named."""
+    """Return the card's entry for the widths of networks, if any; a single one is not named."""
     widths = {name: layers.widths for name, layers in networks.items()}
-    return {'networks': widths} if len(widths) > 1 else {'widths': next(iter(widths.values()))}
+    return {'widths': next(iter(widths.values()))} if len(widths) == 1 else {
+        'networks': widths or None}
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Checkpoint:
     members : tuple of Checkpoint
         Members of an ensemble, which has no networks of its own; empty for a single model.
     graph : tuple of (Builder, int), optional
-        H as a graph, with its output, for the family ``graph``, which has no networks.
+        H as a graph, with its output, for families without networks.
 
     """
 
@@ -178,7 +178,7 @@ def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
         Checkpoint(member, _networks(path, member, tensors, f'member{k}.'), digest)
         for k, member in enumerate(card.ensemble.members, start=1))
     networks = {} if members else _networks(path, card, tensors)
-    if card.family == GRAPH:
+    if not FAMILIES[card.family].networks:
         return Checkpoint(card, {}, digest, graph=_graph(path, card, metadata, tensors))
     if tensors:
         raise ModelError(f'{path}: unknown tensor {min(tensors)}; {_REMEDY}')

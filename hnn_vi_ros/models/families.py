@@ -3,7 +3,7 @@
 """The model families: each row gives the contents of a card, the kernel and the training class."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -35,8 +35,9 @@ class Family:
 
     Parameters
     ----------
-    networks : mapping of str to Network
-        Networks in a model file; a single network is not named in it.
+    networks : mapping of str to NetworkShape
+        Networks in a model file; a single network is not named in it. Without networks the file
+        contains H as a graph, traced from the trained module.
     compiled : str
         ``room.module:Class`` of the LearnedHamiltonian.
     trained : str
@@ -56,9 +57,9 @@ class Family:
 
     """
 
-    networks: Mapping[str, NetworkShape]
-    compiled: str
-    trained: str
+    networks: Mapping[str, NetworkShape] = field(default_factory=dict)
+    compiled: str = 'models.graphs.hamiltonian:GraphHamiltonian'
+    trained: str = ''
     constants: tuple[str, ...] = ()
     conservative: bool = True
     canonical: bool = True
@@ -136,5 +137,5 @@ FAMILIES = {
         constants=('lie_group',),
         conservative=False),
     # Not trained here: a torch module that was exported, as a graph of operations.
-    'graph': Family({}, 'models.graphs.hamiltonian:GraphHamiltonian', ''),
+    'graph': Family(),
 }

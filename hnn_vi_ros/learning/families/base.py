@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.models import Layers
@@ -279,12 +279,23 @@ class Scales:
 
 
 class Trainable(torch.nn.Module, ABC):
-    """A trainable model; losses call the methods below and methods of subclasses."""
+    """
+    A trainable model; losses call the methods below and methods of subclasses.
 
-    @abstractmethod
+    Attributes
+    ----------
+    schema : type
+        Schema of its configuration.
+
+    """
+
+    schema: ClassVar[type]
+
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
         """
         Return the networks for the model file, keyed as in models.families.FAMILIES.
+
+        There are none if H is stored as a graph, traced from ``energy``.
 
         Parameters
         ----------
@@ -294,6 +305,7 @@ class Trainable(torch.nn.Module, ABC):
             Value of H there, in the unit of H.
 
         """
+        return {}
 
     def preference(self, *inputs: torch.Tensor) -> torch.Tensor | None:
         """

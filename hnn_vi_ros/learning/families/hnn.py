@@ -57,6 +57,8 @@ class HNN(_OneNetwork):
 
     """
 
+    schema = HNNChoice
+
 
 class SeparableHNNChoice(FamilyChoice):
     """Configuration of networks T(p) and V(q), for explicit methods; see SeparableHNN."""
@@ -84,6 +86,8 @@ class SeparableHNN(EnergyFamily):
     Z. Chen, J. Zhang, M. Arjovsky, L. Bottou, Symplectic Recurrent Neural Networks, ICLR 2020.
 
     """
+
+    schema = SeparableHNNChoice
 
     def __init__(self, choice: SeparableHNNChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__()
@@ -140,6 +144,8 @@ class DissipativeHNN(_OneNetwork):
 
     """
 
+    schema = DissipativeHNNChoice
+
     def __init__(self, choice: DissipativeHNNChoice, hidden: list[int], scales: Scales,
                  seed: int):
         super().__init__(choice, hidden, scales, seed)
@@ -194,6 +200,8 @@ class DGNet(_OneNetwork):
     NeurIPS 2020.
 
     """
+
+    schema = DGNetChoice
 
     def __init__(self, choice: DGNetChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__(choice, hidden, scales, seed)
@@ -269,6 +277,8 @@ class ControlAffine(EnergyFamily):
     Control, ICLR 2020.
 
     """
+
+    schema = ControlAffineChoice
 
     def __init__(self, choice: ControlAffineChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__()

@@ -57,6 +57,8 @@ class LagrangianNetwork(Trainable):
 
     """
 
+    schema = LagrangianChoice
+
     def __init__(self, choice: LagrangianChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__()
         mass = choice.mass * (scales.v_half[0] / scales.v_half)**2
@@ -172,6 +174,8 @@ class VIN(EnergyFamily):
 
     """
 
+    schema = VINChoice
+
     def __init__(self, choice: VINChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__()
         # M = S F F^T S: coordinates of equal kinetic energy have equal masses in units of S.
@@ -261,6 +265,8 @@ class SymplecticForm(Trainable):
     General Coordinate Systems, NeurIPS 2021.
 
     """
+
+    schema = SymplecticFormChoice
 
     def __init__(self, choice: SymplecticFormChoice, hidden: list[int], scales: Scales,
                  seed: int):

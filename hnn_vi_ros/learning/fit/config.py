@@ -3,9 +3,11 @@
 """Schema of training configurations, one per family."""
 
 from collections.abc import Sequence
+from functools import reduce
+from operator import or_
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TYPE_CHECKING
 
 from hnn_vi_ros.errors import DataError, ModelError, offered
 from hnn_vi_ros.files import (
@@ -17,13 +19,11 @@ from hnn_vi_ros.learning.data.motions import EvenMotion, Motion
 from hnn_vi_ros.learning.data.sources import (
     configuration_of, dimension, read_motions, Source)
 from hnn_vi_ros.learning.data.text import LogMotions
+from hnn_vi_ros.learning.families.base import Trainable
 from hnn_vi_ros.learning.families.choices import (
     AUTO, Discrete, FamilyChoice, FieldLoss, Forward, Inverse, MachineFamily, MachineLoss,
     Regression, RigidBodyChoice, Structure, TrajectoryLoss, VectorField)
-from hnn_vi_ros.learning.families.hnn import (
-    ControlAffineChoice, DGNetChoice, DissipativeHNNChoice, HNNChoice, SeparableHNNChoice)
-from hnn_vi_ros.learning.families.lagrangian import (
-    LagrangianChoice, SymplecticFormChoice, VINChoice)
+from hnn_vi_ros.learning.families.hnn import HNNChoice
 from hnn_vi_ros.learning.families.lie_group import (
     BodyStage, LieGroupChoice, LieMethod, RetractionName)
 from hnn_vi_ros.learning.fit.excitation import ExcitationData, excited_motions
@@ -31,10 +31,12 @@ from hnn_vi_ros.models import CoordinateCard, FAMILIES, Kind, RIGID_BODY
 from hnn_vi_ros.phase_space import IN_DEGREES
 from pydantic import Field, field_validator, model_validator, ValidationError
 
-FieldFamily = Annotated[
-    HNNChoice | SeparableHNNChoice | DissipativeHNNChoice | DGNetChoice | VINChoice
-    | LagrangianChoice | ControlAffineChoice | SymplecticFormChoice,
-    Field(discriminator='kind')]
+if TYPE_CHECKING:
+    FieldFamily = FamilyChoice
+else:
+    FieldFamily = Annotated[reduce(or_, (
+        row.trainer.schema for row in FAMILIES.values()
+        if row.trained and issubclass(row.trainer, Trainable))), Field(discriminator='kind')]
 Widths = Annotated[list[Annotated[int, Field(ge=1, le=4096)]], Field(
     min_length=1, max_length=16, description='widths of the hidden layers, for each network')]
 Seed = Annotated[int, Field(ge=0, lt=2**63, description=(

@@ -3,6 +3,7 @@
 """Train families that learn a field of (q, p) from states and rates, and judge them."""
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -14,13 +15,15 @@ from hnn_vi_ros.learning.fit.config import FieldConfig
 from hnn_vi_ros.learning.fit.field import fit_field, FittedField, LOSSES
 from hnn_vi_ros.learning.fit.loop import Train, trained
 from hnn_vi_ros.learning.fit.model_files import described
+from hnn_vi_ros.learning.graph_of_module import graph_of
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped, calibrated, ensemble_text, field_calibration, held_out)
 from hnn_vi_ros.learning.judging.evaluation import friction_work, integrated
 from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
 from hnn_vi_ros.learning.tasks import TrainingTask
 from hnn_vi_ros.models import (
-    Box, Checkpoint, energy_error, energy_spread, EnergyError, FAMILIES, load_member, Units)
+    Box, Builder, Checkpoint, energy_error, energy_spread, EnergyError, FAMILIES, graph_data,
+    load_member, read_graph, Units)
 import numpy as np
 import torch
 
@@ -85,12 +88,15 @@ def describe(data: FieldData, fitted: FittedField, config: FieldConfig, name: st
     box = replace(dataset, p=family.momenta(dataset)).box
     centre = np.mean([*box.q, *box.p], axis=1)
     z0 = centre if reference is None else np.array([*reference.q, *reference.p])
-    networks = family.networks(z0, 0.0 if reference is None else reference.energy)
-    return described(
+    energy0 = 0.0 if reference is None else reference.energy
+    networks = family.networks(z0, energy0)
+    checkpoint = described(
         config, networks, name, command, family=config.family.kind, scheme=config.loss.scheme,
         box=box, dataset=dataset.description, losses=fitted.losses, confine=config.confine,
         units=Units(centre=scales.centre.tolist(), scale=scales.half.tolist(),
                     target=samples.unit.tolist()), **family.constants())
+    return checkpoint if networks else replace(
+        checkpoint, graph=_energy_graph(family, np.stack(box.bounds), z0, energy0))
 
 
 def judge(data: FieldData, checkpoint: Checkpoint, fitted: FittedField) -> Judged:
@@ -137,6 +143,17 @@ def _where_valid(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,
     return (f'H is known near the states of the data, from {energies.min():.4g} to '
             f'{energies.max():.4g} J; elsewhere in the training domain it is extrapolated without '
             'an alarm')
+
+
+def _energy_graph(family: Trainable, states: np.ndarray, z0: np.ndarray, energy0: float
+                  ) -> tuple[Builder, int]:
+    """Return H of a family as a graph, traced at two states, with the value energy0 at z0."""
+    assert isinstance(family, EnergyFamily), 'others have networks in their files'
+    own = deepcopy(family).requires_grad_(False)
+    shift = energy0 - float(own.energy(torch.tensor(z0)[None]))
+    # Read as from a file, so that no model is written that cannot be read.
+    return read_graph(*graph_data(*graph_of(
+        lambda z: own.energy(z[None])[0] + shift, torch.tensor(states))), z0.size)
 
 
 def judge_energy(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,
