@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.box_error import (
         energy_error, energy_spread, EnergyError, Interval, interval_text, rows_of_each)
     from hnn_vi_ros.models.checkpoint import (
-        Checkpoint, complete_checkpoint, file_digest, Layers, load_checkpoint, save_checkpoint,
-        widths_of)
+        Checkpoint, complete_checkpoint, file_digest, load_checkpoint, save_checkpoint)
     from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
     from hnn_vi_ros.models.domain import (
         CandidateCard, Domain, domain_of, DomainCard, Errors, force_unit, SelectionCard)
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
         averaged_families, Box, CoordinateCard, EnsembleCard, ModelCard, PredictionError, Scheme,
         Units)
     from hnn_vi_ros.models.networks.activations import SMOOTH
+    from hnn_vi_ros.models.networks.layers import Layers, widths_of
     from hnn_vi_ros.models.neural import NeuralHamiltonian
     from hnn_vi_ros.models.outputs import (
         evaluate_outputs, pack_layers, pack_outputs, PackedOutputs)

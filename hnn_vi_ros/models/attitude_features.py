@@ -8,8 +8,9 @@ quaternion (x, y, z, w); L is its angular momentum in its own frame.
 """
 
 from hnn_vi_ros.kernels import called
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
+from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
+from hnn_vi_ros.models.networks.layers import Layers
 import numpy as np
 
 

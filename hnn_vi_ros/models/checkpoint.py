@@ -11,7 +11,7 @@ them. In a model with several networks, the names begin with the network's name,
 of the file is ever executed.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 import hashlib
@@ -20,7 +20,7 @@ from itertools import pairwise
 import json
 import os
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, TYPE_CHECKING
+from typing import Any, BinaryIO, TYPE_CHECKING
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files import (
@@ -28,6 +28,7 @@ from hnn_vi_ros.files import (
     safetensors_header, write_new)
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import ModelCard
+from hnn_vi_ros.models.networks.layers import Layers
 import numpy as np
 from pydantic import ValidationError
 import safetensors
@@ -42,42 +43,6 @@ _DTYPES = {'F64': '<f8', 'F32': '<f4'}
 _REMEDY = 'copy the file again, or train the model again'
 # First bytes of files of torch.save or pickle: a zip archive, or a pickle of protocol 2 to 5.
 _PICKLES = (b'PK\x03\x04', b'\x80\x02', b'\x80\x03', b'\x80\x04', b'\x80\x05')
-
-
-class Layers(NamedTuple):
-    """
-    A multilayer perceptron, with one entry per layer.
-
-    Parameters
-    ----------
-    weights : tuple of np.ndarray, each (outputs, inputs)
-        Weights in float64.
-    biases : tuple of np.ndarray, each (outputs,)
-        Biases in float64.
-
-    """
-
-    weights: tuple[np.ndarray, ...]
-    biases: tuple[np.ndarray, ...]
-
-    @property
-    def widths(self) -> list[int]:
-        """Return the number of inputs and the number of outputs of each layer."""
-        return [self.weights[0].shape[1], *map(len, self.weights)]
-
-    def widened(self, inputs: int, places: Sequence[int]) -> 'Layers':
-        """Return the network with this number of inputs, of which it uses those at ``places``."""
-        first, *others = self.weights
-        wide = np.zeros((len(first), inputs))
-        wide[:, [*places]] = first[:, :len(places)]
-        return Layers((wide, *others), self.biases)
-
-
-def widths_of(networks: Mapping[str, Layers]) -> dict[str, Any]:
-    """Return the card's entry for the widths of networks, if any; a single one is not named."""
-    widths = {name: layers.widths for name, layers in networks.items()}
-    return {'widths': next(iter(widths.values()))} if len(widths) == 1 else {
-        'networks': widths or None}
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ padded with zeros to an even number n, because the loops of perceptron.py use tw
 from typing import NamedTuple
 
 from hnn_vi_ros.kernels import part
-from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.mechanical_card import is_periodic, MechanicalCard
+from hnn_vi_ros.models.networks.layers import Layers
 import numpy as np
 
 

@@ -9,8 +9,9 @@ import warnings
 
 from hnn_vi_ros.hamiltonians import compiled_kernel, Hamiltonian
 from hnn_vi_ros.kernels import by_address, Energy, Gradient, HessianVector, Kernel, Parameters
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
+from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.networks.activations import SMOOTH
+from hnn_vi_ros.models.networks.layers import Layers
 from hnn_vi_ros.models.networks.perceptron_memory import pack, PackedPerceptron
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np

@@ -10,9 +10,10 @@ weights w are set to c^T Y for a weighted sum c . y of its outputs, including it
 from typing import NamedTuple
 
 from hnn_vi_ros.kernels import part
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
+from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import padded
 from hnn_vi_ros.models.networks import perceptron
+from hnn_vi_ros.models.networks.layers import Layers
 from hnn_vi_ros.models.networks.perceptron_memory import pack, PackedPerceptron
 import numpy as np
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The networks of model files as torch modules."""
 
-from hnn_vi_ros.models.checkpoint import Layers
+from hnn_vi_ros.models.networks.layers import Layers
 import torch
 
 _ACTIVATIONS = {

@@ -9,8 +9,8 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.graphs.operations import BINARY, STRUCTURAL, UNARY, VERSION
+from hnn_vi_ros.models.networks.layers import Layers
 import numpy as np
 
 # Limits of graphs in files: nodes, values of one node and of all, and axes.

@@ -13,9 +13,8 @@ from collections.abc import Mapping
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.models.checkpoint import Layers
-from hnn_vi_ros.models.graphs.graph import (
-    Builder, count_products, GraphNode, needed, GraphNetwork)
+from hnn_vi_ros.models.graphs.graph import Builder, count_products, GraphNetwork, GraphNode, needed
+from hnn_vi_ros.models.networks.layers import Layers
 import numpy as np
 
 ACTIVATIONS = {'tanh': 'tanh', 'sin': 'sine', 'relu': 'relu', 'softplus': 'softplus'}
