@@ -18,8 +18,8 @@ from hnn_vi_ros.learning.tasks.selection import (
     best_of, Candidate, held_out, OF_VELOCITIES, RIGID, selected)
 from hnn_vi_ros.models.domain import CandidateCard, Domain, DomainCard
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
-from hnn_vi_ros.simulation.guards.samples import GuardState
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.simulation.guards.samples import GuardState
 from machines import machine_config
 import numpy as np
 import pytest
@@ -180,7 +180,7 @@ def test_more_friction_never_fits_windows_worse_than_less(monkeypatch):
         return (np.nan * numbers if more else numbers), loss
     monkeypatch.setattr(rigid_body, '_first', diverging)
     errors = [[*fit_machine(sliding(prior='planar_chain', residual=False, friction=friction),
-                           [carriage(1, 2.5)]).losses.values()][-1]
+                            [carriage(1, 2.5)]).losses.values()][-1]
               for friction in ({}, {'directed': True, 'offset': True, 'load': True})]
     # Its friction is 2.5 N back and 1 N ahead.
     assert errors[1] < 0.5 * errors[0]
@@ -221,7 +221,7 @@ def test_intervals_are_wider_where_residuals_exceed_the_noise():
     """One width of friction instead of two: residuals of 5.8 times the noise."""
     motions = of_positions([carriage(seed, 1.0) for seed in (1, 2)])
     problem = fit_machine(sliding(prior='planar_chain', residual=False, friction={'coulomb': 1}),
-                         motions)
+                          motions)
     found = problem.estimates(sliding().coordinates, None)
     for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5)):
         low, high = found[name].interval

@@ -160,7 +160,7 @@ def test_input_map_is_given_with_the_norm_that_the_model_has():
     q += 1e-3 * np.random.default_rng(0).normal(size=q.shape)
     motion = smoothed('run', t, q, None, np.sin(2.0 * t)[:, None], 5.0)
     problem = fit_machine(config('a', **PENDULUM, friction={'coulomb': 0}, input_map='learned'),
-                         [motion])
+                          [motion])
     # The model is the same with any multiple of its raw map.
     problem.numbers.solution.values[-1] = 784.0
     found = problem.estimates([CoordinateCard(name='a', q_unit='rad', p_unit='N m s')], None)

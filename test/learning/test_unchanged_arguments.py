@@ -13,9 +13,9 @@ import pkgutil
 import sys
 from types import FunctionType
 
-import hnn_vi_ros.learning as package
 from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.identify import arguments, identify
+import hnn_vi_ros.learning as package
 from hnn_vi_ros.learning import train
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.scene import load_scene

@@ -22,8 +22,8 @@ from hnn_vi_ros.run import OverrunGuard, Pacer, Sampler
 from hnn_vi_ros.simulation import (
     Alarm, BoxGuard, build, EnergyGuard, Guard, make_guards, PoleGuard, RunFacts, Simulation)
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
-from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard
 from hnn_vi_ros.simulation.guards.facts import BAND_LIMIT, CHANGE_LIMIT
+from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard
 from hnn_vi_ros.simulation.guards.samples import SampleBlock
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
 import numpy as np

@@ -17,7 +17,6 @@ from messages import refused
 import numpy as np
 import pytest
 
-# What is not listed.
 
 @pytest.mark.parametrize('integrator', ['variational_euler', 'stormer_verlet', 'gauss4'])
 def test_system_without_effects_is_the_hamiltonian_and_the_method_themselves(integrator):

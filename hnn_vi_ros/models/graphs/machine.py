@@ -96,7 +96,7 @@ def assembled(memory: np.ndarray, numbers: np.ndarray, tapes: Sequence[Tape],
 @cache
 def _entry() -> Any:
     entry: Any = kept(fastmath=FASTMATH, error_model='numpy', nogil=True, no_cfunc_wrapper=True,
-                 pipeline_class=Whole)(_run)
+                      pipeline_class=Whole)(_run)
     entry.compile((types.int64, types.int64))
     (found,) = entry.overloads.values()
     return found

@@ -8,9 +8,9 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import (
     build, judge_block, make_guards, PoleGuard, record_one, RunFacts, Schedule, Simulation)
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard
-from hnn_vi_ros.simulation.guards.samples import SampleBlock
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.saddles import SaddleSearch
+from hnn_vi_ros.simulation.guards.samples import SampleBlock
 import numpy as np
 import pytest
 

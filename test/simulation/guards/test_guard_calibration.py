@@ -10,8 +10,8 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import BoxGuard, look, RunFacts, Simulation, Watch
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.simulation.guards.bands import ResolutionGuard
-from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.facts import BAND_LIMIT
+from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.watch import energies_of
 import numpy as np
 from plain_systems import kepler, Motion, MOTIONS, pendulum

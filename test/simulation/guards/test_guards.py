@@ -10,8 +10,8 @@ from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.simulation import BlockGuard, BoxGuard, EnergyGuard, judge_block, SampleBuffer
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
-from hnn_vi_ros.simulation.guards.samples import accounted_energy, SampleBlock
 from hnn_vi_ros.simulation.guards.paths import PathGuard
+from hnn_vi_ros.simulation.guards.samples import accounted_energy, SampleBlock
 import numpy as np
 import pytest
 
