@@ -14,7 +14,7 @@ from hnn_vi_ros.errors import DataError, HnnViRosError, ModelError, RecordingErr
 from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.learning import train as training
 from hnn_vi_ros.learning.fit import loop
-from hnn_vi_ros.learning.fit.loop import Fit, kept
+from hnn_vi_ros.learning.fit.loop import kept, TrainingRun
 from hnn_vi_ros.learning.judging import ensemble as ensembles
 from hnn_vi_ros.learning.judging.evaluation import numbers, Scores
 from hnn_vi_ros.learning.tasks import field, machine
@@ -89,14 +89,14 @@ def test_machine_whose_evaluation_fails_is_kept(tmp_path: Path, monkeypatch, mor
 @pytest.mark.parametrize('problem', [DataError('training diverged'), KeyboardInterrupt()])
 def test_members_trained_before_one_that_fails_are_kept(
         tmp_path: Path, words: list, monkeypatch, capsys, problem):
-    real, calls = Fit.run, []
+    real, calls = TrainingRun.to_end, []
 
     def second_fails(*arguments, **more):
         calls.append(arguments)
         if len(calls) == 2:
             raise problem
         return real(*arguments, **more)
-    monkeypatch.setattr(Fit, 'run', second_fails)
+    monkeypatch.setattr(TrainingRun, 'to_end', second_fails)
     with pytest.raises(type(problem)):
         main([*words, '--ensemble', '3'])
     file = tmp_path / 'm.member1.safetensors'

@@ -47,8 +47,8 @@ def test_error_is_one_line_that_shows_control_characters():
 
 STREAMS = """
 import logging, sys, warnings
-from hnn_vi_ros.files.standard_streams import guard_streams, rewrite_line
-guard_streams()
+from hnn_vi_ros.files.standard_streams import harden_streams, rewrite_line
+harden_streams()
 evil = sys.argv[1]
 print(f'out {evil}')
 print('error', evil, file=sys.stderr)

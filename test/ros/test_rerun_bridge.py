@@ -28,9 +28,10 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from recorded import as_received, record_run
 from rerun_reader import read
+from scene_files import write_scene
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from test_health import events_of, KEPLER
+from test_health import events_of
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 
@@ -112,7 +113,8 @@ def test_signal_lets_the_bridge_show_what_it_has_received(tmp_path, capfd):
 def test_bridge_shows_state_alarms_and_timing_of_a_running_simulator_and_alarms_of_its_bag(
         tmp_path):
     # At a step that does not resolve the close encounters.
-    (tmp_path / 'kepler.yaml').write_text(f'{KEPLER}mechanism: kepler\n')
+    write_scene(tmp_path / 'kepler.yaml', 'kepler, mu: 1.0', '', 'variational_euler',
+                q=[1.9, 0.0], p=[0.0, 0.22941573387056177], more='mechanism: kepler\n')
     live = tmp_path / 'live.rrd'
     bridge = start_bridge(*to_file(live))
     wait_until(lambda: 'waiting for /hnn_simulator/scene' in standard_error(bridge))

@@ -112,10 +112,10 @@ from hnn_vi_ros.cli import main
 from hnn_vi_ros.simulation import simulation as stepping
 
 def press_ctrl_c():
-    stepping.heed = lambda: None
+    stepping.check_interrupt = lambda: None
     os.kill(os.getpid(), signal.SIGINT)
 
-stepping.heed = press_ctrl_c
+stepping.check_interrupt = press_ctrl_c
 sys.argv = ['hnn', 'run', *sys.argv[1:]]
 main()
 """
