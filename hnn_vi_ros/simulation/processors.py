@@ -27,7 +27,8 @@ def in_threads(work: Callable[[int], _Result], workers: int) -> list[_Result]:
     """
     Return the results of a function for 0, 1, ... workers - 1, each in its own thread.
 
-    After an exception in one of them, or Ctrl-C, all end at their next call of ``check_interrupt``.
+    After an exception in one of them, or Ctrl-C, all end at their next call of
+    ``check_interrupt``.
     """
     stop = Event()
 
