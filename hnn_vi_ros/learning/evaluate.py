@@ -107,7 +107,7 @@ def _judged(arguments: Namespace) -> _Judgement:
         error = card.prediction_error
         noise = np.array(error.noise) if error and error.noise else first_noise(motions)
         model = judged_model(hamiltonian, effects, motions)
-        residuals, motions = judged_along(model, motions, noise)
+        residuals, motions, _ = judged_along(model, motions, noise)
         known = {'noise': noise.tolist(), 'residuals': residuals}
         said = '\n' + errors_text(residuals, noise, card.coordinates)
     others = _baselines(arguments, hamiltonian)

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.lagrangian import midpoint_action
     from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
     from hnn_vi_ros.models.lie_group_card import LieGroupCard, PoseInput
+    from hnn_vi_ros.models.machine_text import (
+        equation_text, parameters_text, ratio_unit, sum_text)
     from hnn_vi_ros.models.mechanical_card import (
         check_prior, check_row, CoulombTerm, entries_of, FittedNumber, FrictionCard, is_periodic,
         Kind, mean_card, MechanicalCard, MOST_MEMBERS, PriorCard, Quantity, StribeckTerm)

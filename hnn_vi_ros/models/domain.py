@@ -30,6 +30,17 @@ class DomainCard(StrictModel):
     forces: list[Interval] = Field(description=(
         'range of the force of each motor; empty if no forces were measured'))
 
+    def text(self, names: Sequence[tuple[str, str, str]]) -> str:
+        """Describe the ranges; for the name, unit, and unit of momentum of each coordinate."""
+        found = []
+        for (name, unit, _), *ranges in zip(names, self.q, self.v, strict=True):
+            found.append(name + ','.join(
+                f' {low:.3g} to {high:.3g} {of}' for (low, high), of in zip(
+                    ranges, (unit, f'{unit}/s'), strict=True)))
+        found += [f'force {i + 1} {low:.3g} to {high:.3g} {force_unit(p_unit)}' for i, (
+            (low, high), (_, _, p_unit)) in enumerate(zip(self.forces, names, strict=False))]
+        return '; '.join(found)
+
     @classmethod
     def of(cls, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> 'DomainCard':
         """Return the ranges of motions, each of shape (N, d), and of forces (N, m)."""
@@ -132,7 +143,7 @@ class SelectionCard(StrictModel):
     held_out: str = Field(max_length=1000)
     candidates: list[CandidateCard] = Field(min_length=1)
     chosen: str
-    trust: str = Field(max_length=1000, description='range in which to trust the model')
+    trust: str = Field('', max_length=1000, description='range in which to trust the model')
 
     @property
     def text(self) -> str:

@@ -133,17 +133,6 @@ class PriorCard(StrictModel):
         return {name: quantity.value for name, quantity in self.parameters.items()}
 
     @property
-    def text(self) -> str:
-        """Return the estimates as a table in Markdown; '' without estimates."""
-        rows = [f'| {name} | {one.value:.6g} | {one.interval[0]:.6g} to {one.interval[1]:.6g} | '
-                f'{one.unit} |' for name, one in self.estimates.items()]
-        return '\n'.join([
-            '| parameter | value | 95 % interval | unit |', '|---|---|---|---|', *rows, '',
-            'The intervals hold if the noise of the sensors is the only error; where residuals '
-            'exceed it, they are as many times wider, which may not suffice. Friction and springs '
-            'without a row are not in the data.']) if rows else ''
-
-    @property
     def table(self) -> np.ndarray:
         """Return the parameters of each body of a rigid_body, shape (d, 12)."""
         assert self.tree is not None, 'a rigid_body has one'

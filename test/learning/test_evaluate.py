@@ -17,7 +17,7 @@ from hnn_vi_ros.learning.judging.evaluation import (
     constant_velocity, linear_model, score, TrajectoryBundle, whole_records)
 from hnn_vi_ros.learning.judging.report import shown
 from hnn_vi_ros.models import load_checkpoint, save_checkpoint
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import simulate, Simulation
 from machines import driven, from_file
 from messages import refused
 import numpy as np
@@ -77,6 +77,9 @@ def test_arrays_become_a_model_and_a_report_in_one_command(made):
              for rms in card.prediction_error.horizons[horizon]]
     assert f'| model | {" | ".join(cells)} |' in page
     assert (made.folder / 'm.predictions.png').exists()
+    assert '| range of the data | ' in page and '\nforce on ' in page
+    # The scene beside it runs.
+    assert np.isfinite(simulate(made.folder / 'm.scene.yaml', duration=0.1).q).all()
     with refused(ParameterError):
         train.main(['--config', made.config, '--data', made.data, '--out', str(made.model)])
 

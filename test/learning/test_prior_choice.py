@@ -15,8 +15,8 @@ from hnn_vi_ros.learning.fit.machine import Fading
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
 from hnn_vi_ros.learning.tasks.machine import as_selected, MACHINE
 from hnn_vi_ros.learning.tasks.selection import (
-    best_of, Candidate, held_out, OF_VELOCITIES, RIGID, selected)
-from hnn_vi_ros.models.domain import CandidateCard, Domain, DomainCard
+    best_of, Candidate, held_out, OF_VELOCITIES, RIGID, selected, trust_text)
+from hnn_vi_ros.models.domain import CandidateCard, Domain, DomainCard, SelectionCard
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.samples import GuardState
@@ -415,3 +415,15 @@ def test_domain_says_what_goes_beyond():
     alarm = alarm_of(guard, look(1, 30.0))
     assert '(largest: elbow = 30 rad/s, trained to 15), in 50 % of the samples' in alarm.message
     assert alarm_of(guard, look(2, 31.0)) is None and guard.share == pytest.approx(2 / 3)
+
+
+def test_trust_follows_from_residuals_along_whole_motions():
+    config, noise = machine_config(), {'0.3': [0.95]}
+    card = SelectionCard(held_out='', chosen=RIGID, candidates=[CandidateCard(
+        name=RIGID, residuals=noise, furthest={'0.1': [2e-4]}, ordinary={'0.1': [1e-4]})])
+    assert 'its own error is below the noise' in trust_text(card, config, noise)
+    # Pieces of motions may be shorter than what shows an error.
+    for whole in ({'0.3': [0.95], '3': [1.6]}, {'0.3': [13.0]}):
+        text = trust_text(card, config, whole)
+        assert 'below the noise' not in text and 'go further: 0.0002' in text
+        assert f'{max(max(row) for row in whole.values()):.2g} times the noise' in text

@@ -148,7 +148,7 @@ def test_noise_of_positions_biases_neither_gravity_nor_friction():
     # Dry friction that there is not is left out.
     assert float(coulomb.abs().max()) < 1e-4 * found['gravity1']
     assert problem.noise == pytest.approx(np.deg2rad([0.5]), rel=0.1)
-    residuals, _ = judged_along(problem.known(), [motion], problem.noise)
+    residuals, _, _ = judged_along(problem.known(), [motion], problem.noise)
     assert is_noise(residuals) and followed(residuals) == pytest.approx(motion.t[-1], rel=0.01)
     assert 'times the noise of the sensors in windows of up to 12 s' in noise_text(residuals)
 
@@ -218,7 +218,7 @@ def test_states_of_a_chaotic_motion_are_those_of_windows_that_grew():
     truth = np.array([run.q.copy() for _ in range(601) if run.advance(1)])
     q = truth + noise * np.random.default_rng(0).normal(size=truth.shape)
     motion = smoothed('chaos', h * np.arange(len(q)), q, None, 0.0 * q, 8.0)
-    residuals, (found,) = judged_along(
+    residuals, (found,), _ = judged_along(
         judged_model(pendulum, [], [motion]), [motion], np.full(2, noise))
     assert followed(residuals) == pytest.approx(6.0)
     # Four unknowns of 1202 samples; sixteen times (the chaos stretches their errors) as large.

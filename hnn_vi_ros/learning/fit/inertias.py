@@ -10,7 +10,7 @@ weighs as much as one sample in directions that the data determine to less than 
 Acceleration noise biases this estimate towards zero; a fit of simulated windows can follow.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
@@ -27,7 +27,8 @@ from hnn_vi_ros.learning.fit.rigid_body import fit_errors, loss_of, spread, wind
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, RigidUnknowns
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.models import (
-    BaseParameter, Checkpoint, EACH, FrictionCard, Identification, INERTIAL, ModelCard, PriorCard)
+    BaseParameter, Checkpoint, EACH, FrictionCard, Identification, INERTIAL, ModelCard, PriorCard,
+    sum_text)
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares, OptimizeResult
@@ -120,14 +121,6 @@ def _lines(names: Sequence[str], prior: PriorCard, found: Identification, fricti
         share = f' {found.residual_share[j]:.3g} |' if found.residual_share else ''
         yield (f'| {name} | {found.force_error[j]:.4g} | {friction.viscous[j]:.4g} | {coulomb} | '
                f'{prior.values[f"{name}.offset"]:.4g} |{share}')
-
-
-def sum_text(combination: Mapping[str, float]) -> str:
-    """Format a linear combination."""
-    text = ' '.join(f'{"-" if factor < 0.0 else "+"} '
-                    f'{"" if abs(factor) == 1.0 else f"{abs(factor):.4g} "}{name}'
-                    for name, factor in combination.items())
-    return text.removeprefix('+ ')
 
 
 # Maximum number of samples, and number of blocks per joint regarded as independent: longer

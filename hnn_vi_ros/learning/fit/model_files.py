@@ -67,9 +67,15 @@ def drafted(checkpoint: Checkpoint) -> Iterator[str]:
         yield str(draft)
 
 
-def machine_scene(model: str, card: ModelCard, step_size: float, integrator: str, driven: bool
+def machine_scene(model: str, card: ModelCard, step_size: float, integrator: str, driven: bool,
+                  start: Mapping[str, list[float]] | None = None, place: Path | None = None
                   ) -> Scene:
-    """Return the scene of a machine in a model file, with friction and, if driven, forces."""
+    """
+    Return the scene of a machine in a model file, with friction and, if driven, forces.
+
+    Without a start it is at rest in the middle of the data; `place` is the scene's future file,
+    beside which the model is.
+    """
     effects: list[dict[str, object]] = [{'kind': 'learned_friction', 'model': model}]
     if driven:
         assert card.mechanical is not None, 'the family has one'
@@ -78,5 +84,6 @@ def machine_scene(model: str, card: ModelCard, step_size: float, integrator: str
             if card.mechanical.input_map is None else {'model': model}))
     return Scene.build(
         hamiltonian={'kind': 'learned', 'model': model, 'confine': False}, effects=effects,
-        integrator=integrator, step_size=step_size, name=card.name,
-        initial_state=(np.mean(card.box.q, axis=1).tolist(), [0.0] * len(card.coordinates)))
+        integrator=integrator, step_size=step_size, name=str(place or card.name),
+        initial_state=start or {'q': np.mean(card.box.q, axis=1).tolist(),
+                                'p': [0.0] * len(card.coordinates)})

@@ -11,14 +11,18 @@ from hnn_vi_ros.files import dump_yaml, write_text
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.learning.fit.loop import LossHistory
 from hnn_vi_ros.learning.judging.evaluation import TrajectoryBundle
-from hnn_vi_ros.models import Checkpoint, interval_text, ModelCard
+from hnn_vi_ros.learning.fit.shooting import Solution
+from hnn_vi_ros.models import Checkpoint, interval_text, ModelCard, ratio_unit
 from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.scene import Scene
 from matplotlib.figure import Figure
 import numpy as np
 import torch
 
 # Limits of the field picture: rows of coordinates, arrows, points.
 _MOST_ROWS, _MOST_ARROWS, _MOST_POINTS = 4, 150, 2000
+# Maximum number of lags of an autocorrelation.
+_MOST_LAGS = 100
 # File names of an evaluation.
 REPORT, PICTURE = 'report.md', 'predictions.png'
 # Number of predictions that start during one prediction; more would hide one another.
@@ -27,7 +31,7 @@ _OVERLAP = 4
 _MOST, _WINDOW = 80, 12.0
 # Colours distinguishable with colour blindness (Okabe, Ito).
 _COLORS = '#d55e00', '#0072b2', '#009e73', '#cc79a7'
-_INK = '#333333'
+_MEASURED = '#b8b8b8'
 # Margin above and below the measured range, as a share of it; predictions may leave it.
 _ROOM = 0.25
 
@@ -39,12 +43,14 @@ class Outputs(NamedTuple):
     losses: Path
     picture: Path
     report: Path
+    residuals: Path
+    scene: Path
 
     @classmethod
     def beside(cls, model: Path, picture: str) -> 'Outputs':
         """Return the output paths of a model, with this name of the picture."""
         return cls(model, *(model.with_suffix(suffix) for suffix in (
-            '.loss.png', f'.{picture}.png', '.report.md')))
+            '.loss.png', f'.{picture}.png', '.report.md', '.residuals.png', '.scene.yaml')))
 
 
 class PredictedRun(NamedTuple):
@@ -84,6 +90,12 @@ class Judged(NamedTuple):
         Result for the report, in Markdown.
     draw : callable, optional
         ``draw(path)`` writes the picture.
+    residuals : Solution, optional
+        Fit of the initial states of held-out motions, whose residuals are drawn.
+    scene : callable, optional
+        ``scene(model, place)`` returns a scene at a path beside the model of this name.
+    open_scale : str, optional
+        Unit of the quantity that fixes the scale of all forces by convention, '' if the data do.
 
     """
 
@@ -91,6 +103,9 @@ class Judged(NamedTuple):
     text: str
     page: str
     draw: Callable[[Path], None] | None = None
+    residuals: Solution | None = None
+    scene: Callable[[str, Path], Scene] | None = None
+    open_scale: str = ''
 
 
 def page(title: str, *parts: str) -> str:
@@ -123,6 +138,12 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
     if judged.draw is not None:
         judged.draw(outputs.picture)
         pictures += [f'![{outputs.picture.name}]({outputs.picture.name})']
+    if judged.residuals is not None:
+        plot_residuals(judged.residuals, card, outputs.residuals)
+        pictures += [f'![Residuals]({outputs.residuals.name})']
+    if judged.scene is not None:
+        write_text(outputs.scene, judged.scene(
+            outputs.model.name, outputs.scene).to_yaml())
     if history.train:
         plot_history(history, card.name, outputs.losses)
         pictures += [f'![Losses]({outputs.losses.name})']
@@ -132,12 +153,18 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
         'wall time': f'{seconds:.1f} s on {device}, {platform.machine()}, torch '
         f'{torch.__version__}', 'command': f'`{card.training_command}`',
         **{key: f'{value:.4g}' for key, value in card.losses.items()}}
+    if card.domain is not None:
+        facts['range of the data'] = card.domain.text(
+            [(one.name, one.q_unit, one.p_unit) for one in card.coordinates])
+    if judged.scene is not None:
+        facts['scene'] = f'`hnn run {outputs.scene.name}`'
     if card.energy_error is not None:
-        error = card.energy_error
+        error, unit = card.energy_error, ratio_unit('J', judged.open_scale)
         facts |= {
-            'energy error, RMS [J]': f'{error.rms:.3g} ({interval_text(error.rms_interval)}), '
-            f'against the {error.compared_with}, which varies by {error.spread:.3g}',
-            'energy error, largest [J]': f'{error.sup:.3g} of {error.states} states'}
+            f'energy error, RMS [{unit}]':
+                f'{error.rms:.3g} ({interval_text(error.rms_interval)}), against the '
+                f'{error.compared_with}, which varies by {error.spread:.3g}',
+            f'energy error, largest [{unit}]': f'{error.sup:.3g} of {error.states} states'}
     table = '\n'.join(['| | |', '|---|---|', *(
         f'| {key} | {value} |' for key, value in facts.items())])
     settings = dump_yaml(config.model_dump(mode='json', exclude_unset=True))
@@ -161,6 +188,39 @@ def plot_history(history: LossHistory, name: str, path: Path) -> None:
     axes.legend()
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=150)
+
+
+def plot_residuals(fitted: Solution, card: ModelCard, path: Path) -> None:
+    """
+    Plot the residuals along the longest window and their autocorrelation.
+
+    That of white noise is within 1.96 / sqrt(N) of 0 for 95 % of the lags; a model that lacks a
+    force leaves longer correlations.
+    """
+    windows, run = fitted.windows, int(fitted.windows.there.sum(axis=1).argmax())
+    there = windows.there[run]
+    d, t = len(card.coordinates), windows.times[run] + windows.spacing * np.flatnonzero(there)
+    figure = Figure(figsize=(11.0, 1.0 + 2.4 * d), layout='constrained')
+    figure.suptitle(f'{card.name}: residuals over run {windows.motions[windows.run[run]].name}',
+                    parse_math=False)
+    for (left, right), coordinate, residuals in zip(
+            figure.subplots(d, 2, squeeze=False), card.coordinates,
+            fitted.residuals[run, there].T, strict=False):
+        left.plot(t, residuals, color=_COLORS[1], linewidth=0.8)
+        left.set(ylabel=f'{coordinate.name}, residual / noise')
+        rest = residuals - residuals.mean()
+        lags = np.arange(min(_MOST_LAGS, len(rest) // 2))
+        own = np.array([rest[:len(rest) - k] @ rest[k:] for k in lags]) / (rest @ rest + 1e-300)
+        right.vlines(lags * windows.spacing, 0.0, own, color=_COLORS[1])
+        right.axhspan(*1.96 / np.sqrt(len(rest)) * np.array([-1.0, 1.0]), color='0.9', zorder=0,
+                      label='95 % of white noise')
+        right.set(ylabel='autocorrelation', ylim=(min(-0.5, 1.1 * own.min()), 1.05))
+        for axes in (left, right):
+            axes.grid(alpha=0.3)
+    left.set_xlabel('t [s]')
+    right.set_xlabel('lag [s]')
+    right.legend(loc='upper right')
+    figure.savefig(path, dpi=130)
 
 
 class Comparison(NamedTuple):
@@ -303,12 +363,12 @@ def draw_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
     grid = figure.subplots(d, 1, sharex=True, squeeze=False)[:, 0]
     for i, (axes, coordinate) in enumerate(zip(grid, coordinates, strict=True)):
         measured = run.q[inside, i]
-        axes.plot(run.t[inside], measured, color=_INK, linewidth=2.2, label='measured')
+        axes.plot(run.t[inside], measured, color=_MEASURED, linewidth=4.5, label='measured')
         for k, (t, q) in enumerate(predicted):
             color = _COLORS[k % len(_COLORS)]
-            axes.plot(t, q[:, i], color=color, linewidth=0.9,
+            axes.plot(t, q[:, i], color=color, linewidth=1.4,
                       label='predicted, from each dot' if k == 0 else None)
-            axes.plot(t[:1], q[:1, i], '.', color=color, markersize=4.0)
+            axes.plot(t[:1], q[:1, i], 'o', color=color, markersize=4.0)
         low, high = measured.min(), measured.max()
         room = _ROOM * (high - low) or 1.0
         axes.set(xlim=window, ylim=(low - room, high + room),

@@ -3,7 +3,7 @@
 """Residuals of a model on measured motions, in units of the noise of their sensors."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.hamiltonians import Hamiltonian
@@ -11,6 +11,7 @@ from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.fitted_rigid_body import downsampled
 from hnn_vi_ros.learning.fit.growing import fits_by_length, with_states_of
+from hnn_vi_ros.learning.fit.shooting import Solution
 from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts, ParametricModel
 import numpy as np
 
@@ -23,13 +24,31 @@ ONLY_NOISE = 1.25
 Residuals = dict[str, list[float]]
 
 
-def judged_along(model: ParametricModel, motions: Sequence[EvenMotion], noise: np.ndarray
-                 ) -> tuple[Residuals, list[EvenMotion]]:
+class FollowedMotions(NamedTuple):
     """
-    Return the residuals of a model on motions, and these with its states as the smoothed ones.
+    Motions that a model was simulated along, from the initial states that fit best.
 
-    Where it does not follow them, even in the shortest windows, the states stay those of the
-    filter.
+    Parameters
+    ----------
+    residuals : dict of str to list of float
+        Residual of each coordinate in units of its noise, by the length of the windows [s].
+    motions : list of EvenMotion
+        The motions with the states of the model as the smoothed ones; where it does not follow
+        them, even in the shortest windows, those of the filter.
+    longest : Solution, optional
+        Fit of the longest windows; None if no simulation comes through the shortest ones.
+
+    """
+
+    residuals: Residuals
+    motions: list[EvenMotion]
+    longest: Solution | None
+
+
+def judged_along(model: ParametricModel, motions: Sequence[EvenMotion], noise: np.ndarray
+                 ) -> FollowedMotions:
+    """
+    Follow motions with a model.
 
     Parameters
     ----------
@@ -45,7 +64,9 @@ def judged_along(model: ParametricModel, motions: Sequence[EvenMotion], noise: n
     residuals = {f'{length:.3g}': ratios[:d].tolist() for length, _, ratios in fits}
     within = followed(residuals)
     longest = [solution for length, solution, _ in fits if float(f'{length:.3g}') <= within]
-    return residuals, with_states_of(model, motions, longest[-1]) if longest else [*motions]
+    return FollowedMotions(
+        residuals, with_states_of(model, motions, longest[-1]) if longest else [*motions],
+        fits[-1][1] if fits else None)
 
 
 def followed(residuals: Mapping[str, Sequence[float]]) -> float:

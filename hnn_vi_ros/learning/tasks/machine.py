@@ -21,7 +21,8 @@ from hnn_vi_ros.learning.fit.inertias import identified_text, with_force_errors
 from hnn_vi_ros.learning.fit.loop import Fitted, Train, trained
 from hnn_vi_ros.learning.fit.machine import fit_network, scales_of
 from hnn_vi_ros.learning.fit.machine_fit import check_motors, estimated_delay, fit_machine
-from hnn_vi_ros.learning.fit.model_files import describe_machine, drafted, with_prior
+from hnn_vi_ros.learning.fit.model_files import (
+    describe_machine, drafted, machine_scene, with_prior)
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped_blocks, calibrated, ensemble_text, kept_and_held, machine_calibration)
@@ -34,10 +35,10 @@ from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.judging.residuals import (
     errors_text, is_noise, judged_along, judged_model, STEP)
 from hnn_vi_ros.learning.tasks import OPEN_BY_MAP, TrainingTask
-from hnn_vi_ros.learning.tasks.selection import selected
+from hnn_vi_ros.learning.tasks.selection import selected, trust_text
 from hnn_vi_ros.models import (
-    CHAINS, Checkpoint, domain_of, energy_spread, interval_text, load_member, ModelCard,
-    PredictionError, RIGID_BODY, SelectionCard)
+    CHAINS, Checkpoint, domain_of, energy_spread, equation_text, interval_text, load_member,
+    ModelCard, parameters_text, PredictionError, ratio_unit, RIGID_BODY, SelectionCard)
 import numpy as np
 import torch
 
@@ -206,11 +207,13 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
     horizons = [horizon for horizon in judging.horizons if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
     hamiltonian, effects = _parts_of(checkpoint)
-    names, step_size, said, known = [one.name for one in config.coordinates], None, '', {}
+    names, open_scale = [one.name for one in config.coordinates], _open_scale(config, data.train)
+    step_size, said, known, longest = None, '', {}, None
+    residuals = dict[str, list[float]]()
     if positions_alone(test):
         noise = first_noise(test) if fitted.noise is None else fitted.noise
         model, step_size = judged_model(hamiltonian, effects, test), STEP
-        residuals, test = judged_along(model, test, noise)
+        residuals, test, longest = judged_along(model, test, noise)
         known = {'residuals': residuals, 'noise': noise.tolist()}
         missing = '' if is_noise(residuals) else missing_force(
             network, [*data.train, *data.test], names)
@@ -223,18 +226,26 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
     checkpoint = with_energy_error(checkpoint, test)
     card = checkpoint.card.model_copy(update={
         'prediction_error': PredictionError.model_validate(numbers(scores['model']) | known)})
-    prior = None if card.mechanical is None else card.mechanical.prior
+    if card.selection is not None:
+        card = card.model_copy(update={'selection': card.selection.model_copy(
+            update={'trust': trust_text(card.selection, config, residuals)})})
     text = '\n\n'.join(filter(None, (
         table(scores, names), verdict(scores), said.rstrip(),
         '' if domain is None else outside(domain, fans, horizons).text,
         '' if card.selection is None else card.selection.text,
-        '' if prior is None else prior.text,
+        parameters_text(card, open_scale), equation_text(card),
         ensemble_text(card))))
     return Judged(
         replace(checkpoint, card=card), text,
-        f'{text}\n\n{_remarks(config, card, judging.every)}\n{identified_text(card)}'.rstrip(),
+        f'{text}\n\n{_remarks(config, card, judging.every, open_scale)}\n'
+        f'{identified_text(card)}'.rstrip(),
         lambda path: draw_predictions(path, card.name, hamiltonian.coordinates,
-                                      shown(fans, max(horizons))))
+                                      shown(fans, max(horizons))),
+        longest, lambda model, place: machine_scene(
+            model, card, min(STEP, test[0].spacing), 'implicit_midpoint',
+            any(motion.tau.any() for motion in data.train),
+            {'q': test[0].q_smooth[0].tolist(), 'v': test[0].v_smooth[0].tolist()},
+            place), open_scale)
 
 
 MACHINE = TrainingTask('predictions', read, select, fit, describe, judge)
@@ -302,6 +313,15 @@ def _opens_scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> bool:
     return not own_scale and not any(motion.tau.any() for motion in motions)
 
 
+def _open_scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
+    """Return the unit of what is 1 by convention, '' if the data fix the scale of forces."""
+    if config.family.input_map == 'learned':
+        return 'input map'
+    if not _opens_scale(config, motions):
+        return ''
+    return 'kg' if config.coordinates[0].kind == 'prismatic' else 'kg m2'
+
+
 def _ranges(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
     """Describe the sampling interval and coordinate ranges, which reveal wrong units."""
     q = np.concatenate([motion.q for motion in motions])
@@ -323,14 +343,15 @@ def _scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
     return text
 
 
-def _remarks(config: MachineConfig, card: ModelCard, every: float) -> str:
+def _remarks(config: MachineConfig, card: ModelCard, every: float, open_scale: str) -> str:
     """Return the remarks below the table of a report."""
     held, error = ', '.join(config.data.test_runs) or 'the last fifth of each run', \
         card.energy_error
+    unit = ratio_unit('J', open_scale)
     energy = '' if error is None else (
-        f'On held-out data the RMS error of H is {error.rms:.3g} J '
+        f'On held-out data the RMS error of H is {error.rms:.3g} {unit} '
         f'({interval_text(error.rms_interval)}), compared with the {error.compared_with}, with '
-        f'which it varies by {error.spread:.3g} J.\n')
+        f'which it varies by {error.spread:.3g} {unit}.\n')
     return (f'Held out: {held}. The table contains the RMS error at the end of each horizon, in '
             'simulations of the held-out data with the measured forces, started every '
             f'{every:g} s. The energy mismatch is the change of H over each horizon minus the '

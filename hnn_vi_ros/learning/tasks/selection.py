@@ -108,8 +108,7 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion]
         forces = _Forces(config.data.inputs or 'linear', 0.0 if isinstance(delay, str) else delay)
         text += f'; forces between samples as {forces}, which fits them better'
     return config, SelectionCard(
-        held_out=text, candidates=[one.card for one in tried], chosen=best.card.name,
-        trust=_trust(best.card, config))
+        held_out=text, candidates=[one.card for one in tried], chosen=best.card.name)
 
 
 class Candidate(NamedTuple):
@@ -220,7 +219,7 @@ class _Trials(NamedTuple):
         """
         if not isinstance(fitted, FittedRigidBody) or fitted.noise is None:
             return self, {}
-        residuals, pieces = judged_along(
+        residuals, pieces, _ = judged_along(
             fitted.known(), [*self.furthest, *self.ordinary], fitted.noise)
         far = len(self.furthest)
         return self._replace(furthest=pieces[:far], ordinary=pieces[far:]), residuals
@@ -585,16 +584,29 @@ def _line(errors: Errors, config: MachineConfig) -> str:
     ) + f' after {horizon} s' for horizon, values in errors.items())
 
 
-def _trust(best: CandidateCard, config: MachineConfig) -> str:
-    """Return advice on how far to trust the selected model."""
+def trust_text(selection: SelectionCard, config: MachineConfig, whole: Residuals) -> str:
+    """
+    Return advice on how far to trust the selected model.
+
+    Parameters
+    ----------
+    selection : SelectionCard
+        The candidates; their pieces are short, and some go further than the data of the fits.
+    config : MachineConfig
+        Configuration of the model.
+    whole : dict of str to list of float
+        Residuals of the model along whole held-out motions; empty if velocities were measured.
+
+    """
+    chosen = next(one for one in selection.candidates if one.name == selection.chosen)
     beyond = 'elsewhere, also within its training domain, its errors are unbounded' \
-        if best.name == ALONE else \
-        'outside of its training domain it returns to the rigid body' if best.name != RIGID else \
-        'it has no networks that could fail outside of its training domain'
-    noise = f' On both {noise_text(best.residuals)}.' if best.residuals else ''
-    if is_noise(best.residuals):
-        return ('Trust it for motions like those of its data and for those that go further: on '
-                f'held-out ones of both kinds {noise_text(best.residuals)}; {beyond}.')
+        if chosen.name == ALONE else \
+        'outside of its training domain it returns to the rigid body' if chosen.name != RIGID \
+        else 'it has no networks that could fail outside of its training domain'
+    if is_noise(chosen.residuals) and is_noise(whole):
+        return ('Trust it for motions like those of its data and for those that go further: '
+                f'along whole motions {noise_text(whole)}; {beyond}.')
+    along = f' Along whole motions {noise_text(whole)}.' if whole else ''
     return ('Trust it for motions like those of its data: RMS error '
-            f'{_line(best.ordinary, config)}; for motions that go further: '
-            f'{_line(best.furthest, config)}; {beyond}.{noise}')
+            f'{_line(chosen.ordinary, config)}; for motions that go further: '
+            f'{_line(chosen.furthest, config)}; {beyond}.{along}')
