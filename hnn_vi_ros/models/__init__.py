@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
     from hnn_vi_ros.models.domain import (
         CandidateCard, Domain, domain_of, DomainCard, Errors, force_unit, SelectionCard)
-    from hnn_vi_ros.models.ensemble import load_member, MeanHamiltonian
+    from hnn_vi_ros.models.ensemble import load_member
     from hnn_vi_ros.models.exact_prior import exact_system, exact_systems, functions_of
     from hnn_vi_ros.models.families import FAMILIES
     from hnn_vi_ros.models.features import even_layers, Features, pack_features, see

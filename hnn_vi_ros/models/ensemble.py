@@ -34,11 +34,12 @@ class MeanParameters(NamedTuple):
     part_p: np.ndarray
 
 
-class MeanHamiltonian(LearnedHamiltonian):
+class EnsembleHamiltonian(LearnedHamiltonian):
     """
-    Base class of the means of several networks that were trained independently.
+    H = (H_1 + ... + H_N) / N of members with the same momenta, trained independently.
 
-    Each mean is a Hamiltonian, so a symplectic method nearly conserves its modified energy.
+    It is a Hamiltonian, so a symplectic method nearly conserves its modified energy. A gradient
+    costs N gradients of a member.
 
     Parameters
     ----------
@@ -68,20 +69,6 @@ class MeanHamiltonian(LearnedHamiltonian):
         other = super().copy()
         other.members = tuple(member.copy() for member in self.members)
         return other
-
-
-class EnsembleHamiltonian(MeanHamiltonian):
-    """
-    H = (H_1 + ... + H_N) / N of members with the same momenta.
-
-    A gradient costs N gradients of a member.
-
-    Parameters
-    ----------
-    checkpoint : Checkpoint
-        An ensemble.
-
-    """
 
     def _kernel(self) -> Kernel:
         first, *others = (

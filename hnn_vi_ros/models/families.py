@@ -127,7 +127,7 @@ FAMILIES = {
         {'mass': NetworkShape(1), 'potential': NetworkShape(1)},
         'models.mechanical:MechanicalHamiltonian',
         'learning.families.mechanical:MechanicalNetwork', constants=('mechanical',),
-        conservative=False, averaged='models.mechanical_mean:MeanMechanism',
+        conservative=False, averaged='models.mechanical:MechanicalHamiltonian',
         measured_momenta=False),
     # It models one body; the card's ``lie_group`` entry lists the inputs of its networks, and
     # further networks for dissipation and for an input map.

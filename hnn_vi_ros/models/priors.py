@@ -65,8 +65,8 @@ def prior_kernel(prior: PriorCard, angles: Sequence[Sequence[float]]) -> Kernel:
 
 
 @part(error_model='numpy')
-def add_mass(prior: Prior, q: np.ndarray, scale: np.ndarray, gram: np.ndarray) -> None:
-    """Add the lower triangle of S^-1 M S^-1; M is stored for the other functions."""
+def add_mass(prior: Prior, q: np.ndarray, share: float, total: np.ndarray) -> None:
+    """Add a share of the lower triangle of M, which is stored for the other functions."""
     inverse, mass, unit, d = prior.inverse, prior.mass, prior.unit, q.size
     for j in range(d):
         unit[:] = 0.0
@@ -84,7 +84,7 @@ def add_mass(prior: Prior, q: np.ndarray, scale: np.ndarray, gram: np.ndarray) -
             mass[i, j] = unit[i]
     for i in range(d):
         for j in range(i + 1):
-            gram[i, j] += mass[i, j] / (scale[i] * scale[j])
+            total[i, j] += share * mass[i, j]
 
 
 @part(error_model='numpy')
@@ -94,9 +94,9 @@ def prior_potential(prior: Prior, q: np.ndarray) -> float:
 
 
 @part(error_model='numpy')
-def add_prior_slope(prior: Prior, q: np.ndarray, v: np.ndarray, covector: np.ndarray
-                    ) -> None:
-    """Add V_q - (v . M v)_q / 2 at constant v; call add_mass first."""
+def add_prior_slope(prior: Prior, q: np.ndarray, v: np.ndarray, share: float,
+                    covector: np.ndarray) -> None:
+    """Add a share of V_q - (v . M v)_q / 2 at constant v; call add_mass first."""
     momentum = prior.momentum
     for i in range(q.size):
         momentum[i] = 0.0
@@ -104,13 +104,13 @@ def add_prior_slope(prior: Prior, q: np.ndarray, v: np.ndarray, covector: np.nda
             momentum[i] += prior.mass[i, j] * v[j]
     gradient(prior.target, q, momentum, prior.at_q, prior.at_p)
     for i in range(q.size):
-        covector[i] += prior.at_q[i]
+        covector[i] += share * prior.at_q[i]
 
 
 @part(error_model='numpy')
 def subtract_turned_mass(prior: Prior, q: np.ndarray, v_q: np.ndarray, v: np.ndarray,
-                         scale: np.ndarray, right: np.ndarray) -> None:
-    """Subtract S^-1 M' v, where M' is the change of M along v_q; call add_mass first."""
+                         share: float, right: np.ndarray) -> None:
+    """Subtract a share of M' v, for the change M' of M along v_q; call add_mass first."""
     momentum, turned, unit = prior.momentum, prior.turned, prior.unit
     for i in range(q.size):
         unit[i] = v_q[i]
@@ -122,13 +122,13 @@ def subtract_turned_mass(prior: Prior, q: np.ndarray, v_q: np.ndarray, v: np.nda
         turned[i] = 0.0
         for j in range(q.size):
             turned[i] -= prior.mass[i, j] * prior.at_p[j]
-        right[i] -= turned[i] / scale[i]
+        right[i] -= share * turned[i]
 
 
 @part(error_model='numpy')
 def add_prior_slope_change(prior: Prior, q: np.ndarray, v: np.ndarray, v_q: np.ndarray,
-                           v_change: np.ndarray, covector: np.ndarray) -> None:
-    """Add the change of H_q(q, M v) with q and v; call subtract_turned_mass first."""
+                           v_change: np.ndarray, share: float, covector: np.ndarray) -> None:
+    """Add a share of the change of H_q(q, M v); call subtract_turned_mass first."""
     unit, turned = prior.unit, prior.turned
     for i in range(q.size):
         prior.zero[i] = v_q[i]
@@ -138,4 +138,4 @@ def add_prior_slope_change(prior: Prior, q: np.ndarray, v: np.ndarray, v_q: np.n
     hessian_vector(prior.target, q, prior.momentum, prior.zero, unit, prior.at_q, prior.at_p)
     prior.zero[:] = 0.0
     for i in range(q.size):
-        covector[i] += prior.at_q[i]
+        covector[i] += share * prior.at_q[i]

@@ -118,9 +118,11 @@ def torch_energy(model: Checkpoint, z: torch.Tensor) -> torch.Tensor:
 
 
 def unnamed(value: object) -> bool:
-    """Tell whether a tuple without names is in a value."""
-    return isinstance(value, tuple) and (
-        not hasattr(value, '_fields') or any(unnamed(part) for part in value))
+    """Tell whether a tuple without names is in a value, other than a list of one named kind."""
+    if not isinstance(value, tuple):
+        return False
+    alike = len({type(part) for part in value}) == 1 and hasattr(value[0], '_fields')
+    return not (alike or hasattr(value, '_fields')) or any(unnamed(part) for part in value)
 
 
 @pytest.mark.parametrize('family', [*FAMILIES, 'mechanical'])

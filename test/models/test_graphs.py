@@ -331,6 +331,27 @@ def test_long_chain_of_powers_is_planned_in_few_places():
     assert assembler.memory().size < 8 * len(b.nodes)
 
 
+def test_tape_uses_what_the_one_before_it_has_computed():
+    b, z = Builder(), np.random.default_rng(5).normal(size=6)
+    x, factor = b.input(6), b.input(1, 1)
+    value = mixed(b, x)
+    slopes = gradient(b, value, x)
+    scaled = b.mul(slopes, b.broadcast(factor, (6,)))
+    assembler = Assembler(b, [x, factor])
+    first, second = assembler.tapes([value, scaled])
+    memory = assembler.memory()
+    graph = machine.assembled(memory, assembler.index(), [first, second], (), 6)
+    memory[:6] = z
+    machine.run(graph, 0)
+    # An input of the second tape only, which is known after the first.
+    memory[6] = memory[first.place]
+    machine.run(graph, 1)
+    assert len(second.code) < len(Assembler(b, [x, factor]).tape(scaled).code)
+    # The same instructions in other places.
+    assert np.array_equal(memory[second.place:second.place + 6], run(b, slopes, z) * run(
+        b, value, z))
+
+
 def mutate(nodes: list, tensors: dict, rng: np.random.Generator) -> None:
     """Change one entry of a graph or one value of a tensor."""
     if rng.random() < 0.3:

@@ -43,8 +43,10 @@ class Program(NamedTuple):
         Inputs, constants and results.
     numbers : np.ndarray of uint64
         Indices of take and put.
-    energy, gradient, product : np.ndarray of uint64, shape (instructions, 9)
-        Tapes of H, its gradient, and its Hessian times a vector; see tape.
+    code : np.ndarray of uint64, shape (instructions, 9)
+        All tapes, one after another; see tape.
+    ends : np.ndarray of uint64, shape (tapes + 1,)
+        Where each tape begins, and the last one ends.
     networks : np.ndarray of int64
         Networks in the graph, each a Mapping, as words in numba's layout.
 
@@ -52,15 +54,14 @@ class Program(NamedTuple):
 
     memory: np.ndarray
     numbers: np.ndarray
-    energy: np.ndarray
-    gradient: np.ndarray
-    product: np.ndarray
+    code: np.ndarray
+    ends: np.ndarray
     networks: np.ndarray
 
 
-_PROGRAM = type_of(Program(*(np.zeros(1), np.zeros(1, dtype=np.uint64)),
-                           *3 * (np.zeros((1, 9), dtype=np.uint64),),
-                           np.zeros(1, dtype=np.int64)))
+_PROGRAM = type_of(Program(
+    np.zeros(1), np.zeros(1, dtype=np.uint64), np.zeros((1, 9), dtype=np.uint64),
+    np.zeros(1, dtype=np.uint64), np.zeros(1, dtype=np.int64)))
 
 
 class GraphParameters(NamedTuple):
@@ -73,8 +74,8 @@ class GraphParameters(NamedTuple):
         Address of ``_run``, then a Program as words in numba's layout.
     memory : np.ndarray
         Memory of the program.
-    places : np.ndarray of int64, shape (4,)
-        Places of the results of the three tapes, and d.
+    places : np.ndarray of int64, shape (tapes + 1,)
+        Places of the results of the tapes, and d.
 
     """
 
@@ -85,9 +86,9 @@ class GraphParameters(NamedTuple):
 
 def assembled(memory: np.ndarray, numbers: np.ndarray, tapes: Sequence[Tape],
               networks: Sequence[Mapping], d: int) -> GraphParameters:
-    """Return the parameters of three tapes and their memory."""
-    energy_code, gradient_code, product_code = (tape.code for tape in tapes)
-    program = Program(memory, numbers, energy_code, gradient_code, product_code,
+    """Return the parameters of tapes and their memory."""
+    ends = np.cumsum([0, *(len(tape.code) for tape in tapes)]).astype(np.uint64)
+    program = Program(memory, numbers, np.concatenate([tape.code for tape in tapes]), ends,
                       block(tuple(networks), 0)[1:])
     return GraphParameters(block(program, _address()), memory, np.array(
         [*(tape.place for tape in tapes), d], dtype=np.int64))
@@ -122,7 +123,7 @@ class _ByAddress(Part):
 
 @partial(_ByAddress, targetoptions={'forceinline': True, 'error_model': 'numpy'})
 def run(graph: GraphParameters, which: int) -> None:
-    """Run a tape of a graph: 0 energy, 1 gradient, 2 product."""
+    """Run a tape of a graph; those of a Hamiltonian are 0 H, 1 its gradient, 2 a product."""
     _call(graph.words[0], (address_of(graph.words) + 8, which))
 
 
@@ -168,9 +169,8 @@ def _load(memory: np.ndarray, at: int, d: int, q: np.ndarray, p: np.ndarray, s: 
 def _run(program: int, which: int) -> None:
     """Run a tape of a program, given its address."""
     own = load(program, _PROGRAM)
-    x, index = own.memory, own.numbers
-    code = own.energy if which == 0 else own.gradient if which == 1 else own.product
-    for k in range(len(code)):
+    x, index, code = own.memory, own.numbers, own.code
+    for k in range(own.ends[which], own.ends[which + 1]):
         op, out, n, a, b = code[k, 0], code[k, 1], code[k, 2], code[k, 3], code[k, 4]
         if op >= FIRST_BINARY:
             _binary(op - np.uint64(FIRST_BINARY), x, out, n, a, b)

@@ -96,38 +96,50 @@ class Assembler:
 
     def tape(self, output: int) -> Tape:
         """Return the instructions that compute a node."""
-        b, own = self.b, needed(self.b.nodes, [output])
+        (found,) = self.tapes([output])
+        return found
+
+    def tapes(self, outputs: Sequence[int]) -> list[Tape]:
+        """Return the instructions that compute each node from the inputs and the nodes before."""
+        b, stages, known = self.b, list[list[int]](), set[int]()
+        for output in outputs:
+            stages.append([k for k in needed(b.nodes, [output]) if k not in known])
+            known.update(stages[-1])
+        order = [k for own in stages for k in own]
         roots = dict[int, tuple[int, int]]()
-        for k in own:
+        for k in order:
             roots[k] = self._root(k, roots)
-        last = {root: k for k in own for root in [
+        last = {root: k for k in order for root in [
             roots[i][0] for i in b.nodes[k].inputs] + [roots[k][0]]}
-        last[roots[output][0]] = len(b.nodes)
+        last |= {roots[output][0]: len(b.nodes) for output in outputs}
         # Places of free blocks by their size.
         free: dict[int, list[int]] = {}
-        places, code = dict(self._places), list[list[int]]()
-        at = dict.fromkeys(own, 0)
-        states = dict[int, _Evaluated]()
-        for k in own:
-            node, (root, offset) = b.nodes[k], roots[k]
-            if root == k and k not in places:
-                size = _rounded(math.prod(node.shape))
-                if node.op == 'constant':
-                    places[k] = self._places[k] = self._end
-                    self._values.append((self._end, b.tensors[node.tensor]))
-                    self._end += size
-                else:
-                    places[k] = self._free(free, size)
-            at[k] = places[root] + offset
-            if root == k and node.op not in ('constant', 'input'):
-                inputs = [at[i] for i in node.inputs]
-                code += [self._of_network(node, at[k], inputs, states.setdefault(
-                    node.tensor, _Evaluated()))] if node.op in _OF_NETWORKS else \
-                    self._instructions(node, at[k], inputs)
-            for other in {roots[i][0] for i in node.inputs}:
-                if last[other] == k and other not in self._places:
-                    free.setdefault(_rounded(math.prod(b.shape(other))), []).append(places[other])
-        return Tape(np.array(code, dtype=np.uint64).reshape(-1, WIDTH), at[output])
+        places, at = dict(self._places), dict.fromkeys(order, 0)
+        states, code = dict[int, _Evaluated](), list[list[list[int]]]()
+        for own in stages:
+            code.append([])
+            for k in own:
+                node, (root, offset) = b.nodes[k], roots[k]
+                if root == k and k not in places:
+                    size = _rounded(math.prod(node.shape))
+                    if node.op == 'constant':
+                        places[k] = self._places[k] = self._end
+                        self._values.append((self._end, b.tensors[node.tensor]))
+                        self._end += size
+                    else:
+                        places[k] = self._free(free, size)
+                at[k] = places[root] + offset
+                if root == k and node.op not in ('constant', 'input'):
+                    inputs = [at[i] for i in node.inputs]
+                    code[-1] += [self._of_network(node, at[k], inputs, states.setdefault(
+                        node.tensor, _Evaluated()))] if node.op in _OF_NETWORKS else \
+                        self._instructions(node, at[k], inputs)
+                for other in {roots[i][0] for i in node.inputs}:
+                    if last[other] == k and other not in self._places:
+                        free.setdefault(_rounded(math.prod(b.shape(other))), []).append(
+                            places[other])
+        return [Tape(np.array(rows, dtype=np.uint64).reshape(-1, WIDTH), at[output])
+                for rows, output in zip(code, outputs, strict=True)]
 
     def _free(self, free: dict[int, list[int]], size: int) -> int:
         """Return a place of this size: in the smallest free block that fits, or at the end."""

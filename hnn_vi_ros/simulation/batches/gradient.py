@@ -19,8 +19,8 @@ from typing import Any
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.models import (
-    ConfinedHamiltonian, Layers, LearnedHamiltonian, MeanHamiltonian, NeuralHamiltonian,
-    SeparableHamiltonian, VariationalHamiltonian)
+    ConfinedHamiltonian, Layers, LearnedHamiltonian, NeuralHamiltonian, SeparableHamiltonian,
+    VariationalHamiltonian)
 import numpy as np
 import torch
 
@@ -84,7 +84,7 @@ def make_gradient(hamiltonian: Hamiltonian, device: torch.device) -> Gradient:
             # The inverse mass matrix is symmetric, so its rows are its columns.
             return _sum(of(hamiltonian.checkpoint.networks['potential']),
                         lambda p: row_dot(inverse[..., None], p[:, None]))
-    if isinstance(hamiltonian, MeanHamiltonian):
+    if isinstance(hamiltonian, LearnedHamiltonian) and hamiltonian.checkpoint.members:
         raise UnsupportedSystem('a device does not support the mean of an ensemble; remove '
                                 'device, or select a member with `member: K` in hamiltonian')
     name = f'a model of the family {hamiltonian.checkpoint.card.family}' if isinstance(
