@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 from hnn_vi_ros.kernels import factorise, Kernel, part, solve_cholesky
 from hnn_vi_ros.models.graphs.derivatives import gradient as add_gradient, tangent
-from hnn_vi_ros.models.graphs.family_graphs import mass_and_potential
+from hnn_vi_ros.models.graphs.family_graphs import mechanism
 from hnn_vi_ros.models.graphs.graph import Builder
 from hnn_vi_ros.models.graphs.machine import assembled, GraphParameters, run
 from hnn_vi_ros.models.graphs.tape import Assembler
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.networks.perceptron_memory import pack_mapping
 from hnn_vi_ros.models.priors import (
-    add_mass, add_prior_slope, add_prior_slope_change, Prior, prior_kernel, prior_of,
-    prior_potential, subtract_turned_mass)
+    add_mass, add_prior_slope, add_prior_slope_change, prior_kernel, prior_potential, Priors,
+    priors_of, subtract_turned_mass)
 import numpy as np
 
 
@@ -29,11 +29,10 @@ class MechanicalParameters(NamedTuple):
     Parameters
     ----------
     graph : GraphParameters
-        Tapes of M and V, both row by row; of M; of H_q, after M; of M and its change M' along
-        v_q; and of the change of H_q, after them. Their inputs are q and G, and the changes of
-        both, where H_q is the derivative of V + sum_ij G_ij M_ij at constant G = -v v^T / 2.
-    priors : tuple of Prior
-        The prior of each member of a mean, or of the model.
+        Tapes of M and then V; of M and then H_q; and of M, then M' v, and then the change of H_q.
+        Their inputs are q and v, and the changes of both.
+    priors : Priors
+        The priors of the model, or of the members of a mean.
     factor : np.ndarray, shape (d, d)
         The Cholesky factor of M.
     v, v_v : np.ndarray, shape (d,)
@@ -42,7 +41,7 @@ class MechanicalParameters(NamedTuple):
     """
 
     graph: GraphParameters
-    priors: tuple[Prior, ...]
+    priors: Priors
     factor: np.ndarray
     v: np.ndarray
     v_v: np.ndarray
@@ -85,34 +84,34 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         if card.prior is not None and card.prior.alone and not self.checkpoint.members:
             return prior_kernel(card.prior, card.angles)
         b, d = Builder(), self.dimension
-        x, change = (b.input(d + d * d, number) for number in range(2))
-        q, G = b.take(x, np.arange(d)), b.take(x, np.arange(d, d + d * d).reshape(d, d))
-        mass, potential = mass_and_potential(b, self.checkpoint, q)
-        turned = tangent(b, mass, x, change)
-        weighted = b.reshape(b.sum(b.mul(G, mass), (0, 1)), (1,))
-        slope = add_gradient(b, b.add(weighted, potential), q)
+        x, change = (b.input(2 * d, number) for number in range(2))
+        q, row = b.take(x, np.arange(d)), b.take(x, np.arange(d, 2 * d).reshape(1, d))
+        root, mass, potential = mechanism(b, self.checkpoint, q)
+        w = b.matmul(root, row, False, True)
+        # The derivative of -|R v|^2 / 2 by R is -(R v) v^T.
+        slope = add_gradient(
+            b, b.concatenate([root, potential]), q,
+            b.concatenate([b.matmul(b.neg(w), row), b.full(potential, 1.0)]))
+        turned = tangent(b, b.matmul(root, w, True), q, b.take(change, np.arange(d)))
         assembler = Assembler(b, [x, change])
         tapes = [tape for outputs in (
-            [b.concatenate([mass, potential])], [mass, slope],
-            [b.concatenate([mass, turned]), tangent(b, slope, x, change)])
+            [mass, potential], [mass, slope], [mass, turned, tangent(b, slope, x, change)])
             for tape in assembler.tapes(outputs)]
         graph = assembled(
             assembler.memory(), assembler.index(), tapes,
             [pack_mapping(*layers, activation) for layers, activation in b.networks], d)
         cards = [one.card.mechanical for one in self.checkpoint.members or (self.checkpoint,)]
-        priors = tuple(prior_of(card) for card in cards if card is not None)
+        priors = priors_of([card for card in cards if card is not None])
         return self._kernel_of(energy, gradient, hessian_vector, MechanicalParameters(
             graph, priors, np.zeros((d, d)), *np.zeros((2, d))))
 
 
 def energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> float:
     """Return H; see Kernel."""
-    graph, v, priors = parameters.graph, parameters.v, parameters.priors
+    graph, v = parameters.graph, parameters.v
     _solve(parameters, q, p, 0)
-    energy = graph.memory[graph.places[0] + q.size * q.size]
-    for prior in priors:
-        if prior.present:
-            energy += prior_potential(prior, q) / len(priors)
+    run(graph, 1)
+    energy = graph.memory[graph.places[1]] + prior_potential(parameters.priors, q)
     for i in range(q.size):
         energy += 0.5 * p[i] * v[i]
     return float(energy)
@@ -121,17 +120,15 @@ def energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> fl
 def gradient(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     """Fill the gradient; see Kernel."""
-    graph, v, priors = parameters.graph, parameters.v, parameters.priors
-    d, place, share = v.size, graph.places[2], 1.0 / len(priors)
+    graph, v = parameters.graph, parameters.v
+    d, place = v.size, graph.places[3]
     for a in range(0, q.size, d):
         b = a + d
-        _solve(parameters, q[a:b], p[a:b], 1)
-        run(graph, 2)
+        _solve(parameters, q[a:b], p[a:b], 2)
+        run(graph, 3)
         for i in range(d):
             dH_dq[a + i], dH_dp[a + i] = graph.memory[place + i], v[i]
-        for prior in priors:
-            if prior.present:
-                add_prior_slope(prior, q[a:b], v, share, dH_dq[a:b])
+        add_prior_slope(parameters.priors, q[a:b], v, dH_dq[a:b])
 
 
 def hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
@@ -139,39 +136,30 @@ def hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarra
                    product_p: np.ndarray) -> None:
     """Fill the change of the gradient along (v_q, v_p), using M v' = p' - M' v."""
     graph, priors, v, v_v = parameters.graph, parameters.priors, parameters.v, parameters.v_v
-    memory, d, share = graph.memory, v.size, 1.0 / len(priors)
-    turned, place, second = graph.places[3] + d * d, graph.places[4], d + d * d
+    memory, d, turned, place = graph.memory, v.size, graph.places[5], graph.places[6]
     for a in range(0, q.size, d):
         b = a + d
         for i in range(d):
-            memory[second + i] = v_q[a + i]
-        _solve(parameters, q[a:b], p[a:b], 3)
+            memory[2 * d + i] = v_q[a + i]
+        _solve(parameters, q[a:b], p[a:b], 4)
+        run(graph, 5)
         for i in range(d):
-            v_v[i] = v_p[a + i]
-            for j in range(d):
-                v_v[i] -= memory[turned + i * d + j] * v[j]
-        for prior in priors:
-            if prior.present:
-                subtract_turned_mass(prior, q[a:b], v_q[a:b], v, share, v_v)
+            v_v[i] = v_p[a + i] - memory[turned + i]
+        subtract_turned_mass(priors, q[a:b], v_q[a:b], v, v_v)
         solve_cholesky(parameters.factor, v_v)
         for i in range(d):
-            for j in range(d):
-                memory[second + d + i * d + j] = -0.5 * (v_v[i] * v[j] + v[i] * v_v[j])
-        run(graph, 4)
+            memory[3 * d + i] = v_v[i]
+        run(graph, 6)
         for i in range(d):
             product_q[a + i], product_p[a + i] = memory[place + i], v_v[i]
-        for prior in priors:
-            if prior.present:
-                add_prior_slope_change(
-                    prior, q[a:b], v, v_q[a:b], v_v, share, product_q[a:b])
+        add_prior_slope_change(priors, q[a:b], v, v_q[a:b], v_v, product_q[a:b])
 
 
 @part(error_model='numpy')
 def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray, tape: int) -> None:
-    """Fill the factor of M by a tape, v, and G; v is NaN if no factor exists."""
-    graph, priors, factor, v = (
-        parameters.graph, parameters.priors, parameters.factor, parameters.v)
-    memory, place, d, share = graph.memory, graph.places[tape], v.size, 1.0 / len(priors)
+    """Fill the factor of M by a tape, and v, also as input of tapes; v is NaN without a factor."""
+    graph, factor, v = parameters.graph, parameters.factor, parameters.v
+    memory, place, d = graph.memory, graph.places[tape], v.size
     for i in range(d):
         memory[i] = q[i]
     run(graph, tape)
@@ -179,12 +167,9 @@ def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray, tape:
         v[i] = p[i]
         for j in range(i + 1):
             factor[i, j] = memory[place + i * d + j]
-    for prior in priors:
-        if prior.present:
-            add_mass(prior, q, share, factor)
+    add_mass(parameters.priors, q, factor)
     if not factorise(factor):
         v[:] = np.nan
     solve_cholesky(factor, v)
     for i in range(d):
-        for j in range(d):
-            memory[d + i * d + j] = -0.5 * v[i] * v[j]
+        memory[d + i] = v[i]

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ensembles of mechanisms: what their mean is, and what of it is exact."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from ensembles import mechanisms, scaled, together
@@ -13,7 +14,8 @@ from hnn_vi_ros.models import (
 from hnn_vi_ros.run import AccompaniedSimulation, Members
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build
-from mechanical_models import assert_agrees_with_torch, random_mechanical, ROUND_OFF
+from mechanical_models import (
+    assert_agrees_with_torch, PRIOR, random_mechanical, ROUND_OFF)
 from messages import refused
 import numpy as np
 import pytest
@@ -44,6 +46,24 @@ def test_mean_has_the_mean_mass_and_potential_by_torch_autograd(shape: str):
     hamiltonian = load_member(model, None)
     z, v = np.random.default_rng(3).uniform(-1.5, 1.5, (2, 4, 2 * hamiltonian.dimension))
     assert_agrees_with_torch(hamiltonian, model, z, v)
+
+
+@pytest.mark.parametrize('alone', [(True, False, False), (False, True, True), (True, True, True)])
+def test_priors_that_stand_alone_add_no_networks_to_a_mean(alone: tuple[bool, ...]):
+    model = mechanisms('double pendulum', 3)
+    members = [replace(member, card=member.card.model_copy(update={
+        'mechanical': member.card.mechanical.model_copy(update={
+            'prior': PRIOR.model_copy(update={'alone': own})})}))
+        for member, own in zip(model.members, alone, strict=True)]
+    mean = together(members)
+    z, v = np.random.default_rng(4).uniform(-1.5, 1.5, (2, 4, 4))
+    assert_agrees_with_torch(load_member(mean, None), mean, z, v)
+    # At rest H is V, whose mean is that of the members' energies.
+    q, zero = z[:, :2], np.zeros((4, 2))
+    np.testing.assert_allclose(
+        load_member(mean, None).energy(q, zero),
+        np.mean([load_member(member, None).energy(q, zero) for member in members], axis=0),
+        rtol=0.0, atol=ROUND_OFF)
 
 
 @pytest.mark.parametrize('shape', ['arm', 'worn'])

@@ -108,6 +108,8 @@ def mass_and_potential(model: Checkpoint, q: torch.Tensor) -> tuple[torch.Tensor
     """Return M and V."""
     card = model.card.mechanical
     d = len(q)
+    if card.prior is not None and card.prior.alone:
+        return prior_mass(q), prior_potential(q)
     entries = network(model.networks['mass'], seen(card, card.mass_features, q))
     L = torch.zeros(d, d, dtype=torch.float64)
     k = 0

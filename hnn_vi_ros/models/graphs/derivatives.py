@@ -19,16 +19,18 @@ import numpy as np
 _MAX_PAIRS = 1 << 26
 
 
-def gradient(b: Builder, output: int, x: int) -> int:
+def gradient(b: Builder, output: int, x: int, weights: int | None = None) -> int:
     """
-    Add the gradient of a number with respect to a node.
+    Add the gradient of a number, or of a weighted sum at constant weights, with respect to a node.
 
     Parameters
     ----------
     b : Builder
         The graph; nodes are added to it.
     output, x : int
-        A node of one value, and the input vector.
+        A node of one value, or that of the values that are weighted; and the input vector.
+    weights : int, optional
+        The weights, of the shape of the output.
 
     Returns
     -------
@@ -37,7 +39,7 @@ def gradient(b: Builder, output: int, x: int) -> int:
 
     """
     own = _between(b, [output], x)
-    found = {output: b.full(output, 1.0)}
+    found = {output: b.full(output, 1.0) if weights is None else weights}
     for k in sorted(own, reverse=True):
         if k in found and k != x:
             for source, part in _back(b, k, found[k], own):

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Graphs of the families whose model files hold networks without a graph."""
 
-from collections.abc import Callable, Sequence
-from functools import reduce
+from collections.abc import Callable, Mapping, Sequence
 
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.graphs.graph import Builder, GraphNetwork
-from hnn_vi_ros.models.mechanical_card import is_periodic
+from hnn_vi_ros.models.mechanical_card import is_periodic, MechanicalCard
 import numpy as np
 
 
@@ -22,61 +21,67 @@ def family_graph(checkpoint: Checkpoint) -> tuple[Builder, int]:
     return b, b.reshape(output, ())
 
 
-def mass_and_potential(b: Builder, checkpoint: Checkpoint, q: int) -> tuple[int, int]:
+def mechanism(b: Builder, checkpoint: Checkpoint, q: int) -> tuple[int, int, int]:
     """
-    Return M(q), shape (d, d), and V(q), shape (1,), of the networks of a mechanism.
+    Return R, M and V of the networks of a mechanism, of shapes (n, d), (d, d) and (1,).
 
-    Of an ensemble they are means. Networks beside a prior that stands alone add nothing.
+    M(q) = S (L L^T + floor) S is R^T R, with R = L^T S, and a constant. Of an ensemble, M and V
+    are means, and R has the rows of all members. Where a prior stands alone, networks add nothing.
     """
-    members = checkpoint.members or (checkpoint,)
-    masses, potentials = zip(*(
-        _mass_and_potential(b, member, q) for member in members), strict=True)
-    return _mean(b, masses), _mean(b, potentials)
+    (d,), members = b.shape(q), checkpoint.members or (checkpoint,)
+    x, places = _features(b, checkpoint, q)
+    entries, potentials, scales, floors = [], [], list[np.ndarray](), np.zeros((d, d))
+    for member in members:
+        card = _card(member)
+        if card.prior is None or not card.prior.alone:
+            entries.append(_of_features(b, member, 'mass', card.mass_features, x, places))
+            potentials.append(_of_features(b, member, 'potential', card.features, x, places))
+            scales.append(np.tile(card.mass_scale, (d, 1)))
+            floors += np.diag(card.floor * np.square(card.mass_scale)) / len(members)
+    if not entries:
+        zero = b.constant(np.zeros((d, d)))
+        return zero, zero, b.constant(np.zeros(1))
+    rows, columns = np.array(_card(checkpoint).entries).T
+    index = np.add.outer(d * d * np.arange(len(entries)), columns * d + rows).ravel()
+    y = b.put(b.concatenate(entries), index, (len(entries), d, d))
+    scale = np.array(scales) / np.sqrt(len(members))
+    # Cheaper than to separate the diagonal, whose entries are positive, from the others.
+    root = b.reshape(b.add(
+        b.mul(y, b.constant(np.triu(scale, 1))),
+        b.mul(b.unary('softplus', y), b.constant(scale * np.eye(d)))), (len(entries) * d, d))
+    total = b.reshape(b.sum(b.concatenate(potentials), (0,)), (1,))
+    return (root, b.add(b.matmul(root, root, True), b.constant(floors)),
+            b.mul(total, b.full(total, 1.0 / len(members))))
 
 
-def _mean(b: Builder, parts: Sequence[int]) -> int:
-    total = reduce(b.add, parts)
-    return b.mul(total, b.full(total, 1.0 / len(parts)))
-
-
-def _mass_and_potential(b: Builder, checkpoint: Checkpoint, q: int) -> tuple[int, int]:
-    """Return M(q) = S (L L^T + floor) S and V(q)."""
+def _card(checkpoint: Checkpoint) -> MechanicalCard:
     card = checkpoint.card.mechanical
     assert card is not None, 'checked with the card: the family has one'
-    (d,) = b.shape(q)
-    if card.prior is not None and card.prior.alone:
-        return b.constant(np.zeros((d, d))), b.constant(np.zeros(1))
-    entries = _of_features(b, checkpoint, 'mass', q, card.mass_features)
-    rows, columns = np.array(card.entries).T
-    diagonal, below = np.flatnonzero(rows == columns), np.flatnonzero(rows != columns)
-    parts = [b.unary('softplus', b.take(entries, diagonal))]
-    if below.size:
-        parts.append(b.take(entries, below))
-    root = b.put(b.concatenate(parts), (rows * d + columns)[[*diagonal, *below]], (d, d))
-    scale = np.array(card.mass_scale)
-    mass = b.add(b.mul(b.matmul(root, root, False, True), b.constant(np.outer(scale, scale))),
-                 b.constant(np.diag(card.floor * scale**2)))
-    return mass, _of_features(b, checkpoint, 'potential', q, card.features)
+    return card
 
 
-def _of_features(b: Builder, checkpoint: Checkpoint, name: str, q: int,
-                 rows: Sequence[Sequence[float]]) -> int:
-    """Return a network of y = F q, given the rows of F, with sine and cosine of periodic ones."""
-    card = checkpoint.card.mechanical
-    assert card is not None, 'checked with the card: the family has one'
-    if not rows:
-        return _network(b, checkpoint, name, b.constant(np.zeros(1)))
+def _features(b: Builder, checkpoint: Checkpoint, q: int
+              ) -> tuple[int, dict[tuple[float, ...], list[int]]]:
+    """Return the features y = F q of M and V, or their sines and cosines, and their places."""
+    card = _card(checkpoint)
+    rows = [*dict.fromkeys(map(tuple, card.features + card.mass_features))]
     y = b.reshape(b.matmul(b.constant(np.array(rows)), b.reshape(q, (len(card.kinds), 1))),
                   (len(rows),))
     periodic = np.array([is_periodic(card.kinds, row) for row in rows])
     plain, waves = np.flatnonzero(~periodic), np.flatnonzero(periodic)
-    parts = [b.take(y, plain)] if plain.size else []
-    if waves.size:
-        parts += [b.unary(op, b.take(y, waves)) for op in ('sin', 'cos')]
-    # In the file inputs are in the order of rows, each cosine next to its sine.
-    first = np.cumsum(1 + periodic) - 1 - periodic
-    order = np.concatenate([first[plain], first[waves], first[waves] + 1])
-    return _network(b, checkpoint, name, b.concatenate(parts), np.argsort(order).tolist())
+    values = b.take(y, waves)
+    places = {rows[k]: [place] for place, k in enumerate(plain)} | {
+        rows[k]: [place, place + len(waves)] for place, k in enumerate(waves, len(plain))}
+    return b.concatenate([
+        b.take(y, plain), b.unary('sin', values), b.unary('cos', values)]), places
+
+
+def _of_features(b: Builder, checkpoint: Checkpoint, name: str, rows: Sequence[Sequence[float]],
+                 x: int, places: Mapping[tuple[float, ...], Sequence[int]]) -> int:
+    """Return a network of the features of these rows; without rows, of 0."""
+    return _network(b, checkpoint, name, x, [
+        place for row in rows for place in places[tuple(row)]]) if rows else \
+        _network(b, checkpoint, name, b.constant(np.zeros(1)))
 
 
 def _control_affine(b: Builder, checkpoint: Checkpoint, q: int, p: int) -> int:
@@ -91,10 +96,10 @@ def _control_affine(b: Builder, checkpoint: Checkpoint, q: int, p: int) -> int:
 
 def _network(b: Builder, checkpoint: Checkpoint, name: str, x: int,
              places: Sequence[int] = ()) -> int:
-    """Return a network of x, or of the values of x at places, one for each input."""
+    """Return a network of x, or of the values of x at places."""
     layers = checkpoint.networks[name]
     if len(places):
-        layers = layers.widened(len(places), places)
+        layers = layers.widened(b.shape(x)[0], places)
     b.networks.append(GraphNetwork(layers, checkpoint.card.activation))
     return b.perceptron(len(b.networks) - 1, x)
 
