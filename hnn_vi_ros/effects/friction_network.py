@@ -10,18 +10,15 @@ from hnn_vi_ros.effects.body_forces import add_body_drag, add_drag, body_network
 from hnn_vi_ros.effects.input_map import InputMatrix, motors_of
 from hnn_vi_ros.kernels import kept, name_stably
 from hnn_vi_ros.models import (
-    Checkpoint, evaluate_outputs, even_layers, Features, Layers, pack_features, pack_layers,
-    PackedOutputs, see)
+    Checkpoint, fill_friction, GraphParameters, pack_friction)
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
-from scipy.linalg import block_diag
 
 
 class FrictionNetwork(NamedTuple):
-    """The network of B, its features, and workspace for the entries of B and for B^T v."""
+    """The network of B as a graph, and workspace for the entries of B and for B^T v."""
 
-    outputs: PackedOutputs
-    features: Features
+    graph: GraphParameters
     entries: np.ndarray
     product: np.ndarray
 
@@ -106,32 +103,17 @@ def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork 
     assert card is not None, 'the effect has checked the family'
     if card.friction_features is None:
         return add_none, (0,)
-    d, members = len(card.kinds), model.members or (model,)
-    layers = _combine_networks([member.networks['friction'] for member in members])
-    own = FrictionNetwork(
-        pack_layers(even_layers(layers), model.card.activation),
-        pack_features(card, card.friction_features), np.zeros(layers.biases[-1].size), np.zeros(d))
-    return add_by_network, own
-
-
-def _combine_networks(networks: Sequence[Layers]) -> Layers:
-    """Return N networks of the same inputs as one, with their outputs divided by sqrt(N)."""
-    first, *others = zip(*(layers.weights for layers in networks), strict=True)
-    share = 1.0 / np.sqrt(len(networks))
-    *weights, last = np.vstack(first), *(block_diag(*layer) for layer in others)
-    *biases, end = map(np.concatenate, zip(*(layers.biases for layers in networks), strict=True))
-    return Layers((*weights, share * last), (*biases, share * end))
+    d = len(card.kinds)
+    count = max(1, len(model.members)) * d * (d + 1) // 2
+    return add_by_network, FrictionNetwork(pack_friction(model), np.zeros(count), np.zeros(d))
 
 
 @kept(error_model='numpy')
 def add_by_network(own: FrictionNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np.ndarray
                    ) -> None:
-    """Add -B (B^T v) for each lower triangular B, whose entries are stored row by row."""
+    """Add -B (B^T v) for each lower triangular B."""
     entries, size = own.entries, q.size * (q.size + 1) // 2
-    see(own.features, q)
-    x = own.features.inputs
-    half = x.size // 2
-    evaluate_outputs(own.outputs, x[:half], x[half:], entries)
+    fill_friction(own.graph, q, entries)
     for begin in range(0, entries.size, size):
         add_drag(entries[begin:begin + size], q.size, velocity, own.product, f_p)
 

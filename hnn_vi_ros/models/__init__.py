@@ -23,14 +23,15 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.ensemble import load_member
     from hnn_vi_ros.models.exact_prior import exact_system, exact_systems, functions_of
     from hnn_vi_ros.models.families import FAMILIES
-    from hnn_vi_ros.models.features import even_layers, Features, pack_features, see
     from hnn_vi_ros.models.graphs.graph import Builder, graph_data, read_graph
     from hnn_vi_ros.models.graphs.hamiltonian import GraphHamiltonian
+    from hnn_vi_ros.models.graphs.machine import GraphParameters
     from hnn_vi_ros.models.lagrangian import midpoint_action
     from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
     from hnn_vi_ros.models.lie_group_card import LieGroupCard, PoseInput
     from hnn_vi_ros.models.machine_text import (
         equation_text, parameters_text, ratio_unit, sum_text)
+    from hnn_vi_ros.models.mechanical import fill_friction, pack_friction
     from hnn_vi_ros.models.mechanical_card import (
         check_prior, check_row, CoulombTerm, entries_of, FittedNumber, FrictionCard, is_periodic,
         Kind, mean_card, MechanicalCard, MOST_MEMBERS, PriorCard, Quantity, StribeckTerm)

@@ -13,8 +13,7 @@ from hnn_vi_ros.models.graphs.derivatives import dependence, gradient, tangent
 from hnn_vi_ros.models.graphs.graph import MAX_PRODUCTS, needed
 from hnn_vi_ros.models.graphs.operations import BINARY, SWITCHES, UNARY
 from hnn_vi_ros.models.graphs.perceptrons import ACTIVATIONS, fused, whole_perceptron
-from hnn_vi_ros.models.graphs.tape import Assembler, Tape
-from hnn_vi_ros.models.networks.perceptron_memory import pack_mapping
+from hnn_vi_ros.models.graphs.tape import Assembler
 import numpy as np
 import pytest
 
@@ -28,17 +27,11 @@ def run(b: Builder, output: int, z: np.ndarray) -> np.ndarray:
     x = next(k for k, node in enumerate(b.nodes) if node.op == 'input')
     assembler = Assembler(b, [x])
     tape = assembler.tape(output)
-    memory = assembler.memory()
-    memory[:z.size] = z
-    run_tape(b, tape, memory, assembler.index())
+    graph = machine.assembled(assembler, [tape], 1)
+    graph.memory[:z.size] = z
+    machine.run(graph, 0)
     shape = b.shape(output)
-    return memory[tape.place:tape.place + math.prod(shape)].reshape(shape).copy()
-
-
-def run_tape(b: Builder, tape: Tape, memory: np.ndarray, index: np.ndarray) -> None:
-    """Run one tape in its memory."""
-    machine.run(machine.assembled(memory, index, 3 * [tape], [
-        pack_mapping(*layers, activation) for layers, activation in b.networks], 1), 0)
+    return graph.memory[tape.place:tape.place + math.prod(shape)].reshape(shape).copy()
 
 
 @pytest.mark.parametrize('op', UNARY)
@@ -339,8 +332,8 @@ def test_tape_uses_what_the_one_before_it_has_computed():
     scaled = b.mul(slopes, b.broadcast(factor, (6,)))
     assembler = Assembler(b, [x, factor])
     first, second = assembler.tapes([value, scaled])
-    memory = assembler.memory()
-    graph = machine.assembled(memory, assembler.index(), [first, second], (), 6)
+    graph = machine.assembled(assembler, [first, second], 6)
+    memory = graph.memory
     memory[:6] = z
     machine.run(graph, 0)
     # An input of the second tape only, which is known after the first.
@@ -369,8 +362,8 @@ def check_places(b: Builder, output: int, x: int) -> None:
     """Assert that no instruction reads or writes outside of memory, and run them."""
     assembler = Assembler(b, [x])
     tape = assembler.tape(output)
-    memory, index = assembler.memory(), assembler.index()
+    graph = machine.assembled(assembler, [tape], 1)
     for code in tape.code.astype(int):
-        assert (code >= 0).all() and code[1] < memory.size
-    run_tape(b, tape, memory, index)
-    assert tape.place + math.prod(b.shape(output)) <= memory.size
+        assert (code >= 0).all() and code[1] < graph.memory.size
+    machine.run(graph, 0)
+    assert tape.place + math.prod(b.shape(output)) <= graph.memory.size

@@ -22,7 +22,8 @@ PRIOR = PriorCard(kind='double_pendulum', parameters={
         'motor_inertia2': 0.2}.items()})
 # An arm with two continuous joints and absolute angles as inputs; a cart with a pole; a revolute
 # joint with constant mass; an arm next to a prior; three combined coordinates; a joint with
-# friction that depends on position; and an arm with friction between its joints.
+# friction that depends on position; an arm whose features repeat; and an arm with friction between
+# its joints.
 SHAPES = {
     'arm': {'kinds': ['continuous', 'continuous'], 'features': [[1.0, 0.0], [1.0, 1.0]],
             'mass_features': [[0.0, 1.0]]},
@@ -37,6 +38,9 @@ SHAPES = {
             [1.0, 0.0, -0.5], [0.0, 1.0, 0.0]]},
     'eccentric': {'kinds': ['continuous'], 'features': [[1.0]], 'mass_features': [],
                   'friction_features': [[1.0]]},
+    'repeated': {'kinds': ['continuous', 'revolute'],
+                 'features': [[0.0, 1.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]],
+                 'mass_features': [[0.0, 1.0], [0.0, 1.0]]},
     'worn': {'kinds': ['continuous', 'revolute'], 'features': [[1.0, 0.0], [0.0, 1.0]],
              'mass_features': [[0.0, 1.0]], 'friction_features': [[1.0, 0.0], [0.0, 1.0]]},
 }

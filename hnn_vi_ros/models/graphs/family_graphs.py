@@ -7,7 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.graphs.graph import Builder, GraphNetwork
 from hnn_vi_ros.models.mechanical_card import is_periodic, MechanicalCard
+from hnn_vi_ros.models.networks.layers import Layers
 import numpy as np
+from scipy.linalg import block_diag
+
+# Small networks of the same inputs run as one, whose weights between networks are zeros. Measured:
+# with more weights than these a network takes longer than the call that is saved.
+_STACKED = 1000
 
 
 def family_graph(checkpoint: Checkpoint) -> tuple[Builder, int]:
@@ -28,29 +34,25 @@ def mechanism(b: Builder, checkpoint: Checkpoint, q: int) -> tuple[int, int, int
     M(q) = S (L L^T + floor) S is R^T R, with R = L^T S, and a constant. Of an ensemble, M and V
     are means, and R has the rows of all members. Where a prior stands alone, networks add nothing.
     """
-    (d,), members = b.shape(q), checkpoint.members or (checkpoint,)
-    x, places = _features(b, checkpoint, q)
-    entries, potentials, scales, floors = [], [], list[np.ndarray](), np.zeros((d, d))
-    for member in members:
-        card = _card(member)
-        if card.prior is None or not card.prior.alone:
-            entries.append(_of_features(b, member, 'mass', card.mass_features, x, places))
-            potentials.append(_of_features(b, member, 'potential', card.features, x, places))
-            scales.append(np.tile(card.mass_scale, (d, 1)))
-            floors += np.diag(card.floor * np.square(card.mass_scale)) / len(members)
-    if not entries:
+    (d,), card, members = b.shape(q), _card(checkpoint), checkpoint.members or (checkpoint,)
+    own = [one for one in members if (prior := _card(one).prior) is None or not prior.alone]
+    if not own:
         zero = b.constant(np.zeros((d, d)))
         return zero, zero, b.constant(np.zeros(1))
-    rows, columns = np.array(_card(checkpoint).entries).T
-    index = np.add.outer(d * d * np.arange(len(entries)), columns * d + rows).ravel()
-    y = b.put(b.concatenate(entries), index, (len(entries), d, d))
-    scale = np.array(scales) / np.sqrt(len(members))
+    x, places = _features(b, card, q, card.features + card.mass_features)
+    rows, columns = np.array(card.entries).T
+    index = np.add.outer(d * d * np.arange(len(own)), columns * d + rows).ravel()
+    y = b.put(_of_features(b, own, 'mass', card.mass_features, x, places), index,
+              (len(own), d, d))
+    scales = np.array([[_card(one).mass_scale] for one in own]) / np.sqrt(len(members))
     # Cheaper than to separate the diagonal, whose entries are positive, from the others.
     root = b.reshape(b.add(
-        b.mul(y, b.constant(np.triu(scale, 1))),
-        b.mul(b.unary('softplus', y), b.constant(scale * np.eye(d)))), (len(entries) * d, d))
-    total = b.reshape(b.sum(b.concatenate(potentials), (0,)), (1,))
-    return (root, b.add(b.matmul(root, root, True), b.constant(floors)),
+        b.mul(y, b.constant(scales * np.triu(np.ones((d, d)), 1))),
+        b.mul(b.unary('softplus', y), b.constant(scales * np.eye(d)))), (len(own) * d, d))
+    floor = sum(_card(one).floor * scale[0]**2 for one, scale in zip(own, scales, strict=True))
+    total = b.reshape(b.sum(_of_features(
+        b, own, 'potential', card.features, x, places), (0,)), (1,))
+    return (root, b.add(b.matmul(root, root, True), b.constant(np.diag(floor))),
             b.mul(total, b.full(total, 1.0 / len(members))))
 
 
@@ -60,11 +62,25 @@ def _card(checkpoint: Checkpoint) -> MechanicalCard:
     return card
 
 
-def _features(b: Builder, checkpoint: Checkpoint, q: int
+def friction_entries(b: Builder, checkpoint: Checkpoint, q: int) -> int:
+    """
+    Return the entries of a lower triangular B, with D = B B^T, row by row.
+
+    Of an ensemble, those of each member follow one another, divided by the root of their number.
+    """
+    card, members = _card(checkpoint), checkpoint.members or (checkpoint,)
+    assert card.friction_features is not None, 'checked by the caller'
+    x, places = _features(b, card, q, card.friction_features)
+    entries = _of_features(b, members, 'friction', card.friction_features, x, places)
+    return b.mul(entries, b.full(entries, 1.0 / np.sqrt(len(members))))
+
+
+def _features(b: Builder, card: MechanicalCard, q: int, found: Sequence[Sequence[float]]
               ) -> tuple[int, dict[tuple[float, ...], list[int]]]:
-    """Return the features y = F q of M and V, or their sines and cosines, and their places."""
-    card = _card(checkpoint)
-    rows = [*dict.fromkeys(map(tuple, card.features + card.mass_features))]
+    """Return the features y = F q, or their sines and cosines, and their places, by rows of F."""
+    rows = [*dict.fromkeys(map(tuple, found))]
+    if not rows:
+        return q, {}
     y = b.reshape(b.matmul(b.constant(np.array(rows)), b.reshape(q, (len(card.kinds), 1))),
                   (len(rows),))
     periodic = np.array([is_periodic(card.kinds, row) for row in rows])
@@ -76,31 +92,38 @@ def _features(b: Builder, checkpoint: Checkpoint, q: int
         b.take(y, plain), b.unary('sin', values), b.unary('cos', values)]), places
 
 
-def _of_features(b: Builder, checkpoint: Checkpoint, name: str, rows: Sequence[Sequence[float]],
-                 x: int, places: Mapping[tuple[float, ...], Sequence[int]]) -> int:
-    """Return a network of the features of these rows; without rows, of 0."""
-    return _network(b, checkpoint, name, x, [
-        place for row in rows for place in places[tuple(row)]]) if rows else \
-        _network(b, checkpoint, name, b.constant(np.zeros(1)))
+def _of_features(b: Builder, members: Sequence[Checkpoint], name: str,
+                 rows: Sequence[Sequence[float]], x: int,
+                 places: Mapping[tuple[float, ...], Sequence[int]]) -> int:
+    """Return the outputs of a network of each member, of the features of these rows, or of 0."""
+    networks = [one.networks[name] for one in members]
+    if len(networks) * sum(weight.size for weight in networks[0].weights[1:]) <= _STACKED:
+        first, *others = zip(*(layers.weights for layers in networks), strict=True)
+        biases = zip(*(layers.biases for layers in networks), strict=True)
+        networks = [Layers((np.vstack(first), *(block_diag(*layer) for layer in others)),
+                           tuple(map(np.concatenate, biases)))]
+    return b.concatenate([
+        _network(b, layers, members[0].card.activation, x if rows else b.constant(np.zeros(1)),
+                 [place for row in rows for place in places[tuple(row)]]) for layers in networks])
 
 
 def _control_affine(b: Builder, checkpoint: Checkpoint, q: int, p: int) -> int:
     """Return |A(q)^T p|^2 / 2 + V(q), with the entries of a lower triangular A by rows."""
     (d,) = b.shape(p)
-    entries = _network(b, checkpoint, 'mass_inverse', q)
+    entries, potential = (_network(b, checkpoint.networks[name], checkpoint.card.activation, q)
+                          for name in ('mass_inverse', 'potential'))
     root = b.put(entries, np.ravel_multi_index(np.tril_indices(d), (d, d)), (d, d))
     w = b.matmul(b.reshape(p, (1, d)), root)
     kinetic = b.sum(b.mul(b.mul(w, w), b.full(w, 0.5)), (0,))
-    return b.add(b.reshape(b.sum(kinetic, (0,)), (1,)), _network(b, checkpoint, 'potential', q))
+    return b.add(b.reshape(b.sum(kinetic, (0,)), (1,)), potential)
 
 
-def _network(b: Builder, checkpoint: Checkpoint, name: str, x: int,
-             places: Sequence[int] = ()) -> int:
+def _network(b: Builder, layers: Layers, activation: str, x: int, places: Sequence[int] = ()
+             ) -> int:
     """Return a network of x, or of the values of x at places."""
-    layers = checkpoint.networks[name]
     if len(places):
         layers = layers.widened(b.shape(x)[0], places)
-    b.networks.append(GraphNetwork(layers, checkpoint.card.activation))
+    b.networks.append(GraphNetwork(layers, activation))
     return b.perceptron(len(b.networks) - 1, x)
 
 

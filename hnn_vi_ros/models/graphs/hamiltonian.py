@@ -13,7 +13,7 @@ from hnn_vi_ros.models.graphs.perceptrons import fused, whole_perceptron
 from hnn_vi_ros.models.graphs.tape import Assembler
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.networks import perceptron
-from hnn_vi_ros.models.networks.perceptron_memory import pack, pack_mapping
+from hnn_vi_ros.models.networks.perceptron_memory import pack
 import numpy as np
 
 # Numbers of switches and of lines in the box on which kinks are sought.
@@ -55,7 +55,7 @@ class GraphHamiltonian(LearnedHamiltonian):
         tape = assembler.tape(b.concatenate([
             output, gradient(b, output, b.input(n)), b.take(switches, some)]))
         end = tape.place + 1 + n + some.size
-        graph = assembled(assembler.memory(), assembler.index(), 3 * [tape], (), self.dimension)
+        graph = assembled(assembler, 3 * [tape], self.dimension)
 
         def values(z: np.ndarray) -> np.ndarray:
             found = np.empty((len(z), end - tape.place))
@@ -84,7 +84,6 @@ class GraphHamiltonian(LearnedHamiltonian):
         product = tangent(b, slopes, x, v)
         assembler = Assembler(b, [x, v])
         tapes = [assembler.tape(k) for k in (output, slopes, product)]
-        networks = [pack_mapping(*layers, activation) for layers, activation in b.networks]
         return self._kernel_of(
-            machine.energy, machine.gradient, machine.hessian_vector, machine.assembled(
-                assembler.memory(), assembler.index(), tapes, networks, self.dimension))
+            machine.energy, machine.gradient, machine.hessian_vector,
+            machine.assembled(assembler, tapes, self.dimension))

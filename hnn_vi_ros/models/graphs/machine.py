@@ -15,11 +15,12 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.kernels import (
     address_of, block, entry_caller, flat, kept, load, Part, part, type_of, Whole)
 from hnn_vi_ros.models.graphs.tape import (
-    AMAX, COPY, FILL, FIRST_BINARY, FIRST_UNARY, MATMUL, NETWORK, PUT, SUM, TAKE, Tape, WHERE)
+    AMAX, Assembler, COPY, FILL, FIRST_BINARY, FIRST_UNARY, MATMUL, NETWORK, PUT, SUM, TAKE, Tape,
+    WHERE)
 from hnn_vi_ros.models.networks.activations import (
     exponential, FASTMATH, logarithm, sine_and_cosine, softplus_and_slope, tanh)
 from hnn_vi_ros.models.networks.mapping import run_network
-from hnn_vi_ros.models.networks.perceptron_memory import Mapping, pack_mapping
+from hnn_vi_ros.models.networks.perceptron_memory import pack_mapping
 from numba.core import types
 import numpy as np
 
@@ -84,12 +85,14 @@ class GraphParameters(NamedTuple):
     places: np.ndarray
 
 
-def assembled(memory: np.ndarray, numbers: np.ndarray, tapes: Sequence[Tape],
-              networks: Sequence[Mapping], d: int) -> GraphParameters:
+def assembled(assembler: Assembler, tapes: Sequence[Tape], d: int) -> GraphParameters:
     """Return the parameters of tapes and their memory."""
+    memory = assembler.memory()
+    networks = tuple(pack_mapping(*layers, activation)
+                     for layers, activation in assembler.b.networks)
     ends = np.cumsum([0, *(len(tape.code) for tape in tapes)]).astype(np.uint64)
-    program = Program(memory, numbers, np.concatenate([tape.code for tape in tapes]), ends,
-                      block(tuple(networks), 0)[1:])
+    program = Program(memory, assembler.index(), np.concatenate([tape.code for tape in tapes]),
+                      ends, block(networks, 0)[1:])
     return GraphParameters(block(program, _address()), memory, np.array(
         [*(tape.place for tape in tapes), d], dtype=np.int64))
 

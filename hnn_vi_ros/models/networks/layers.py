@@ -33,7 +33,8 @@ class Layers(NamedTuple):
         """Return the network with this number of inputs, of which it uses those at ``places``."""
         first, *others = self.weights
         wide = np.zeros((len(first), inputs))
-        wide[:, [*places]] = first[:, :len(places)]
+        # Inputs at the same place have the same value.
+        np.add.at(wide.T, [*places], first.T[:len(places)])
         return Layers((wide, *others), self.biases)
 
 
