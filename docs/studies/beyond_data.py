@@ -18,7 +18,8 @@ from hnn_vi_ros.learning.fit.config import find_config, MachineConfig
 from hnn_vi_ros.learning.fit.machine import fit_network, scales_of
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
 from hnn_vi_ros.learning.fit.model_files import describe_machine
-from hnn_vi_ros.learning.judging.evaluation import Predict, predicted_by, score
+from hnn_vi_ros.learning.judging.evaluation import score
+from hnn_vi_ros.learning.judging.predictors import Predict, predicted_by
 from hnn_vi_ros.learning.tasks.selection import RIGID, selected
 from hnn_vi_ros.models import PLANAR_CHAIN, save_checkpoint
 import numpy as np
@@ -224,7 +225,7 @@ def _trained(config: MachineConfig, train: Sequence[EvenMotion], test: Sequence[
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'model.safetensors'
         save_checkpoint(file, checkpoint)
-        return _judged(predicted(CASES[REAL], file, checkpoint, train, test), test)
+        return _judged(predicted(CASES[REAL], file, checkpoint, train), test)
 
 
 def _judged(predict: Predict, test: Sequence[EvenMotion]) -> dict[str, Any]:

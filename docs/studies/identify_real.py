@@ -18,7 +18,8 @@ from hnn_vi_ros.identify.intervals import estimates_of
 from hnn_vi_ros.learning import ArraysData, EvenMotion, fit_numbers, read_motions
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.motions import train_and_test
-from hnn_vi_ros.learning.judging.evaluation import Predict, simulated, simulation_of, variance_of
+from hnn_vi_ros.learning.fit.windows import ModelParts
+from hnn_vi_ros.learning.judging.predictors import Predict, simulated
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from studies.machine_tables import dfki_errors, Measure, multiarm_errors
@@ -161,15 +162,12 @@ def _steps(angles: np.ndarray) -> np.ndarray:
     return np.diff(angles, axis=-1, prepend=0.0)
 
 
-def predicted(scene: Scene, case: Case, test: Sequence[EvenMotion]) -> Predict:
+def predicted(scene: Scene, case: Case) -> Predict:
     """Return the predictions of a scene; angles are absolute if those of the case are."""
-    hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
-    effects, variance = scene.create_effects(), variance_of(test)
+    own = simulated(ModelParts(scene.create_hamiltonian(), scene.create_integrator(),
+                               scene.create_effects(), scene.known_step_size))
 
     def predict(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
-        simulation = simulation_of(hamiltonian, integrator, effects, [motion],
-                                   scene.known_step_size)
-        own = simulated(simulation, motion.spacing, _FOREVER, variance)
         if not case.relative:
             return own(motion, starts, count)
         joints = replace(motion, q_smooth=_steps(motion.q_smooth), v_smooth=_steps(
@@ -203,7 +201,7 @@ def main(argv: Sequence[str]) -> None:
             test = [replace(motion, q=np.cumsum(motion.q, axis=1), v=np.cumsum(motion.v, axis=1))
                     for motion in test]
         for measure, values in case.measure(
-                predicted(fitted, case, test), test, options.data).items():
+                predicted(fitted, case), test, options.data).items():
             print(f'{measure}: {" ".join(f"{value:.4f}" for value in values)}', flush=True)
 
 

@@ -21,8 +21,9 @@ from hnn_vi_ros.learning.families.mechanical import PlainNetwork
 from hnn_vi_ros.learning.fit.config import find_config, MachineConfig
 from hnn_vi_ros.learning.fit.machine import fit_network, scales_of
 from hnn_vi_ros.learning.fit.model_files import describe_machine
-from hnn_vi_ros.learning.judging.evaluation import (
-    Predict, predicted_by, score, simulated, simulation_of, variance_of)
+from hnn_vi_ros.learning.fit.windows import FOREVER, ModelParts
+from hnn_vi_ros.learning.judging.evaluation import score, variance_of
+from hnn_vi_ros.learning.judging.predictors import Predict, predicted_by, simulated
 from hnn_vi_ros.learning.tasks.machine import learn, with_scale
 from hnn_vi_ros.models import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
@@ -30,7 +31,6 @@ import numpy as np
 from studies.simulated_arm import followed_times, LEAST, MEAN, write_arm
 from tqdm import tqdm
 
-_FOREVER = 1e9
 # Limit of a valid prediction of the letters (M. Lutter, J. Peters, 2021), and the steps
 # that each of its samples is simulated in: forces are held over 0.04 s.
 _VALID, _LETTER_STEPS = 0.01, 20
@@ -317,23 +317,18 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
         # Effects read the learned forces of a model from a file.
         file = Path(folder) / 'model.safetensors'
         save_checkpoint(file, checkpoint)
-        return case.measure(predicted(case, file, checkpoint, *motions[:2]), motions.test, data)
+        return case.measure(predicted(case, file, checkpoint, motions[0]), motions.test, data)
 
 
-def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[EvenMotion],
-              test: Sequence[EvenMotion]) -> Predict:
+def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[EvenMotion]
+              ) -> Predict:
     """Return the predictions of a saved model, simulated as in a scene."""
     names = [coordinate.name for coordinate in checkpoint.card.coordinates]
     driven = any(motion.tau.any() for motion in train)
     effects = [LearnedFriction(str(model)), *(
-        [ExternalForce(names, timeout=_FOREVER)] if driven else [])]
-    hamiltonian, variance = MechanicalHamiltonian(checkpoint), variance_of(test)
-
-    def predict(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
-        simulation = simulation_of(hamiltonian, ImplicitMidpoint(), effects, [motion],
-                                   motion.spacing / case.steps)
-        return simulated(simulation, motion.spacing, _FOREVER, variance)(motion, starts, count)
-    return predict
+        [ExternalForce(names, timeout=FOREVER)] if driven else [])]
+    return simulated(ModelParts(MechanicalHamiltonian(checkpoint), ImplicitMidpoint(), effects,
+                                train[0].spacing / case.steps))
 
 
 def _quick(config: MachineConfig) -> MachineConfig:

@@ -96,7 +96,7 @@ def _paths(network: MechanicalNetwork, config: MachineConfig, train: list[EvenMo
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'model.safetensors'
         save_checkpoint(file, checkpoint)
-        return dfki_errors(predicted(CASES[_DFKI], file, checkpoint, train, test), test, data)
+        return dfki_errors(predicted(CASES[_DFKI], file, checkpoint, train), test, data)
 
 
 _FORCES = 'squared error of the force over its variance, joints 1 to 6'
@@ -235,7 +235,7 @@ def _short_error(network: MechanicalNetwork, config: MachineConfig, train: list[
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'model.safetensors'
         save_checkpoint(file, checkpoint)
-        predict = predicted(CASES[_DFKI], file, checkpoint, train, test)
+        predict = predicted(CASES[_DFKI], file, checkpoint, train)
         return score(predict, test, [0.1], 0.05, 0.1).horizons[0.1].tolist()
 
 

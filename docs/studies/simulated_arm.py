@@ -11,7 +11,8 @@ from hnn_vi_ros.files import share_folder
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning import EvenMotion
-from hnn_vi_ros.learning.judging.evaluation import Predict, variance_of
+from hnn_vi_ros.learning.judging.evaluation import variance_of
+from hnn_vi_ros.learning.judging.predictors import Predict
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline

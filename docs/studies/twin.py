@@ -16,8 +16,8 @@ from hnn_vi_ros.files import Parser
 from hnn_vi_ros.learning import EvenMotion, load_machine, read_motions
 from hnn_vi_ros.learning.data.motions import train_and_test
 from hnn_vi_ros.learning.fit.config import find_config
-from hnn_vi_ros.learning.judging.evaluation import (
-    parts_of, score, simulated, simulation_of, variance_of)
+from hnn_vi_ros.learning.judging.evaluation import score, variance_of
+from hnn_vi_ros.learning.judging.predictors import parts_of, simulated
 from hnn_vi_ros.run import AccompaniedSimulation, Twin
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build
@@ -58,10 +58,7 @@ def main(argv: Sequence[str]) -> None:
     motions, _ = read_motions(Path(argv[2]), config.data, names, [argv[2]])
     _, test = train_and_test(motions, config.data.test_runs)
     variance, spacing = variance_of(test), test[0].spacing
-    hamiltonian, integrator, step_size, effects = parts_of(argv[0])
-    judged = score(
-        simulated(simulation_of(hamiltonian, integrator, effects, test, step_size), spacing,
-                  max(_HORIZONS), variance), test, _HORIZONS, _EVERY, _LONGEST)
+    judged = score(simulated(parts_of(argv[0])), test, _HORIZONS, _EVERY, _LONGEST)
     print(f'evaluate: {judged.valid_prediction_time:.3f} s (median of starts every {_EVERY:g} s)')
     scene = observing(scene, names, spacing, variance)
     for what, of_q, of_v in (('as measured', 'q', 'v'), ('smoothed', 'q_smooth', 'v_smooth')):

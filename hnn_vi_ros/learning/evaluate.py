@@ -15,7 +15,6 @@ from hnn_vi_ros.effects import Effect, ExternalForce
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError
 from hnn_vi_ros.files import check_new, elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
-from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
 from hnn_vi_ros.learning.data.bags import BagMotions
@@ -27,17 +26,19 @@ from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import BodyConfig, FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.excitation import ExcitationData
 from hnn_vi_ros.learning.fit.fitted_rigid_body import positions_alone
+from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.growing import first_noise
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
+from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts, windows_at
+from hnn_vi_ros.learning.judging.energy import unaccounted
 from hnn_vi_ros.learning.judging.evaluation import (
-    as_json, finite, judge, Judging, linear_model, names_of, outside, parts_of, Predict,
-    predicted_by, simulated, simulation_of, table, TrajectoryBundle, unaccounted, variance_of,
-    verdict, whole_records)
-from hnn_vi_ros.learning.judging.residuals import errors_text, judged_along, judged_model, STEP
+    as_json, finite, judge, Judging, outside, table, TrajectoryBundle, verdict, whole_records)
+from hnn_vi_ros.learning.judging.predictors import (
+    linear_model, names_of, parts_of, Predict, predicted_by, simulated)
+from hnn_vi_ros.learning.judging.residuals import errors_text, judged_along, STEP
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models import domain_of, load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
 _KEYS = 't', 'q', 'v', 'tau'
@@ -74,7 +75,8 @@ class _Judgement(NamedTuple):
 
 def _judged(arguments: Namespace) -> _Judgement:
     """Judge a model or scene with scalar coordinates."""
-    hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
+    parts = parts_of(arguments.model)
+    hamiltonian = parts.hamiltonian
     names = names_of(hamiltonian)
     motions, description, data = _motions(arguments, arguments.data, hamiltonian.coordinates)
     judging = Judging().paced(motions)
@@ -83,7 +85,8 @@ def _judged(arguments: Namespace) -> _Judgement:
     if arguments.held_out:
         motions = train_and_test(motions, data.test_runs)[1]
         description += ', only the runs held out by a training with this configuration'
-    effects = _effects_for(arguments.model, effects, motions, description)
+    parts = parts._replace(effects=_effects_for(
+        arguments.model, parts.effects, motions, description))
     checkpoint = getattr(hamiltonian, 'checkpoint', None)
     card = None if checkpoint is None or checkpoint.card.mechanical is None else checkpoint.card
     mechanical = None if card is None else card.mechanical
@@ -100,31 +103,29 @@ def _judged(arguments: Namespace) -> _Judgement:
     judged = card is not None and positions_alone(motions)
     known: dict[str, Any] = {} if card is None else {'noise': [], 'residuals': {}}
     said = ''
-    simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions,
-                             STEP if judged else step_size)
+    if judged:
+        parts = parts._replace(step_size=min(STEP, motions[0].spacing))
+    _check_simulation(arguments.model, parts, motions)
     if judged and card is not None:
         # As in training.
         error = card.prediction_error
         noise = np.array(error.noise) if error and error.noise else first_noise(motions)
-        model = judged_model(hamiltonian, effects, motions)
-        residuals, motions, _ = judged_along(model, motions, noise)
+        residuals, motions, _ = judged_along(KnownModel('the model', parts), motions, noise)
         known = {'noise': noise.tolist(), 'residuals': residuals}
         said = '\n' + errors_text(residuals, noise, card.coordinates)
     others = _baselines(arguments, hamiltonian)
     with elapsed('simulating'):
-        scores, fans = judge(simulation, effects, motions, judging.horizons, judging.every,
+        scores, fans = judge(parts, motions, judging.horizons, judging.every,
                              judging.longest, others)
     numbers = as_json(scores) | known
     text = (f'{arguments.model} on {description}, simulated from a measured state every '
             f'{judging.every:g} s:\nRMS error at the end of each horizon, median of the valid '
             'prediction time, and energy mismatch\n(change of energy minus work over each '
             'horizon, relative to its range; - if that is below a tenth of the kinetic energy)'
-            f'{_left_out(effects)}\n\n'
+            f'{_left_out(parts.effects)}\n\n'
             f'{table(scores, names)}\n\n{verdict(scores)}{said}')
     if arguments.whole:
-        whole = whole_records(simulated(
-            simulation, motions[0].spacing, math.inf, variance_of(motions)), motions,
-            arguments.first)
+        whole = whole_records(simulated(parts), motions, arguments.first)
         text += f'\n\n{_whole(whole, motions, names, arguments.first)}'
         numbers['whole'] = [{'run': motion.name, 'rms': finite(rms)}
                             for motion, rms in zip(motions, whole, strict=True)]
@@ -136,7 +137,7 @@ def _judged(arguments: Namespace) -> _Judgement:
     return _Judgement(text, numbers, fans, hamiltonian.coordinates, max(judging.horizons))
 
 
-def _effects_for(model: str, effects: list[Effect], motions: Sequence[EvenMotion],
+def _effects_for(model: str, effects: Sequence[Effect], motions: Sequence[EvenMotion],
                  description: str) -> list[Effect]:
     """Return the effects needed for motions; DataError if external_force is missing."""
     driven = any(motion.tau.any() for motion in motions)
@@ -212,22 +213,20 @@ def _write(arguments: Namespace, found: _Judgement, text: str) -> None:
         print(f'\nreport: {arguments.out}')
 
 
-def _simulation(model: str, hamiltonian: Hamiltonian, integrator: Integrator,
-                effects: Sequence[Effect], motions: Sequence[EvenMotion], step_size: float | None
-                ) -> Simulation:
-    """Return the simulation of the command line, or raise DataError."""
+def _check_simulation(model: str, parts: ModelParts, motions: Sequence[EvenMotion]) -> None:
+    """Raise DataError unless a model can be simulated with the forces of motions."""
     try:
-        simulation = simulation_of(hamiltonian, integrator, effects, motions, step_size)
+        log = LogSimulation(parts, windows_at(motions[:1], [(0, 0)], 1))
+        simulation = log.simulation
     except ValueError as problem:
         raise DataError(f'{model} cannot simulate {motions[0].name}: {problem}') from problem
-    if simulation.takes_commands:
+    if log.driven:
         try:
             simulation.set_command(motions[0].tau[0])
         except ValueError as problem:
             raise DataError(f'{model}: {motions[0].tau.shape[1]} forces in the motions match '
                             'neither its input map nor its coordinates; omit them, '
                             f'{_NO_FORCES}') from problem
-    return simulation
 
 
 def _left_out(effects: Sequence[Effect]) -> str:

@@ -13,7 +13,7 @@ from hnn_vi_ros.learning import EvenMotion
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.families.base import EnergyFamily
-from hnn_vi_ros.learning.judging.evaluation import (
+from hnn_vi_ros.learning.judging.energy import (
     balance, energy_mismatch, friction_work, momentum, unaccounted)
 from hnn_vi_ros.learning.tasks.field import model_work
 from hnn_vi_ros.learning.train import main

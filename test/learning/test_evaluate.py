@@ -6,6 +6,7 @@ from dataclasses import replace
 import json
 from pathlib import Path
 
+from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files import dump_yaml
@@ -13,8 +14,8 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import ArraysData, evaluate, EvenMotion, train
 from hnn_vi_ros.learning.data.motions import smoothed
-from hnn_vi_ros.learning.judging.evaluation import (
-    constant_velocity, linear_model, score, TrajectoryBundle, whole_records)
+from hnn_vi_ros.learning.judging.evaluation import score, TrajectoryBundle, whole_records
+from hnn_vi_ros.learning.judging.predictors import constant_velocity, linear_model
 from hnn_vi_ros.learning.judging.report import shown
 from hnn_vi_ros.models import load_checkpoint, save_checkpoint
 from hnn_vi_ros.simulation import simulate, Simulation
@@ -284,21 +285,34 @@ def test_state_that_a_scene_does_not_allow_is_named(made, tmp_path):
         evaluate.main([str(tmp_path / 'wall.yaml'), '--data', f'{made.data}:a'])
 
 
+def test_drive_of_a_scene_has_the_phase_of_the_measured_time(tmp_path):
+    """Every start: a drive that began anew with each prediction would have another phase."""
+    scene = SCENE | {'effects': [{
+        'kind': 'periodic_drive', 'coordinate': 'angle', 'amplitude': 3.0, 'frequency': 0.7}]}
+    (tmp_path / 'scene.yaml').write_text(dump_yaml(scene))
+    made = simulate(load_scene(tmp_path / 'scene.yaml'), 4.0)
+    np.savez(tmp_path / 'driven.npz', t=made.t, q=made.q, dq=made.p)
+    evaluate.main([str(tmp_path / 'scene.yaml'), '--data', str(tmp_path / 'driven.npz'), '--keys',
+                   't,q,dq', '--json', str(tmp_path / 'found.json')])
+    # What is left is what the filter at 40 Hz does to the first states.
+    assert json.loads((tmp_path / 'found.json').read_text())['horizons']['0.5'][0] < 1e-2
+
+
 def test_forces_act_on_all_coordinates_and_models_bring_their_own_friction(tmp_path):
     scene = {'hamiltonian': {'kind': 'double_pendulum'}, 'step_size': 0.01,
              'integrator': {'kind': 'implicit_midpoint'},
              'initial_state': {'q': [0.5, 0.0], 'p': [0.0, 0.0]},
              'effects': [{'kind': 'external_force', 'coordinates': ['angle2']}]}
     (tmp_path / 'scene.yaml').write_text(dump_yaml(scene))
-    *_, (force,) = evaluate.parts_of(str(tmp_path / 'scene.yaml'))
+    (force,) = evaluate.parts_of(str(tmp_path / 'scene.yaml')).effects
     assert force.names == ('angle1', 'angle2')
     models = Path(__file__).parents[2] / 'resource' / 'models'
     for name, kinds in (('discrete_gradient_pendulum', ['ExternalForce', 'Damping']),
                         ('damped_pendulum', ['ExternalForce', 'LearnedDissipation']),
                         ('double_pendulum_velocity', [])):
-        hamiltonian, *_, effects = evaluate.parts_of(str(models / f'{name}.safetensors'))
-        assert [type(effect).__name__ for effect in effects] == kinds
-        assert hamiltonian.canonical == bool(kinds)
+        parts = evaluate.parts_of(str(models / f'{name}.safetensors'))
+        assert [type(effect).__name__ for effect in parts.effects] == kinds
+        assert parts.hamiltonian.canonical == bool(kinds)
 
 
 def test_coordinate_that_never_moves_does_not_count_in_the_valid_prediction_time():

@@ -20,7 +20,8 @@ from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_loss, balanced_step, discrete_loss, fit_network, mean_forces, runge_kutta,
     samples_of, scales_of)
-from hnn_vi_ros.learning.judging.evaluation import constant_velocity, predicted_by, score
+from hnn_vi_ros.learning.judging.evaluation import score
+from hnn_vi_ros.learning.judging.predictors import constant_velocity, predicted_by
 from hnn_vi_ros.learning.tasks.machine import with_scale
 from hnn_vi_ros.simulation import Simulation
 from machines import compiled, driven, from_file, machine_config, shaken

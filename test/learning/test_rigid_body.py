@@ -15,10 +15,10 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
-from hnn_vi_ros.learning.judging.evaluation import momentum
+from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts
+from hnn_vi_ros.learning.judging.energy import momentum
 from hnn_vi_ros.learning.judging.missing import missing_force
-from hnn_vi_ros.learning.judging.residuals import (
-    followed, is_noise, judged_along, judged_model, noise_text)
+from hnn_vi_ros.learning.judging.residuals import followed, is_noise, judged_along, noise_text
 from hnn_vi_ros.learning.tasks.machine import learn
 from hnn_vi_ros.models import CoordinateCard
 from hnn_vi_ros.simulation import Simulation
@@ -214,12 +214,14 @@ def test_what_a_rigid_body_misses_is_not_taken_for_noise():
 def test_states_of_a_chaotic_motion_are_those_of_windows_that_grew():
     """Fitted at once to windows of 6 s, states were wrong by as much as the elbow moves."""
     h, noise, pendulum = 0.01, 5e-3, HAMILTONIANS['double_pendulum']()
-    run = Simulation(pendulum, INTEGRATORS['implicit_midpoint'](), h, [2.0, 0.9], [0.0, 4.0])
+    method = INTEGRATORS['implicit_midpoint']()
+    run = Simulation(pendulum, method, h, [2.0, 0.9], [0.0, 4.0])
     truth = np.array([run.q.copy() for _ in range(601) if run.advance(1)])
     q = truth + noise * np.random.default_rng(0).normal(size=truth.shape)
     motion = smoothed('chaos', h * np.arange(len(q)), q, None, 0.0 * q, 8.0)
     residuals, (found,), _ = judged_along(
-        judged_model(pendulum, [], [motion]), [motion], np.full(2, noise))
+        KnownModel('the model', ModelParts(pendulum, method, [], h)), [motion],
+        np.full(2, noise))
     assert followed(residuals) == pytest.approx(6.0)
     # Four unknowns of 1202 samples; sixteen times (the chaos stretches their errors) as large.
     assert np.sqrt(np.mean((found.q_smooth - truth)**2)) < 16.0 * noise * np.sqrt(4 / 1202)

@@ -90,7 +90,7 @@ FAULTS = [
           (('    energy = hamiltonian.energy(q, p)\n',
             '    energy = np.roll(hamiltonian.energy(q, p), 1, axis=0)\n'),),
           'simulation/guards/test_guard_calibration.py', 'shown_in_one_go'),
-    Fault('friction learned with the wrong sign', 'learning/judging/evaluation.py',
+    Fault('friction learned with the wrong sign', 'learning/judging/energy.py',
           (('nnls(centred / units, -energies)', 'nnls(centred / units, energies)'),),
           'learning/test_energy_error.py', 'friction_of_a_machine'),
     Fault('grid of a sweep with its first key the fastest', 'sweeps/axes.py',

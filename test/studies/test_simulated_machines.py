@@ -11,7 +11,7 @@ from hnn_vi_ros.learning import load_machine, read_motions
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.motions import smoothed, train_and_test
 from hnn_vi_ros.learning.fit.config import find_config
-from hnn_vi_ros.learning.judging.evaluation import balance
+from hnn_vi_ros.learning.judging.energy import balance
 import numpy as np
 import pytest
 from studies import simulated_arm
@@ -121,7 +121,7 @@ def test_scene_is_free_in_what_is_fitted_and_predicts_what_it_made(name, tmp_pat
         made, v = replace(made, q=np.cumsum(made.q, axis=1)), np.cumsum(v, axis=1)
     motion = replace(smoothed('made', made.t, made.q, v, np.zeros_like(v), 40.0),
                      q_smooth=made.q, v_smooth=v)
-    found = predicted(scene, case, [motion])(motion, np.array([0, 20]), 50)
+    found = predicted(scene, case)(motion, np.array([0, 20]), 50)
     # The residuals of the steps, of 1e-16 each, and p = M v, grown by a second of motion.
     assert np.abs(found[0] - made.q[:51]).max() < 1e-11
     assert np.abs(found[1] - made.q[20:71]).max() < 1e-11

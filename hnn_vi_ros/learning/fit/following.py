@@ -127,8 +127,8 @@ class LogSimulation:
         return System(self.hamiltonian, self.effects, self.integrator).hamiltonian
 
     def starts(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the states (q, p), shape (W, 2 d), with velocities v at coordinates q, (W, d)."""
-        return np.hstack([q, momentum(self.hamiltonian, q, v, np.zeros_like(q))])
+        """Return the states (q, p), shape (..., 2 d), with velocities v at coordinates q."""
+        return np.concatenate([q, momentum(self.joined, q, v, np.zeros_like(q))], axis=-1)
 
     def states(self, starts: np.ndarray, only: np.ndarray | None = None) -> np.ndarray:
         """

@@ -58,8 +58,10 @@ class ModelParts(NamedTuple):
 
     Parameters
     ----------
-    hamiltonian, integrator, effects, step_size, on_failure
+    hamiltonian, integrator, effects, on_failure
         See Simulation.
+    step_size : float
+        Largest step [s]; a whole number of steps fits between samples.
     delay : float
         Delay of the measured forces [s].
 
@@ -210,6 +212,14 @@ def cut_windows(motions: Sequence[EvenMotion], horizon: float, seen: MeasuredCol
     return _windows_of(motions, [
         (run, part) for run, motion in enumerate(motions) for part in np.array_split(
             np.arange(len(motion.t)), math.ceil(len(motion.t) / most))], seen)
+
+
+def windows_at(motions: Sequence[EvenMotion], starts: Sequence[tuple[int, int]], count: int
+               ) -> Windows:
+    """Return windows of `count` intervals, or up to a run's end, from samples (run, first)."""
+    return _windows_of(motions, [
+        (run, np.arange(first, min(first + count + 1, len(motions[run].t))))
+        for run, first in starts], None)
 
 
 def refined(windows: Windows, motions: Sequence[EvenMotion]) -> Windows:

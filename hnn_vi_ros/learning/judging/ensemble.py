@@ -6,17 +6,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError, StepFailure
-from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
+from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
 from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
+from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.model_files import drafted, machine_scene
+from hnn_vi_ros.learning.fit.windows import ModelParts, windows_at
 from hnn_vi_ros.models import Box, Checkpoint, EnsembleCard, mean_card, ModelCard, MOST_MEMBERS
-from hnn_vi_ros.run import AccompaniedSimulation, deviation, member_scenes, Members
+from hnn_vi_ros.run import deviation, member_scenes
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import build, simulate_many
+from hnn_vi_ros.simulation import simulate_many
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
@@ -428,42 +430,35 @@ def machine_scores(checkpoint: Checkpoint, motions: Sequence[EvenMotion], most: 
               for start in range(0, len(motion.t) - count, apart)]
     starts = [starts[k] for k in np.unique(
         np.linspace(0, len(starts) - 1, min(most or len(starts), len(starts))).astype(int))]
-    found: list[list[np.ndarray]] = [[] for _ in motions]
-    ensemble = checkpoint.card.ensemble
-    assert ensemble is not None, 'asked of ensembles alone'
-    card = checkpoint.card.model_copy(update={
-        'ensemble': EnsembleCard(members=ensemble.members)})  # without factors
-    with drafted(replace(checkpoint, card=card)) as draft:
+    if not starts:
+        return [[] for _ in motions]
+    rows = np.array([start for _, start in starts])[:, None] + np.arange(0, count + 1, every)
+    q, v = (np.stack([getattr(motions[k], name)[own] for (k, _), own in zip(
+        starts, rows, strict=True)]) for name in ('q_smooth', 'v_smooth'))
+    with drafted(checkpoint) as draft:
         driven = any(motion.tau.any() for motion in motions)
-        parts = machine_scene(draft, card, spacing, 'implicit_midpoint', driven).parts()
-        members = Members(parts)
-        simulation = AccompaniedSimulation(build(parts), [members])
-        for k, start in starts:
-            scores = _machine_scores(simulation, members, card.box, motions[k],
-                                     start + np.arange(0, count + 1, every))
-            if len(scores):
-                found[k].append(scores)
+        scene = machine_scene(draft, checkpoint.card, spacing, 'implicit_midpoint', driven)
+        logs = [LogSimulation(ModelParts(*one.parts()[1:], spacing),
+                              windows_at(motions, starts, count))
+                for one in (scene, *member_scenes(scene, len(checkpoint.members)))]
+        mean, *members = [_predicted(log, logs[0], q[:, 0], v[:, 0], every) for log in logs]
+        measured = logs[0].starts(q, v)
+    low, high = checkpoint.card.box.bounds
+    inside = np.logical_and.accumulate(
+        ((low <= measured) & (measured <= high)).all(axis=2), axis=1)
+    scores, half = _scores(measured - mean, deviation(members)), max(1, rows.shape[1] // 2)
+    found: list[list[np.ndarray]] = [[] for _ in motions]
+    for (k, _), own, usable in zip(starts, scores, inside, strict=True):
+        if usable[half:].any():
+            found[k].append(own[half:][usable[half:]])
     return found
 
 
-def _machine_scores(simulation: AccompaniedSimulation, members: Members, box: Box,
-                    motion: EvenMotion, rows: np.ndarray) -> np.ndarray:
-    """Return the scores of one simulation at some samples, shape (instants, 2 d)."""
-    q, v = motion.q_smooth[rows], motion.v_smooth[rows]
-    measured = np.hstack([q, momentum(simulation.hamiltonian, q, v, np.zeros_like(v))])
-    low, high = box.bounds
-    inside = np.logical_and.accumulate(((low <= measured) & (measured <= high)).all(axis=1))
-    tau, found = motion.forces, []
-    try:
-        simulation.restart(*np.split(measured[0], 2))
-        for at in range(1, int(inside.sum())):
-            for k in range(rows[at - 1], rows[at]):
-                if simulation.takes_commands:
-                    simulation.set_command(tau[k])
-                simulation.advance(1)
-            found.append(_scores(measured[at] - np.concatenate([simulation.q, simulation.p]),
-                                 members.spread))
-    except StepFailure:
-        # No band covers a motion at which the simulation of the mean fails.
-        found += [np.full(measured.shape[1], np.inf)] * (int(inside.sum()) - 1 - len(found))
-    return np.array(found)[max(0, (len(rows) - 1) // 2 - 1):]
+def _predicted(log: LogSimulation, mean: LogSimulation, q: np.ndarray, v: np.ndarray, every: int
+               ) -> np.ndarray:
+    """Return states of a model at every n-th sample, with momenta of the mean, (W, R, 2 d)."""
+    found = log.states(log.starts(q, v)[:, None])[:, 0, ::every]
+    usable = np.isfinite(found).all(axis=2)
+    states = found[usable]
+    found[usable] = mean.starts(states[:, :q.shape[1]], log.velocities(states))
+    return found

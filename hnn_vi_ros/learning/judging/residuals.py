@@ -5,14 +5,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects import Effect
-from hnn_vi_ros.hamiltonians import Hamiltonian
-from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.fitted_rigid_body import downsampled
 from hnn_vi_ros.learning.fit.growing import fits_by_length, with_states_of
 from hnn_vi_ros.learning.fit.shooting import Solution
-from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts, ParametricModel
+from hnn_vi_ros.learning.fit.windows import ParametricModel
 import numpy as np
 
 # Largest step size of a model that is judged; its error is far below that of most sensors [s].
@@ -107,10 +104,3 @@ def errors_text(residuals: Mapping[str, Sequence[float]], noise: np.ndarray,
         noise.tolist(), coordinates, strict=False))
     return (f'On these motions {noise_text(residuals)}. The noise, {sizes}, is part of the errors '
             'above.')
-
-
-def judged_model(hamiltonian: Hamiltonian, effects: Sequence[Effect],
-                 motions: Sequence[EvenMotion]) -> KnownModel:
-    """Return a trained model as it is judged along motions."""
-    return KnownModel('the model', ModelParts(
-        hamiltonian, ImplicitMidpoint(), effects, min(STEP, motions[0].spacing)))

@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.fit.model_files import described
 from hnn_vi_ros.learning.graph_of_module import graph_of
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped, calibrated, ensemble_text, field_calibration, held_out)
-from hnn_vi_ros.learning.judging.evaluation import friction_work, integrated
+from hnn_vi_ros.learning.judging.energy import friction_work, integrated
 from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
 from hnn_vi_ros.learning.tasks import TrainingTask
 from hnn_vi_ros.models import (

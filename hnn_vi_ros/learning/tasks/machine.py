@@ -4,6 +4,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+import math
 from pathlib import Path
 
 from hnn_vi_ros.effects import Effect
@@ -24,16 +25,17 @@ from hnn_vi_ros.learning.fit.machine_fit import check_motors, estimated_delay, f
 from hnn_vi_ros.learning.fit.model_files import (
     describe_machine, drafted, machine_scene, with_prior)
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
+from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped_blocks, calibrated, ensemble_text, kept_and_held, machine_calibration)
-from hnn_vi_ros.learning.judging.evaluation import (
-    balance, Judging, linear_model, numbers, outside, own_effects, Predict, predicted_by,
-    simulation_of, table, verdict)
+from hnn_vi_ros.learning.judging.energy import balance
 from hnn_vi_ros.learning.judging.evaluation import judge as judged_scores
+from hnn_vi_ros.learning.judging.evaluation import Judging, numbers, outside, table, verdict
 from hnn_vi_ros.learning.judging.missing import missing_force
+from hnn_vi_ros.learning.judging.predictors import (
+    linear_model, own_effects, Predict, predicted_by)
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
-from hnn_vi_ros.learning.judging.residuals import (
-    errors_text, is_noise, judged_along, judged_model, STEP)
+from hnn_vi_ros.learning.judging.residuals import errors_text, is_noise, judged_along, STEP
 from hnn_vi_ros.learning.tasks import OPEN_BY_MAP, TrainingTask
 from hnn_vi_ros.learning.tasks.selection import selected, trust_text
 from hnn_vi_ros.models import (
@@ -207,21 +209,20 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
     horizons = [horizon for horizon in judging.horizons if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
     hamiltonian, effects = _parts_of(checkpoint)
+    parts = ModelParts(hamiltonian, ImplicitMidpoint(), effects, math.inf)
     names, open_scale = [one.name for one in config.coordinates], _open_scale(config, data.train)
-    step_size, said, known, longest = None, '', {}, None
-    residuals = dict[str, list[float]]()
+    said, known, residuals, longest = '', {}, dict[str, list[float]](), None
     if positions_alone(test):
         noise = first_noise(test) if fitted.noise is None else fitted.noise
-        model, step_size = judged_model(hamiltonian, effects, test), STEP
-        residuals, test, longest = judged_along(model, test, noise)
+        parts = parts._replace(step_size=min(STEP, test[0].spacing))
+        residuals, test, longest = judged_along(KnownModel('the model', parts), test, noise)
         known = {'residuals': residuals, 'noise': noise.tolist()}
         missing = '' if is_noise(residuals) else missing_force(
             network, [*data.train, *data.test], names)
         said = errors_text(residuals, noise, config.coordinates) + (
             f'\nOf all motions, also those of the training: {missing}' if missing else '')
     scores, fans = judged_scores(
-        simulation_of(hamiltonian, ImplicitMidpoint(), effects, test, step_size),
-        effects, test, horizons, judging.every, judging.longest, _baselines(data, network))
+        parts, test, horizons, judging.every, judging.longest, _baselines(data, network))
     domain = domain_of(hamiltonian)
     checkpoint = with_energy_error(checkpoint, test)
     card = checkpoint.card.model_copy(update={

@@ -19,8 +19,9 @@ from hnn_vi_ros.learning.fit.fitted_rigid_body import downsampled, FittedRigidBo
 from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import Network, slowness
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine, MOST_DELAY
-from hnn_vi_ros.learning.judging.evaluation import finite, predicted_by, samples_in, score
+from hnn_vi_ros.learning.judging.evaluation import finite, samples_in, score
 from hnn_vi_ros.learning.judging.missing import missing_force
+from hnn_vi_ros.learning.judging.predictors import predicted_by
 from hnn_vi_ros.learning.judging.residuals import (
     is_noise, judged_along, noise_text, ONLY_NOISE, Residuals)
 from hnn_vi_ros.models import CandidateCard, chain_angles, Errors, PLANAR_CHAIN, SelectionCard
