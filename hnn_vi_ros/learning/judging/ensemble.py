@@ -5,9 +5,9 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
+import warnings
 
-from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
-from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
 from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
@@ -31,9 +31,8 @@ _FEWEST = 20
 # For a field: number of motions to find the factors, and the same to check them; number of samples
 # after the first one of each; number of steps between samples.
 _MOTIONS, _SAMPLES, _STEPS = 500, 20, 2
-# Steps of the exact motions between samples, and distance from the centre of the training domain
-# at which they stop, in half-widths: some systems are unbounded.
-_FINE, _OUTMOST = 50, 1.5
+# Number of steps of the exact motions between samples.
+_FINE = 10
 # For a machine: maximum duration of simulations and time between starts [s], number of samples
 # per simulation, and maximum number of simulations.
 _HORIZON, _EVERY, _INSTANTS, _MOST = 0.5, 0.05, 20, 200
@@ -316,29 +315,13 @@ def held_exact(checkpoint: Checkpoint, config: FieldConfig, count: int, seed: in
         'samples': count, 'edge_share': 0.0, 'noise': 0.0, 'trajectory': None})
     start, t = sample_exact(drawn, seed), np.linspace(
         0.0, horizon(sample_exact(drawn, config.seed)), _SAMPLES + 1)
-    z = _follow(data.hamiltonian.create(), np.hstack([start.q, start.p]), t, checkpoint)
-    return _within(checkpoint, t, *np.split(z, 2, axis=-1))
-
-
-def _follow(hamiltonian: Hamiltonian, z: np.ndarray, t: np.ndarray, checkpoint: Checkpoint
-            ) -> np.ndarray:
-    """Return the exact motions at even times, (K + 1, M, 2 d), frozen far outside the domain."""
-    low, high = checkpoint.card.box.bounds
-    h, found, d = t[1] / _FINE, [z], z.shape[1] // 2
-
-    def rates(z: np.ndarray) -> np.ndarray:
-        dH_dq, dH_dp = hamiltonian.gradient(z[:, :d], z[:, d:])
-        outside = np.abs(z - 0.5 * (low + high)) > 0.5 * _OUTMOST * (high - low)
-        return np.where(outside.any(axis=1)[:, None], 0.0, np.hstack([dH_dp, -dH_dq]))
-
-    for _ in t[1:]:
-        for _ in range(_FINE):  # classical Runge-Kutta method of order 4
-            a = rates(z)
-            b = rates(z + 0.5 * h * a)
-            c = rates(z + 0.5 * h * b)
-            z = z + h / 6.0 * (a + 2.0 * b + 2.0 * c + rates(z + h * c))
-        found.append(z)
-    return np.stack(found)
+    scene = Scene.build(hamiltonian=data.hamiltonian.model_dump(), integrator='gauss8',
+                        step_size=t[1] / _FINE, initial_state=(start.q[0], start.p[0]))
+    with warnings.catch_warnings():
+        # Motions may leave the domain to where the system has no solution.
+        warnings.simplefilter('ignore', AlarmWarning)
+        found = simulate_many(scene, start.q, start.p, float(t[-1]), samples=_SAMPLES)
+    return _within(checkpoint, t, found.q, found.p)
 
 
 def _held_measured(checkpoint: Checkpoint, test: Dataset) -> Held | None:
