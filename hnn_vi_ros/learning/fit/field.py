@@ -272,10 +272,8 @@ def fit_field(config: FieldConfig, dataset: Dataset, device: str = 'cpu', train:
 
     Parameters
     ----------
-    config : FieldConfig
-        Family, loss, widths, seed, split and penalties.
-    dataset : Dataset
-        Training and held-out data.
+    config, dataset
+        See FieldSamples.
     device : str
         Training device, 'cpu' or 'cuda'.
     train : callable

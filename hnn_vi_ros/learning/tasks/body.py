@@ -71,9 +71,10 @@ def read(source: Path, config: BodyConfig, given: Sequence[str], ensemble: bool)
 def fit(data: BodyData, config: BodyConfig, device: str, train: Train = trained) -> Fitted:
     """Fit a network, with its energy scale fixed."""
     fitted = fit_body(config, data.train, train)
-    return replace(fitted, module=fitted.module.scaled(
-        1.0 / _open_scale(fitted.module, data.train))) if _scale(fitted.module, data.train) else \
-        fitted
+    if not _scale_note(fitted.module, data.train):
+        return fitted
+    size = _size_to_normalise(fitted.module, data.train)
+    return replace(fitted, module=fitted.module.scaled(1.0 / size))
 
 
 def describe(data: BodyData, fitted: Fitted, config: BodyConfig, name: str, command: str
@@ -91,7 +92,7 @@ def describe(data: BodyData, fitted: Fitted, config: BodyConfig, name: str, comm
     return described(
         config, network.layers(), name, command, family='lie_group', lie_group=network.card,
         scheme=scheme, box=box, dataset=f'{config.description} {data.description}'.lstrip()
-        + _scale(network, data.train), losses=fitted.losses)
+        + _scale_note(network, data.train), losses=fitted.losses)
 
 
 def judge(data: BodyData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
@@ -103,15 +104,14 @@ def judge(data: BodyData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
 BODY = TrainingTask('windows', read, lambda data: data, fit, describe, judge)
 
 
-def _open_scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> float:
+def _size_to_normalise(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> float:
     """Return the quantity to normalise: the RMS column of B, or the mean inertia."""
     R = torch.cat([motion.R.flatten(0, 1) for motion in motions])
     x = torch.cat([motion.x.flatten(0, 1) for motion in motions])
-    count = motions[0].u.shape[2] if 'input_map' in network.features else 0
     with torch.no_grad():
-        if count:
+        if 'input_map' in network.features:
             forces = [network.inputs(x, R, unit.expand(len(R), -1)) for unit in
-                      torch.eye(count, dtype=R.dtype)]
+                      torch.eye(motions[0].u.shape[2], dtype=R.dtype)]
             squares = torch.stack([force.square().sum(dim=1).mean()
                                    for force in forces if force is not None])
             return float(squares.mean().sqrt())
@@ -120,7 +120,7 @@ def _open_scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> flo
         return float(inertia.diagonal(dim1=1, dim2=2).mean())
 
 
-def _scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> str:
+def _scale_note(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> str:
     """Return a note on the energy scale for the model card, '' if inputs fix the scale."""
     if 'input_map' in network.features:
         return OPEN_BY_MAP
