@@ -9,8 +9,8 @@ import math
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.identify.free_numbers import FreeScene, STATES
 from hnn_vi_ros.learning import (
-    covariances, FitProblem, identifiable_directions, Process, processes, projected, search,
-    Solution, units_of)
+    column_norms, covariances, FitProblem, least_squares_factors, Process, processes, projected,
+    search, Solution, units_of)
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
 import numpy as np
 from scipy.linalg import qr
@@ -107,8 +107,8 @@ def estimates_of(solution: Solution, problem: FitProblem, free: FreeScene,
     slopes, back = projected(solution, weights)
     n, shape = slopes.shape[3], slopes.shape[:3]
     units = units_of(solution)
-    taken, factors, null = _solved(slopes.reshape(-1, n), units)
-    starts = [_solved(own.reshape(-1, own.shape[2])) for own in solution.by_starts]
+    taken, factors, null = least_squares_factors(slopes.reshape(-1, n), units)
+    starts = [least_squares_factors(own.reshape(-1, own.shape[2])) for own in solution.by_starts]
     noise = _processes(solution, weights, np.concatenate([
         taken.reshape(*shape, -1),
         np.stack([own.reshape(*shape[1:], -1) for own, _, _ in starts])], axis=3))
@@ -119,7 +119,7 @@ def estimates_of(solution: Solution, problem: FitProblem, free: FreeScene,
         rows = _first_windows(solution)
         null = np.concatenate([null, *(back[w] @ null for _, w in rows)])
         influences = np.concatenate([influences, *(influences @ back[w].T for _, w in rows)], 3)
-        units = np.concatenate([units, *(_norms(solution.by_starts[w].reshape(
+        units = np.concatenate([units, *(column_norms(solution.by_starts[w].reshape(
             -1, back.shape[1])) for _, w in rows)])
         for k, (run, w) in enumerate(rows):
             own, inverse, hidden = starts[w]
@@ -129,9 +129,7 @@ def estimates_of(solution: Solution, problem: FitProblem, free: FreeScene,
             influences[w, ..., at:at + own.shape[1]] += (own @ inverse).reshape(*shape[1:], -1)
             names += _state_names(coordinates, run if len(rows) > 1 else '')
             values += [*solution.starts[w]]
-    # For the robust loss psi = w r has slope w^3; the projection used w instead.
-    bend = float((weights[solution.windows.there]**3).mean())
-    found = covariances(influences, noise) / bend**2
+    found = covariances(influences, noise) / problem.bend(solution)**2
     coloured = np.array([np.median([one.samples_as_one for one in own])
                          if all(len(one.reflections) for one in own) else 1.0 for own in noise])
     return make_estimates(names, np.array(values), found, null * units[:, None], units,
@@ -154,36 +152,11 @@ def response(solution: Solution, problem: FitProblem, change: np.ndarray
     weights = problem.weights(solution.residuals)
     slopes, _ = projected(solution, weights)
     rest, _ = projected(replace(solution, parameter_jacobian=change[..., None]), weights)
-    taken, factors, _ = _solved(slopes.reshape(-1, slopes.shape[3]), units_of(solution))
+    taken, factors, _ = least_squares_factors(
+        slopes.reshape(-1, slopes.shape[3]), units_of(solution))
     moved = taken.T @ rest.ravel()
     left = rest.ravel() - taken @ moved
     return -factors.T @ moved, float(left @ (left + 2.0 * solution.residuals.ravel()))
-
-
-def _solved(slopes: np.ndarray, scale: np.ndarray | None = None
-            ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Solve a least-squares problem with derivatives of shape (N, n).
-
-    Returns
-    -------
-    tuple of np.ndarray, shapes (N, n), (n, n) and (n, m)
-        Orthonormal columns, 0 for undetermined directions; factors, such that the columns times
-        the factors are the transpose of the pseudo-inverse; and the undetermined directions.
-
-    """
-    if scale is None:
-        scale = _norms(slopes)
-    sizes, rows, told = identifiable_directions(slopes / scale)
-    factors = np.where(told[:, None], rows, 0.0) / (
-        np.where(told, sizes, 1.0)[:, None] * scale)
-    return slopes @ factors.T, factors, rows[~told].T / scale[:, None]
-
-
-def _norms(slopes: np.ndarray) -> np.ndarray:
-    """Return the norms of columns, with 1 for zero columns."""
-    raw = np.linalg.norm(slopes, axis=0)
-    return np.where(raw > 0.0, raw, 1.0)
 
 
 def _processes(solution: Solution, weights: np.ndarray, taken: np.ndarray
@@ -302,10 +275,8 @@ def _error_by_cost(solution: Solution, problem: FitProblem, k: int) -> float:
     """Return the change of a number that raises the cost, minimised over the others, by 1."""
     weights = problem.weights(solution.residuals)
     slopes, _ = projected(solution, weights)
-    _, factors, _ = _solved(slopes.reshape(-1, slopes.shape[3]), units_of(solution))
-    # The second derivative of the loss is w^3; 1 for squares.
-    bend = (weights[solution.windows.there]**3).mean()
-    return float(np.linalg.norm(factors[:, k])) / math.sqrt(bend)
+    _, factors, _ = least_squares_factors(slopes.reshape(-1, slopes.shape[3]), units_of(solution))
+    return float(np.linalg.norm(factors[:, k])) / math.sqrt(problem.bend(solution))
 
 
 def _end(excess: Callable[[float], float], value: float, error: float, bound: float

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.fit.noise import covariances, Process, processes
     from hnn_vi_ros.learning.fit.prediction import Prediction
     from hnn_vi_ros.learning.fit.shooting import (
-        FitProblem, identifiable_directions, projected, search, Solution, units_of)
+        column_norms, FitProblem, least_squares_factors, projected, search, Solution, units_of)
     from hnn_vi_ros.learning.fit.windows import (
         check_times, DELAY, MeasuredColumns, ModelParts, Number, Windows)
 

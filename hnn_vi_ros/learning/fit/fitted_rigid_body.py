@@ -15,15 +15,14 @@ from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import samples_of
 from hnn_vi_ros.learning.fit.noise import covariances, Process
 from hnn_vi_ros.learning.fit.rigid_model import RigidModel
-from hnn_vi_ros.learning.fit.shooting import projected, units_of
+from hnn_vi_ros.learning.fit.shooting import least_squares_factors, projected, units_of
 from hnn_vi_ros.learning.fit.step_forces import constant_forces
 from hnn_vi_ros.learning.fit.windows import KnownModel
 from hnn_vi_ros.models import CoordinateCard, FittedNumber
 import numpy as np
 
-# Half-width of 95 % intervals in standard deviations, and singular values of normalised columns
-# below which a direction, such as the scale of the energy, is open.
-_QUANTILE, _OPEN = 1.96, 1e-12
+# Half-width of 95 % intervals in standard deviations.
+_QUANTILE = 1.96
 
 
 @dataclass(frozen=True)
@@ -147,18 +146,15 @@ def covariance_of(fitted: FittedNumbers) -> np.ndarray:
     """
     Return the covariance of fitted numbers, shape (n, n).
 
-    It is that of the noise of the sensors, or of residuals where errors of the model exceed it.
+    It is that of the noise of the sensors, or of residuals where errors of the model exceed it,
+    and 0 along directions that the data do not determine, such as the scale of the energy.
     """
     solution, excess = fitted.solution, max(1.0, fitted.stages[-1][1])
-    weights = fitted.problem.weights(solution.residuals)
-    units = units_of(solution)
-    slopes = projected(solution, weights)[0] / units
-    matrix = slopes.reshape(-1, len(units))
-    inverse = np.linalg.pinv(matrix.T @ matrix, rcond=_OPEN, hermitian=True)
-    found = covariances(slopes @ inverse, sensors_of(fitted))[0]
-    # For the robust loss psi = w r has slope w^3.
-    bend = float((weights[solution.windows.there]**3).mean())
-    return (excess / bend)**2 * found / np.outer(units, units)
+    slopes, _ = projected(solution, fitted.problem.weights(solution.residuals))
+    taken, factors, _ = least_squares_factors(
+        slopes.reshape(-1, slopes.shape[3]), units_of(solution))
+    found = covariances((taken @ factors).reshape(slopes.shape), sensors_of(fitted))[0]
+    return (excess / fitted.problem.bend(solution))**2 * found
 
 
 def sensors_of(fitted: FittedNumbers) -> list[list[Process]]:

@@ -118,6 +118,10 @@ class FitProblem:
             squares = 2.0 * _SOFT**2 * (np.sqrt(1.0 + squares / _SOFT**2) - 1.0)
         return squares.sum(axis=(1, 2))
 
+    def bend(self, solution: Solution) -> float:
+        """Return the mean second derivative of the loss at a solution, w^3; 1 for squares."""
+        return float((self.weights(solution.residuals)[solution.windows.there]**3).mean())
+
     def misfit(self, solution: Solution) -> float:
         """Return the misfit of a solution of these windows, in which outliers count less."""
         return math.sqrt(float(self.cost(solution.residuals).sum()) / solution.freedom)
@@ -257,9 +261,8 @@ def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.n
 
 def units_of(solution: Solution) -> np.ndarray:
     """Return the effect of each number on the residuals, the norm of its derivatives, (n,)."""
-    raw = np.linalg.norm(solution.parameter_jacobian[solution.windows.there].reshape(
-        -1, len(solution.values)), axis=0)
-    return np.where(raw > 0.0, raw, 1.0)
+    return column_norms(solution.parameter_jacobian[solution.windows.there].reshape(
+        -1, len(solution.values)))
 
 
 def identifiable_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -279,6 +282,32 @@ def identifiable_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     """
     _, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
     return sizes, rows, sizes > _RANK * max(1.0, sizes.max(initial=0.0))
+
+
+def least_squares_factors(slopes: np.ndarray, scale: np.ndarray | None = None
+                          ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Solve a least-squares problem with derivatives of shape (N, n).
+
+    Returns
+    -------
+    tuple of np.ndarray, shapes (N, n), (n, n) and (n, m)
+        Orthonormal columns, 0 for undetermined directions; factors, such that the columns times
+        the factors are the transpose of the pseudo-inverse; and the undetermined directions.
+
+    """
+    if scale is None:
+        scale = column_norms(slopes)
+    sizes, rows, told = identifiable_directions(slopes / scale)
+    factors = np.where(told[:, None], rows, 0.0) / (
+        np.where(told, sizes, 1.0)[:, None] * scale)
+    return slopes @ factors.T, factors, rows[~told].T / scale[:, None]
+
+
+def column_norms(slopes: np.ndarray) -> np.ndarray:
+    """Return the norms of columns, with 1 for zero columns."""
+    raw = np.linalg.norm(slopes, axis=0)
+    return np.where(raw > 0.0, raw, 1.0)
 
 
 def search(problem: FitProblem, values: np.ndarray, tolerance: float = TOLERANCE,
