@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.judging.evaluation import score, TrajectoryBundle, whol
 from hnn_vi_ros.learning.judging.predictors import constant_velocity, linear_model
 from hnn_vi_ros.learning.judging.report import shown
 from hnn_vi_ros.models import load_checkpoint, save_checkpoint
-from hnn_vi_ros.simulation import simulate, Simulation
+from hnn_vi_ros.simulation import Simulation
 from machines import driven, from_file
 from messages import refused
 import numpy as np
