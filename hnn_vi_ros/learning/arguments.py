@@ -26,11 +26,18 @@ def train() -> Parser:
         'hnn train --data swing.csv',
         'hnn train --config pendulum',
         'hnn train --config double_pendulum_bag --data BAG '
-        '--out models/mine.safetensors'])
+        '--out models/mine.safetensors',
+        'hnn train --module net.py:make --data swing.csv'])
     complete_by(parser.add_argument('--config', metavar='NAME|FILE', help=(
         'a YAML file, or the name of a shipped training configuration; default: the names of the '
         'columns in --data give coordinates and forces, and the configuration is printed'
         )), 'training')
+    parser.add_argument('--module', metavar='FILE.py:FUNCTION', help=(
+        'train the torch module H(q, p) that this function returns, in place of the family of '
+        'the configuration; its code is run'))
+    parser.add_argument('--loss', metavar='FILE.py:FUNCTION', help=(
+        'with --module: minimise loss(module, states, predicted, target), one number; the rates '
+        'are in units of their root mean squares'))
     parser.add_argument('--out', type=Path, metavar='FILE',
                         help='write the model to this file (default: models/<name>.safetensors)')
     parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
@@ -41,6 +48,9 @@ def train() -> Parser:
     parser.add_argument('--ensemble', type=int, metavar='N', help=(
         'train N members on resampled data; their mean is the model, and their spread measures '
         'its uncertainty'))
+    parser.add_argument('--folds', type=int, metavar='N', help=(
+        'first train N models, each without a share of the runs, and print their errors there '
+        '(cross-validation)'))
     parser.add_argument('--device', choices=('cpu', 'cuda'), default='cpu',
                         help='train on this device (default: cpu)')
     parser.add_argument('--resume', action='store_true',

@@ -77,12 +77,41 @@ def export(module: torch.nn.Module, path: str | Path, coordinates: Sequence[str 
     if not isinstance(module, torch.nn.Module):
         _refuse(kind, 'is not a torch.nn.Module: write a class of it, whose forward calls it')
     try:
-        card = _card(name or path.stem, kind, coordinates, domain)
+        card = graph_card(name or path.stem, kind, coordinates, domain)
     except (KeyError, TypeError, ValueError) as problem:
         why = in_plain_words(problem) if isinstance(problem, ValidationError) else \
             f'{problem} is missing' if isinstance(problem, KeyError) else str(problem)
         raise ModelError(f'coordinates {coordinates}, domain {domain}: {why}; expected d names, '
                          'and d intervals (low, high) for each of q and p') from problem
+    try:
+        checkpoint, remarks = graph_model(module, card, kind)
+    except UntranslatedModule as problem:
+        raise UntranslatedModule(f'{problem}; it runs as a hnn_vi_ros.models.TorchHamiltonian, '
+                                 'some 100 times slower') from problem
+    (complete_checkpoint if overwrite and path.is_file() else save_checkpoint)(path, checkpoint)
+    return remarks
+
+
+def graph_model(module: torch.nn.Module, card: ModelCard, kind: str
+                ) -> tuple[Checkpoint, list[str]]:
+    """
+    Return a module as a model with a graph that agrees with it in its box, and remarks.
+
+    Parameters
+    ----------
+    module : torch.nn.Module
+        The module, see ``export``.
+    card : ModelCard
+        Card of the model.
+    kind : str
+        Name of the module in messages.
+
+    Raises
+    ------
+    ModelError
+        The module is not a function H(q, p), or has an operation that graphs do not have.
+
+    """
     remarks = _remarks(module)
     own = _copied(module, kind)
     low, high = np.array([*card.box.q, *card.box.p]).T
@@ -92,26 +121,23 @@ def export(module: torch.nn.Module, path: str | Path, coordinates: Sequence[str 
     except ValueError as problem:
         raise ModelError(f'{kind}: {problem}') from problem
     remarks += [remark] if remark else []
-    rows = _rows(own, order)
+    rows = rows_of(own, order)
     function = _function(rows, own)
     try:
         builder, output = graph_of(function, z[:2])
         _check_poses(builder, low.size)
         # Read as from a file, so that no model is written that cannot be read.
         graph = read_graph(*graph_data(builder, output), low.size)
-    except UntranslatedModule as problem:
-        raise UntranslatedModule(f'{kind}: {problem}; it runs as a hnn_vi_ros.models.'
-                                 'TorchHamiltonian, some 100 times slower') from problem
     except ModelError as problem:
-        raise ModelError(f'{kind}: {problem}') from problem
+        raise type(problem)(f'{kind}: {problem}') from problem
     checkpoint = Checkpoint(card, {}, graph=graph)
     _check(GraphHamiltonian(checkpoint), function, rows, z, kind)
-    (complete_checkpoint if overwrite and path.is_file() else save_checkpoint)(path, checkpoint)
-    return remarks
+    return checkpoint, remarks
 
 
-def _card(name: str, kind: str, coordinates: Sequence[str | Coordinate],
-          domain: Mapping[str, Intervals]) -> ModelCard:
+def graph_card(name: str, kind: str, coordinates: Sequence[str | Coordinate],
+               domain: Mapping[str, Intervals]) -> ModelCard:
+    """Return the card of an exported module; see ``export``."""
     cards = [CoordinateCard(name=one, q_unit='1', p_unit='1') if isinstance(one, str) else
              CoordinateCard(name=one.name, q_unit=one.q_unit, p_unit=one.p_unit)
              for one in coordinates]
@@ -189,7 +215,7 @@ def _check_poses(builder: Builder, width: int) -> None:
                          'the family lie_group, or export H of canonical coordinates')
 
 
-def _rows(module: torch.nn.Module, order: int) -> Callable[[torch.Tensor], torch.Tensor]:
+def rows_of(module: torch.nn.Module, order: int) -> Callable[[torch.Tensor], torch.Tensor]:
     """Return the module as a function of rows (q, p), shape (n, 2 d)."""
     return lambda z: module(*z.chunk(2, -1)[::order]) if order else module(z)
 

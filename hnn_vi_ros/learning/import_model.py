@@ -8,8 +8,10 @@ from the file alone if it contains the layers of a multilayer perceptron. It is 
 graph; see learning.export_module. Only tensors are unpickled from files.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from hnn_vi_ros.errors import listed, ModelError, ParameterError
 from hnn_vi_ros.files import in_plain_words, no_file, one_line
@@ -196,7 +198,8 @@ def main(argv: Sequence[str]) -> None:
     if key:
         print(f'{weights}: took the entry {key!r}')
     if function:
-        module = _made(source, function, weights, state)
+        print(f'running {function}() of {source}, once')
+        module = made(source, function, weights, state)
     elif options.weights or options.activation is None:
         raise ParameterError(
             f'{source}: a file does not contain the activation between its layers; give '
@@ -210,14 +213,26 @@ def main(argv: Sequence[str]) -> None:
     print(f'model: {out}')
 
 
-def _made(source: Path, function: str, weights: Path | None, state: Mapping[str, torch.Tensor]
-          ) -> torch.nn.Module:
-    """Return the module that a function of the user makes, with these weights."""
+def function_of(source: Path, function: str) -> Callable[..., Any]:
+    """Return a function of a file of the user; raise HnnViRosError if there is none."""
     if not source.is_file():
         raise ParameterError(f'{source}: {no_file(source)}; give FILE.py:FUNCTION')
-    print(f'running {function}() of {source}, once')
     name = f'{source.stem}:{function}'
-    module = load_code(name, str(source), str(source.parent.resolve()))()
+    found = load_code(name, str(source), str(source.parent.resolve()))
+    if not callable(found):
+        raise ModelError(f'{source}: {function} is a {type(found).__name__}, expected a function')
+    return found
+
+
+def made(source: Path, function: str, weights: Path | None = None,
+         state: Mapping[str, torch.Tensor] = MappingProxyType({})) -> torch.nn.Module:
+    """Return the module that a function of the user makes, with these weights."""
+    create = function_of(source, function)
+    try:
+        module = create()
+    except Exception as problem:  # noqa: B902  the user's code may raise any
+        raise ModelError(f'{source}: {function}(): {type(problem).__name__}: '
+                         f'{one_line(problem)[:500]}') from problem
     if not isinstance(module, torch.nn.Module):
         raise ModelError(f'{source}: {function}() returned {type(module).__name__}, expected a '
                          'torch.nn.Module')

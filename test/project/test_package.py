@@ -28,8 +28,8 @@ FLOORS = (
 # The same inside two rooms.
 INNER_FLOORS = {
     'learning': ('arguments', 'torch_file', 'data', 'families', 'fit', 'judging', 'linear_systems',
-                 'graph_of_module', 'export_module', 'import_model', 'tasks', 'train',
-                 'evaluate'),
+                 'graph_of_module', 'export_module', 'import_model', 'user_module', 'tasks',
+                 'train', 'evaluate'),
     'ros': ('worlds', 'plumbing', 'settings', 'node_parameters', 'arguments', 'recording',
             'topics', 'replay', 'run', 'rerun_bridge', 'services', 'initial_state',
             'controller_node', 'listener_node', 'launching', 'simulator_node')}

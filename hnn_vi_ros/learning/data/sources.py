@@ -12,7 +12,8 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.arrays import Archive, ArraysData, read_arrays, split_runs
 from hnn_vi_ros.learning.data.bag_signals import joint_names
 from hnn_vi_ros.learning.data.bags import BagData, BagMotions, read_bags
-from hnn_vi_ros.learning.data.dataset import Dataset, dataset_of, ExactData, sample_exact
+from hnn_vi_ros.learning.data.dataset import (
+    BLOCKS, Dataset, dataset_of, ExactData, MIN_ROWS, sample_exact)
 from hnn_vi_ros.learning.data.header import column_of, COORDINATES, Named, read_header
 from hnn_vi_ros.learning.data.motions import (
     even_motions, EvenMotion, Motion, MotionData, Recording)
@@ -20,14 +21,17 @@ from hnn_vi_ros.learning.data.text import LogMotions, MeasuredData, read_text
 import numpy as np
 from pydantic import Field
 
-Source = Annotated[ExactData | MeasuredData | BagData, Field(discriminator='kind')]
+Source = Annotated[ExactData | MeasuredData | BagData | ArraysData | LogMotions,
+                   Field(discriminator='kind')]
 MotionSource = ArraysData | BagMotions | LogMotions
 # Suffix of array files.
 _ARRAYS = '.npz'
 
 
-def dimension(data: Source) -> int:
-    """Return the number of coordinates of a data source."""
+def dimension(data: Source) -> int | None:
+    """Return the number of coordinates of a data source; None if only its arrays tell."""
+    if isinstance(data, ArraysData):
+        return None
     if isinstance(data, BagData):
         return len(data.joints)
     return len(data.box.q if isinstance(data, ExactData) else data.q)
@@ -63,7 +67,10 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
             raise DataError(f'{source}: its data are exact, so --data {given[0]} is not used; '
                             'remove it')
         return sample_exact(data, seed)
-    return dataset_of(_recording(source, data, (), given, units), data)
+    # Arrays are read for as many coordinates as there are units.
+    recording = _recording(source, data, units, given, units)
+    return states_of(*even_motions(recording, data)) if isinstance(data, MotionData) else \
+        dataset_of(recording, data)
 
 
 def read_motions(source: Path, data: MotionSource, names: Sequence[str],
@@ -109,6 +116,19 @@ def _recording(source: Path, data: MeasuredData | BagData | MotionSource, names:
         return read_text(file, data, units)
     path, runs = split_runs(str(file)) if given else (file, [])
     return read_arrays(path, data, len(names), runs)
+
+
+def states_of(motions: Sequence[EvenMotion], description: str) -> Dataset:
+    """Return the smoothed states of motions, with velocities as momenta, forces as commands."""
+    t, q, v, a, tau = (np.concatenate([getattr(motion, key) for motion in motions]) for key in (
+        't', 'q_smooth', 'v_smooth', 'a_smooth', 'tau'))
+    counts = [len(motion.t) for motion in motions]
+    # Of at least MIN_ROWS rows, so that a block has windows of several steps.
+    block = np.concatenate([
+        np.arange(count) * max(1, min(BLOCKS, count // MIN_ROWS)) // count for count in counts])
+    run = np.repeat(np.arange(len(counts)), counts)
+    return Dataset(q, v, v, a, BLOCKS * run + block, description, t, run, a,
+                   tau if tau.any() else None).checked()
 
 
 def motions_of(dataset: Dataset, data: MotionData) -> tuple[list[EvenMotion], str]:

@@ -47,7 +47,7 @@ def newton(residual: Callable[[torch.Tensor], torch.Tensor], guess: torch.Tensor
 
     """
     best = w = guess
-    least = torch.full(guess.shape[:1], torch.inf, dtype=guess.dtype)
+    least = guess.new_full(guess.shape[:1], torch.inf)
     share, step = torch.ones_like(least), torch.zeros_like(guess)
     unrecorded = torch.no_grad()(residual)
     for k in range(_MOST):
@@ -73,7 +73,7 @@ def _with_slopes(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tens
     with torch.enable_grad():
         w = w.detach().requires_grad_()
         value = residual(w)
-        units = torch.eye(w.shape[1], dtype=w.dtype)[:, None, :].expand(-1, len(w), -1)
+        units = torch.eye(w.shape[1]).to(w)[:, None, :].expand(-1, len(w), -1)
         (rows,) = torch.autograd.grad(value, w, units, is_grads_batched=True)
     return value.detach(), rows.transpose(0, 1)
 
@@ -319,6 +319,23 @@ class Trainable(torch.nn.Module, ABC):
         """
         return None
 
+    def misfit(self, states: torch.Tensor, predicted: torch.Tensor, target: torch.Tensor,
+               unit: torch.Tensor) -> torch.Tensor:
+        """
+        Return the loss of predictions, without penalties.
+
+        Parameters
+        ----------
+        states : torch.Tensor
+            First input of the prediction.
+        predicted, target : torch.Tensor, shape (N, k)
+            Predictions and data.
+        unit : torch.Tensor, shape (k,)
+            Unit of each column, the root mean square of the target.
+
+        """
+        return ((predicted - target) / unit).square().mean()
+
     def constants(self) -> dict[str, Any]:
         """Return additional learned entries of the model card."""
         return {}
@@ -330,6 +347,11 @@ class Trainable(torch.nn.Module, ABC):
 
 class EnergyFamily(Trainable):
     """A family with an energy H(q, p) and the field of Hamilton's equations."""
+
+    @property
+    def name(self) -> str:
+        """Return its name in messages."""
+        return type(self).__name__
 
     @abstractmethod
     def energy(self, z: torch.Tensor) -> torch.Tensor:
@@ -354,6 +376,19 @@ class EnergyFamily(Trainable):
         """
         dH_dq, dH_dp = self.gradient(z).chunk(2, dim=1)
         return torch.cat([dH_dp, -dH_dq], dim=1)
+
+
+class ShiftedEnergy(torch.nn.Module):
+    """H of a family, with the value energy0 at z0."""
+
+    def __init__(self, family: EnergyFamily, z0: np.ndarray, energy0: float):
+        super().__init__()
+        self.family = family
+        self.shift = energy0 - float(family.energy(torch.tensor(z0)[None]).detach())
+
+    def forward(self, z: torch.Tensor) -> torch.Tensor:
+        """Return H, shape (n,), at states z, shape (n, 2 d)."""
+        return self.family.energy(z) + self.shift
 
 
 def gradient(function: Any, z: torch.Tensor) -> torch.Tensor:

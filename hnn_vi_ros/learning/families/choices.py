@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 import re
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models import (
-    chain_angles, CHAINS, check_prior, check_row, exact_systems, is_periodic, Kind, PLANAR_CHAIN,
-    RIGID_BODY, Scheme, tree_card, TreeCard, values_of)
+    chain_angles, CHAINS, check_prior, check_row, exact_systems, FAMILIES, is_periodic, Kind,
+    PLANAR_CHAIN, RIGID_BODY, Scheme, tree_card, TreeCard, values_of)
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 import torch
@@ -107,12 +107,17 @@ class FamilyChoice(StrictModel):
     Configuration of a family of models.
 
     ``losses`` can train it; ``refuses`` maps train options that it does not support to the
-    reasons.
+    reasons; ``driven`` families learn the effect of forces.
     """
 
     kind: str
     losses: ClassVar[tuple[str, ...]] = ('vector_field', 'steps')
     refuses: ClassVar[Mapping[str, str]] = {}
+    driven: ClassVar[bool] = False
+
+    def network(self, hidden: list[int], scales: Any, seed: int) -> Any:
+        """Return a new network; see models.families.Family.trainer."""
+        return FAMILIES[self.kind].trainer(self, hidden, scales, seed)
 
 
 class VectorField(StrictModel):

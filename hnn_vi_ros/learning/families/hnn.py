@@ -245,6 +245,7 @@ class ControlAffineChoice(FamilyChoice):
     """Configuration of mass matrix, potential and input map; see ControlAffine."""
 
     kind: Literal['control_affine']
+    driven: ClassVar[bool] = True
     losses: ClassVar[tuple[str, ...]] = ('vector_field',)
 
 

@@ -105,7 +105,7 @@ class FieldConfig(TrainingConfig):
     @model_validator(mode='after')
     def _check(self) -> 'FieldConfig':
         d = len(self.coordinates)
-        lengths = {'data': dimension(self.data)}
+        lengths = {'data': dimension(self.data) or d}
         if self.reference is not None:
             lengths |= {'reference.q': len(self.reference.q),
                         'reference.p': len(self.reference.p)}
@@ -113,6 +113,8 @@ class FieldConfig(TrainingConfig):
             if length != d:
                 raise ValueError(f'{key} has {length} coordinates, but coordinates names {d}')
         self.check_loss(self.family, self.loss.kind)
+        for key in sorted(self.data.model_fields_set & {'delay', 'measured', 'test_runs'}):
+            raise ValueError(f'data.{key}: not for states (q, p); remove this key')
         if self.linearity and self.loss.kind in ('discrete_lagrangian', 'euler_lagrange'):
             raise ValueError('linearity: requires a field of (q, p), which the loss '
                              f'{self.loss.kind} does not train; remove this key')
@@ -292,6 +294,16 @@ def guess_config(given: Sequence[str]) -> tuple[MachineConfig, str]:
     text = dump_yaml(configuration_of(given))
     data, places = parse_mapping(text, given[0], DataError)
     return validate(data, places, MachineConfig, DataError), text
+
+
+def guess_states(given: Sequence[str]) -> tuple[FieldConfig, str]:
+    """Return the same for H(q, p), with velocities as momenta."""
+    machine = configuration_of(given)
+    text = dump_yaml({'coordinates': [
+        {'name': one['name'], 'q_unit': one['q_unit'], 'p_unit': f'{one["q_unit"]}/s'}
+        for one in machine['coordinates']], 'data': machine['data']})
+    data, places = parse_mapping(text, given[0], DataError)
+    return validate(data, places, FieldConfig, DataError), text
 
 
 def load_config(path: Path) -> AnyConfig:

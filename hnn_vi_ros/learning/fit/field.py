@@ -14,7 +14,6 @@ from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.fit.config import FieldConfig
 from hnn_vi_ros.learning.fit.loop import Fitted, Stage, Train, trained, TrainingProblem
 from hnn_vi_ros.learning.fit.steps import step
-from hnn_vi_ros.models import FAMILIES
 import numpy as np
 import torch
 
@@ -214,14 +213,21 @@ class FieldSamples:
             test=None if self.test is None else self.test.to(device),
             unit=self.unit.to(device), pairs=[pair.to(device) for pair in self.pairs])
 
+    def _predicted(self, family: Any, batch: Batch) -> torch.Tensor:
+        loss = self.config.loss
+        return LOSSES[loss.kind].predict(loss, family, *batch.inputs)
+
     def errors(self, family: Any, batch: Batch) -> torch.Tensor:
         """Return prediction minus target, shape (N, k)."""
-        loss = self.config.loss
-        return LOSSES[loss.kind].predict(loss, family, *batch.inputs) - batch.target
+        return self._predicted(family, batch) - batch.target
+
+    def _misfit(self, family: Any, batch: Batch) -> torch.Tensor:
+        return family.misfit(
+            batch.inputs[0], self._predicted(family, batch), batch.target, self.unit)
 
     def loss(self, family: Any) -> torch.Tensor:
         """Return the training loss, including penalties."""
-        loss = mean_square(self.errors(family, self.train), self.unit)
+        loss = self._misfit(family, self.train)
         if self.config.linearity:
             loss = loss + self.config.linearity * nonlinearity(
                 family, self.pairs[0], self.pairs[1], self.unit)
@@ -230,17 +236,23 @@ class FieldSamples:
 
     def validation_loss(self, family: Any) -> float:
         """Return the loss on held-out data."""
-        return float(mean_square(self.errors(family, self.validation), self.unit).detach())
+        return float(self._misfit(family, self.validation).detach())
 
     def final_losses(self, family: Any) -> dict[str, float]:
         """Return the losses, and the RMS errors on held-out data in the data's units."""
-        errors = self.errors(family, self.validation).detach()
         train = mean_square(self.errors(family, self.train), self.unit)
-        values = {'train_loss': train.detach(),
-                  'validation_loss': mean_square(errors, self.unit)}
+        values = {'train_loss': float(train.detach())}
+        unseen = self.unseen_losses(family, self.validation)
+        values['validation_loss'] = unseen.pop('loss')
         if self.test is not None:
-            values['test_loss'] = mean_square(self.errors(family, self.test).detach(), self.unit)
-        parts = LOSSES[self.config.loss.kind].parts
+            values['test_loss'] = self.unseen_losses(family, self.test)['loss']
+        return values | unseen
+
+    def unseen_losses(self, family: Any, batch: Batch) -> dict[str, float]:
+        """Return the loss and the RMS errors, in the data's units, on data not trained on."""
+        errors = self.errors(family, batch).detach()
+        values, parts = {'loss': mean_square(errors, self.unit)}, LOSSES[
+            self.config.loss.kind].parts
         if len(parts) > 1:
             values['field_rms'] = errors.square().mean().sqrt()
         for name, part in zip(parts, errors.chunk(len(parts), dim=1), strict=True):
@@ -294,8 +306,7 @@ def fit_field(config: FieldConfig, dataset: Dataset, device: str = 'cpu', train:
 
 def network_of(config: FieldConfig, dataset: Dataset) -> Any:
     """Return a new network with the scales of the data."""
-    return FAMILIES[config.family.kind].trainer(
-        config.family, config.hidden, Scales.of(dataset), config.seed)
+    return config.family.network(config.hidden, Scales.of(dataset), config.seed)
 
 
 def _stages(samples: FieldSamples) -> list[Stage]:

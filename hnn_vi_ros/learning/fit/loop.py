@@ -115,6 +115,36 @@ class LossHistory:
     begins: dict[str, int] = field(default_factory=dict)
 
 
+class Epoch(NamedTuple):
+    """
+    Progress of a training, for callbacks.
+
+    Parameters
+    ----------
+    stage : str
+        Name of the stage.
+    step : int
+        Index of the step, counted from the start of the first stage.
+    loss : float
+        Training loss.
+    held_out : float or None
+        Loss on held-out data; None if it was not evaluated at this step.
+    module : torch.nn.Module
+        The module.
+
+    """
+
+    stage: str
+    step: int
+    loss: float
+    held_out: float | None
+    module: Any
+
+
+# Called at each step of Adam, and every INTERVAL of L-BFGS; the stage ends if it returns True.
+Callback = Callable[[Epoch], object]
+
+
 class TrainingProblem(NamedTuple):
     """
     A module and the stages that fit it.
@@ -168,8 +198,8 @@ class Fitted:
 Train = Callable[[TrainingProblem], Fitted]
 
 
-def trained(problem: TrainingProblem, name: str = '', keeper: 'TrainingCheckpoint | None' = None
-            ) -> Fitted:
+def trained(problem: TrainingProblem, name: str = '', keeper: 'TrainingCheckpoint | None' = None,
+            callbacks: Sequence[Callback] = ()) -> Fitted:
     """
     Run all stages on a copy of the module.
 
@@ -181,6 +211,9 @@ def trained(problem: TrainingProblem, name: str = '', keeper: 'TrainingCheckpoin
         Name for the progress bar.
     keeper : TrainingCheckpoint, optional
         File of the run, from which it is resumed if requested.
+    callbacks : sequence of callable
+        ``callback(epoch)`` is called at each step of Adam and at every 20th of L-BFGS; the stage
+        ends if it returns True.
 
     Raises
     ------
@@ -188,7 +221,7 @@ def trained(problem: TrainingProblem, name: str = '', keeper: 'TrainingCheckpoin
         The loss is not finite.
 
     """
-    run = TrainingRun(problem, name)
+    run = TrainingRun(problem, name, callbacks)
     if keeper is None:
         run.to_end()
     else:
@@ -209,6 +242,8 @@ class TrainingRun:
         Problem, of whose module a copy is trained.
     name : str
         Name for the progress bar.
+    callbacks : sequence of callable
+        See ``trained``.
 
     Attributes
     ----------
@@ -221,7 +256,9 @@ class TrainingRun:
 
     """
 
-    def __init__(self, problem: TrainingProblem, name: str = ''):
+    def __init__(self, problem: TrainingProblem, name: str = '',
+                 callbacks: Sequence[Callback] = ()):
+        self._callbacks = callbacks
         self.module, self.stages = deepcopy(problem.module), problem.stages
         self.history, self.losses = LossHistory(), dict(problem.losses)
         self._name, self._generator = name, torch.Generator().manual_seed(problem.seed)
@@ -372,7 +409,12 @@ class TrainingRun:
         what = f'{self._name}: {stage.name}'.lstrip(': ')
         self._progress.show(self._taken / max(stage.steps, 1), (
             f'{what}: {self._taken} of {stage.steps} steps, loss {loss:.2e}'))
-        return look and stage.held_out is not None and self._look(stage, loss)
+        look = look and stage.held_out is not None
+        stop = look and self._look(stage, loss)
+        epoch = Epoch(stage.name, step, loss, history.validation[-1] if look else None,
+                      self.module)
+        # A list, so that each one is called.
+        return any([stop, *(callback(epoch) is True for callback in self._callbacks)])
 
     def _look(self, stage: Stage, loss: float) -> bool:
         """Record the held-out loss; return True if patience is exhausted."""

@@ -45,12 +45,14 @@ class Outputs(NamedTuple):
     report: Path
     residuals: Path
     scene: Path
+    table: Path
 
     @classmethod
     def beside(cls, model: Path, picture: str) -> 'Outputs':
         """Return the output paths of a model, with this name of the picture."""
         return cls(model, *(model.with_suffix(suffix) for suffix in (
-            '.loss.png', f'.{picture}.png', '.report.md', '.residuals.png', '.scene.yaml')))
+            '.loss.png', f'.{picture}.png', '.report.md', '.residuals.png', '.scene.yaml',
+            '.loss.csv')))
 
 
 class PredictedRun(NamedTuple):
@@ -146,6 +148,7 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
             outputs.model.name, outputs.scene).to_yaml())
     if history.train:
         plot_history(history, card.name, outputs.losses)
+        write_text(outputs.table, losses_text(history))
         pictures += [f'![Losses]({outputs.losses.name})']
     facts: dict[str, Any] = {
         'family': card.family, 'data': card.dataset, 'seed': card.seed,
@@ -171,6 +174,15 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
     write_text(outputs.report, page(
         card.name, config.description, table, judged.page, *pictures,
         f'## Configuration\n\n```yaml\n{settings}```'))
+
+
+def losses_text(history: LossHistory) -> str:
+    """Return the losses by step as text with commas, in a row for each step that has one."""
+    train, held_out = (dict(zip(steps, losses, strict=True)) for steps, losses in (
+        (history.train_step, history.train), (history.validation_step, history.validation)))
+    rows = [f'{step},{train.get(step, "")},{held_out.get(step, "")}'
+            for step in sorted(train.keys() | held_out)]
+    return '\n'.join(['step,training,validation', *rows, ''])
 
 
 def plot_history(history: LossHistory, name: str, path: Path) -> None:

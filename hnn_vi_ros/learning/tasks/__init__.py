@@ -37,6 +37,8 @@ class TrainingTask(NamedTuple):
         ``describe(data, fitted, config, name, command)`` returns the model with its card.
     judge : callable
         ``judge(data, checkpoint, fitted)`` returns the model, judged on unseen data.
+    folds : callable, optional
+        ``folds(data, config, count, device)`` returns losses of a cross-validation for the card.
 
     """
 
@@ -46,3 +48,4 @@ class TrainingTask(NamedTuple):
     fit: Callable[..., Fitted]
     describe: Callable[[Any, Any, Any, str, str], Checkpoint]
     judge: Callable[[Any, Checkpoint, Any], Judged]
+    folds: Callable[[Any, Any, int, str], dict[str, float]] | None = None

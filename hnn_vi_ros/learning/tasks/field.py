@@ -3,27 +3,28 @@
 """Train families that learn a field of (q, p) from states and rates, and judge them."""
 
 from collections.abc import Iterator, Sequence
-from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
+from hnn_vi_ros.learning.data.motions import MotionData
 from hnn_vi_ros.learning.data.sources import make_dataset
-from hnn_vi_ros.learning.families.base import EnergyFamily, Scales, Trainable
+from hnn_vi_ros.learning.export_module import graph_model
+from hnn_vi_ros.learning.families.base import EnergyFamily, Scales, ShiftedEnergy, Trainable
 from hnn_vi_ros.learning.fit.config import FieldConfig
 from hnn_vi_ros.learning.fit.field import fit_field, FittedField, LOSSES
 from hnn_vi_ros.learning.fit.loop import Train, trained
 from hnn_vi_ros.learning.fit.model_files import described
-from hnn_vi_ros.learning.graph_of_module import graph_of
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped, calibrated, ensemble_text, field_calibration, held_out)
 from hnn_vi_ros.learning.judging.energy import friction_work, integrated
 from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
 from hnn_vi_ros.learning.tasks import TrainingTask
 from hnn_vi_ros.models import (
-    Box, Builder, Checkpoint, energy_error, energy_spread, EnergyError, FAMILIES, graph_data,
-    load_member, read_graph, Units)
+    Box, Checkpoint, energy_error, energy_spread, EnergyError, FAMILIES, load_member, Units)
 import numpy as np
 import torch
 
@@ -53,6 +54,17 @@ class FieldData(NamedTuple):
     held: Dataset | None
     ensemble: bool
 
+    @classmethod
+    def of(cls, config: FieldConfig, dataset: Dataset, ensemble: bool = False) -> 'FieldData':
+        """Return data for training; raise DataError if they have forces that H cannot explain."""
+        print(f'data: {dataset.description}', flush=True)
+        if isinstance(config.data, MotionData) and not config.family.driven and (
+                dataset.commands is not None):
+            raise DataError(f'{dataset.description}: has forces, which H(q, p) does not contain; '
+                            'record free motions, set data.forces: none, or train the family '
+                            'mechanical or control_affine')
+        return cls(config, *(held_out(config, dataset) if ensemble else (dataset, None)), ensemble)
+
     @property
     def arrays(self) -> Iterator[np.ndarray]:
         """Return the arrays of the data, which identify an interrupted run."""
@@ -66,11 +78,9 @@ class FieldData(NamedTuple):
 
 def read(source: Path, config: FieldConfig, given: Sequence[str], ensemble: bool) -> FieldData:
     """Read the data of a configuration, or given files in their place."""
-    dataset = make_dataset(
-        config.data, config.seed, source, given, [one.q_unit for one in config.coordinates])
-    print(f'data: {dataset.description}', flush=True)
-    return FieldData(config, *(held_out(config, dataset) if ensemble else (dataset, None)),
-                     ensemble)
+    return FieldData.of(config, make_dataset(
+        config.data, config.seed, source, given, [one.q_unit for one in config.coordinates]),
+        ensemble)
 
 
 def fit(data: FieldData, config: FieldConfig, device: str, train: Train = trained
@@ -95,8 +105,10 @@ def describe(data: FieldData, fitted: FittedField, config: FieldConfig, name: st
         box=box, dataset=dataset.description, losses=fitted.losses, confine=config.confine,
         units=Units(centre=scales.centre.tolist(), scale=scales.half.tolist(),
                     target=samples.unit.tolist()), **family.constants())
-    return checkpoint if networks else replace(
-        checkpoint, graph=_energy_graph(family, np.stack(box.bounds), z0, energy0))
+    if networks:
+        return checkpoint
+    assert isinstance(family, EnergyFamily), 'others have networks in their files'
+    return graph_model(ShiftedEnergy(family, z0, energy0), checkpoint.card, family.name)[0]
 
 
 def judge(data: FieldData, checkpoint: Checkpoint, fitted: FittedField) -> Judged:
@@ -119,7 +131,41 @@ def judge(data: FieldData, checkpoint: Checkpoint, fitted: FittedField) -> Judge
                   lambda path: plot_field(compared(fitted), card, path))
 
 
-FIELD = TrainingTask('field', read, lambda data: data, fit, describe, judge)
+def folds(data: FieldData, config: FieldConfig, count: int, device: str) -> dict[str, float]:
+    """
+    Return the mean loss of a cross-validation, and its standard deviation over `count` models.
+
+    Each is trained without a share of the runs, or of blocks of time if there are fewer runs, and
+    judged on that share.
+
+    Raises
+    ------
+    DataError
+        There are fewer blocks than that.
+
+    """
+    dataset, found = data.known, list[float]()
+    runs = len(np.unique(dataset.motion)) >= count
+    group = dataset.motion if runs else dataset.block
+    groups = np.random.default_rng(config.seed).permutation(np.unique(group))
+    if len(groups) < count:
+        raise DataError(f'--folds {count}: the data have {len(groups)} blocks of time; use fewer '
+                        'folds, or record more runs')
+    for k, left_out in enumerate(np.array_split(groups, count)):
+        held = np.isin(group, left_out)
+        fitted = fit_field(config, dataset.rows(~held), device, partial(
+            trained, name=f'fold {k + 1} of {count}'))
+        samples = fitted.samples
+        losses = samples.unseen_losses(fitted.module, LOSSES[config.loss.kind].batch(
+            config.loss, dataset.rows(held)))
+        found.append(losses['loss'])
+        print(f'fold {k + 1} of {count}, without {"runs" if runs else "blocks of time"} '
+              f'{", ".join(map(str, sorted(left_out.tolist())))}: ' + ', '.join(
+                  f'{name} {value:.3g}' for name, value in losses.items()), flush=True)
+    return {'folds_loss': float(np.mean(found)), 'folds_deviation': float(np.std(found, ddof=1))}
+
+
+FIELD = TrainingTask('field', read, lambda data: data, fit, describe, judge, folds)
 
 
 def compared(fitted: FittedField) -> Comparison:
@@ -143,17 +189,6 @@ def _where_valid(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,
     return (f'H is known near the states of the data, from {energies.min():.4g} to '
             f'{energies.max():.4g} J; elsewhere in the training domain it is extrapolated without '
             'an alarm')
-
-
-def _energy_graph(family: Trainable, states: np.ndarray, z0: np.ndarray, energy0: float
-                  ) -> tuple[Builder, int]:
-    """Return H of a family as a graph, traced at two states, with the value energy0 at z0."""
-    assert isinstance(family, EnergyFamily), 'others have networks in their files'
-    own = deepcopy(family).requires_grad_(False)
-    shift = energy0 - float(own.energy(torch.tensor(z0)[None]))
-    # Read as from a file, so that no model is written that cannot be read.
-    return read_graph(*graph_data(*graph_of(
-        lambda z: own.energy(z[None])[0] + shift, torch.tensor(states))), z0.size)
 
 
 def judge_energy(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,
