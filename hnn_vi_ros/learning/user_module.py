@@ -9,7 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from hnn_vi_ros.errors import ModelError, ParameterError
+from hnn_vi_ros.errors import HnnViRosError, ModelError, ParameterError
 from hnn_vi_ros.files import one_line
 from hnn_vi_ros.hamiltonians import call_order
 from hnn_vi_ros.learning.export_module import graph_card, graph_model, rows_of
@@ -125,10 +125,9 @@ class UserModule(EnergyFamily):
         if not any(part.requires_grad for part in self.module.parameters()):
             raise ModelError(f'{self.name}: no weights that require a gradient, so nothing is '
                              'trained; take export for a module as it is')
-        with self._blamed('a batch of 2 states'):
-            shape = rows_of(self.module, self._order)(torch.tensor(np.stack([low, high]))).shape
-        if shape.numel() != 2:
-            raise ModelError(f'{self.name}: returns shape {(*shape,)} for 2 states, expected one '
+        count = self.energy(torch.tensor(np.stack([low, high]))).numel()
+        if count != 2:
+            raise ModelError(f'{self.name}: returns {count} numbers for 2 states, expected one '
                              'number H a row')
 
     @property
@@ -141,13 +140,17 @@ class UserModule(EnergyFamily):
         """Raise ModelError in place of errors of the user's code, which may be any."""
         try:
             yield
+        except HnnViRosError:
+            raise
         except Exception as problem:
             raise ModelError(f'{self.name}: {what}: {type(problem).__name__}: '
                              f'{one_line(problem)[:500]}') from problem
 
     def energy(self, z: torch.Tensor) -> torch.Tensor:
         """Return H, shape (N,), at states z = (q, p), shape (N, 2 d)."""
-        return rows_of(self.module, self._order)(z).reshape(-1)
+        # On a GPU, tensors that are no buffers of the module are elsewhere.
+        with self._blamed(f'{len(z)} states on {z.device}'):
+            return rows_of(self.module, self._order)(z).reshape(-1)
 
     def misfit(self, states: torch.Tensor, predicted: torch.Tensor, target: torch.Tensor,
                unit: torch.Tensor) -> torch.Tensor:
