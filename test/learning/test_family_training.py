@@ -189,6 +189,28 @@ def test_gradient_through_implicit_steps_agrees_with_finite_differences(scheme: 
         assert exact[at].item() == pytest.approx((ends[0] - ends[1]) / (2.0 * spacing), abs=1e-8)
 
 
+@pytest.mark.parametrize('scheme', [name for name in SCHEMES if name != 'implicit_midpoint'])
+def test_steps_of_a_separable_field_solve_no_equations(monkeypatch, scheme: str):
+    def solve(*_):
+        raise AssertionError('an equation was solved')
+    monkeypatch.setattr('hnn_vi_ros.learning.fit.steps.newton', solve)
+    weight = torch.tensor([0.7, 1.3], dtype=torch.float64, requires_grad=True)
+
+    def value(weight: torch.Tensor) -> torch.Tensor:
+        def field(z: torch.Tensor) -> torch.Tensor:
+            q, p = z.chunk(2, dim=1)
+            return torch.cat([(weight[0] * p).sinh(), -(weight[1] * q).sin()], dim=1)
+        z0 = torch.tensor([[0.7, -0.4], [-1.1, 0.3]], dtype=torch.float64)
+        return (z0 * step(field, scheme, step(field, scheme, z0, 0.1), 0.1)).sum()
+
+    (exact,) = torch.autograd.grad(value(weight), weight)
+    for k, unit in enumerate(1e-5 * torch.eye(2, dtype=torch.float64)):
+        with torch.no_grad():
+            difference = (value(weight + unit) - value(weight - unit)).item() / 2e-5
+        # Central differences: truncation 1e-10, round-off 1e-15 / 1e-5.
+        assert exact[k].item() == pytest.approx(difference, abs=2e-9)
+
+
 @pytest.mark.parametrize('scheme', SCHEMES)
 def test_step_of_the_training_is_that_of_the_simulator(scheme: str):
     exact, h = HAMILTONIANS['tao'](), 0.1
