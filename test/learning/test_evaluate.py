@@ -116,6 +116,12 @@ def test_model_is_judged_in_a_second_command(made, tmp_path, capsys):
     assert one['run'] == 'c' and f'| c | 3.99 | {one["rms"][0]:.4g} |' in capsys.readouterr().out
     with refused(DataError):
         evaluate.main([str(out), '--data', f'{data}:a,b', '--config', made.config, '--held-out'])
+    # Velocities are judged run by run: those of a are differences of the positions.
+    runs = dict(np.load(data))
+    runs['a/dq'] = np.vstack([[[0.0]], np.diff(runs['a/q'], axis=0) / 0.01])
+    np.savez(tmp_path / 'mixed.npz', **runs)
+    evaluate.main([str(out), '--data', str(tmp_path / 'mixed.npz')])
+    assert 'velocities of a are differences of the positions' in capsys.readouterr().out
     # Positions alone tell their noise.
     evaluate.main([str(out), '--data', f'{data}:c', '--keys', 't,q,,tau'])
     said = capsys.readouterr().out

@@ -373,6 +373,18 @@ def test_velocities_that_are_differences_of_positions_are_not_used(part):
     assert motion.v is not None and 'differences' not in told
 
 
+def test_runs_of_which_some_have_velocities_share_their_channels_and_keep_their_states():
+    runs = [Motion(name, f'log: {name}', T, Q, v, TAU) for name, v in (
+        ('good', V), ('driver', np.gradient(Q, T, axis=0)), ('none', None),
+        ('differences', np.vstack([V[:1], np.diff(Q, axis=0) / 0.01])))]
+    found, told = even_motions(Recording(runs, 'log', ''), MotionData())
+    (alone,), _ = even_motions(Recording(runs[:1], 'log', ''), MotionData())
+    assert all(motion.v is None and motion.measured.shape == Q.shape for motion in found)
+    np.testing.assert_array_equal(found[0].v_smooth, alone.v_smooth)
+    assert 'velocities of differences are differences of the positions' in told
+    assert 'positions alone, since not all runs have velocities' in told
+
+
 def test_velocities_left_out_later_do_not_interpolate_the_positions():
     t = T + 2e-3 * np.random.default_rng(4).uniform(-1.0, 1.0, len(T))
     q, late = np.sin(9.0 * t)[:, None], 9.0 * np.cos(9.0 * (t - 0.03))[:, None]

@@ -203,7 +203,7 @@ class EvenMotion(Motion):
 
 @dataclass
 class ReadingReport:
-    """Counts of dropped samples by reason, and places where runs were cut."""
+    """Counts of dropped samples by reason, places where runs were cut, and runs of differences."""
 
     least: int = MIN_SAMPLES
     lacking: int = 0
@@ -211,6 +211,7 @@ class ReadingReport:
     close: int = 0
     short: int = 0
     cuts: int = 0
+    differences: dict[str, None] = field(default_factory=dict)
     notes: dict[str, None] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -220,6 +221,8 @@ class ReadingReport:
             (self.short, f'in pieces of fewer than {self.least}')) if count]
         found = [f'left out {" and ".join(parts)} of the samples'] if parts else []
         found += [f'cut at {self.cuts} places'] if self.cuts else []
+        found += [f'velocities of {listed(self.differences)} are differences of the positions, '
+                  'and not used'] if self.differences else []
         return '; '.join([*found, *self.notes])
 
     def note(self, *texts: str) -> None:
@@ -255,6 +258,10 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
         np.zeros_like(piece.q) if piece.tau is None else piece.tau, cutoff, piece.a),
         where=piece.where, inputs=piece.inputs, q_alone=piece.q_alone, cutoff_alone=alone)
         for piece in even]
+    if len({one.v is None for one in found}) > 1:
+        # Fits compare the same channels of all runs; the states keep the velocities of theirs.
+        report.note('fits use positions alone, since not all runs have velocities')
+        found = [_positions_alone(one) for one in found]
     return found, report.described(recording, sum(len(motion.t) for motion in found))
 
 
@@ -394,7 +401,7 @@ def _even_pieces(pieces: Pieces, usual: float, data: MotionData, report: Reading
         piece = unwrapped_piece(motion, rows, report)
         check_rates(piece)
         if are_differences(piece):
-            report.note('velocities are differences of the positions, and not used')
+            report.differences[motion.name] = None
             piece = replace(piece, v=None)
         alone = part_of(piece, spaced_samples(piece.t, _CLOSE * spacing))
         if piece.v is None:
