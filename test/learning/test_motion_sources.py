@@ -12,6 +12,8 @@ from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import (
     even_motions, Motion, MotionData, of_positions, part_of, Recording)
 from hnn_vi_ros.learning.data.sampling import increasing_samples, unexplained_share, unwrap_turns
+from hnn_vi_ros.learning.data.sources import configuration_of
+from hnn_vi_ros.learning.data.sources import configuration_of
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of
@@ -138,6 +140,38 @@ def test_log_of_positions_and_torques_is_read_run_by_run(tmp_path):
     assert '1 that lack a number' in description and 'velocities estimated' in description
     assert np.abs(motions[0].q - Q).max() < 1e-6
     assert np.abs(motions[1].tau - TAU).max() < 1e-9
+
+
+@pytest.mark.parametrize('suffix', ['csv', 'npz'])
+def test_several_files_are_runs_of_one_machine(tmp_path, suffix):
+    files, q = [tmp_path / f'{name}.{suffix}' for name in ('slow', 'fast', 'far')], Q[:, :1]
+    for k, file in enumerate(files):
+        if suffix == 'npz':
+            np.savez(file, t=T, q=(k + 1.0) * q)
+        else:
+            np.savetxt(file, np.hstack([T[:, None], (k + 1.0) * q]), '%.9f', ',',
+                       header='t,q [rad]', comments='')
+    given, reading = [*map(str, files)], source_of(str(files[0])).model_copy(update={
+        'v': None, 'tau': None})
+    found, _ = read_motions(tmp_path, reading, ['q'], given)
+    assert [motion.name for motion in found] == ['slow', 'fast', 'far']
+    assert all(np.abs(one.q - (k + 1.0) * q).max() < 1e-8 for k, one in enumerate(found))
+    (tmp_path / 'more').mkdir()
+    given.append(str(files[0].rename(tmp_path / 'more' / files[1].name)))
+    found, _ = read_motions(tmp_path, reading, ['q'], given[1:])
+    assert [motion.name for motion in found] == given[1:]
+
+
+def test_several_logs_are_read_with_one_header_and_turn_if_one_of_them_does(tmp_path):
+    for name, size, head in (('a', 1.0, 'theta'), ('b', 3.5, 'theta'), ('c', 1.0, 'phi')):
+        np.savetxt(tmp_path / name, np.stack([T, size * np.sin(9.0 * T)], 1), '%.9f', ',',
+                   header=f't,{head} [rad]', comments='')
+    paths = [str(tmp_path / name) for name in 'abc']
+    with refused(DataError):
+        configuration_of(paths)
+    (coordinate,) = configuration_of(paths[:2])['coordinates']
+    assert coordinate['kind'] == 'continuous'
+    assert configuration_of(paths[:1])['coordinates'][0]['kind'] == 'revolute'
 
 
 def test_runs_whose_clocks_jitter_share_one_interval(tmp_path):

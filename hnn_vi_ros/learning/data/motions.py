@@ -16,6 +16,7 @@ from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.arguments import Course
 from hnn_vi_ros.learning.data.faults import faults
+from hnn_vi_ros.learning.data.rest import cut_at_rest
 from hnn_vi_ros.learning.data.sampling import (
     Between, clock_resets, cubic, even_times, increasing_samples, linear, low_pass, repeated_text,
     spaced_samples, unexplained_share, unwrap_turns)
@@ -394,9 +395,12 @@ def _even_pieces(pieces: Pieces, usual: float, data: MotionData, report: Reading
     # Jittering clocks make one rate look like several.
     if abs(spacing - usual) > _ALIKE * usual:
         report.note(f'{motion.name} resampled from {spacing:.4g} s to {usual:.4g} s')
-    long = [rows for rows in pieces_rows
+    driven = motion.tau is not None and np.nan_to_num(motion.tau).any()
+    moving = pieces_rows if driven else [
+        part for rows in pieces_rows for part in _in_motion(motion, rows, report)]
+    long = [rows for rows in moving
             if motion.t[rows[-1]] - motion.t[rows[0]] > (MIN_SAMPLES - 1.5) * usual]
-    report.short += sum(map(len, pieces_rows)) - sum(map(len, long))
+    report.short += sum(map(len, moving)) - sum(map(len, long))
     for number, rows in enumerate(long):
         piece = unwrapped_piece(motion, rows, report)
         check_rates(piece)
@@ -411,6 +415,14 @@ def _even_pieces(pieces: Pieces, usual: float, data: MotionData, report: Reading
         even = resampled(replace(piece, inputs=data.inputs or motion.inputs), usual)
         yield replace(even, name=name, q_alone=None if piece.v is None else cubic(
             even.t, alone.t, alone.q))
+
+
+def _in_motion(motion: Motion, rows: np.ndarray, report: ReadingReport) -> list[np.ndarray]:
+    """Return the parts of some samples of a free motion in which it moves."""
+    t, q, v = (None if part is None else part[rows] for part in (motion.t, motion.q, motion.v))
+    parts, note = cut_at_rest(t, unwrap_turns(t, q, v)[0])
+    report.note(*[f'{motion.name} {note}'] * bool(note))
+    return [rows[part] for part in parts]
 
 
 def unwrapped_piece(motion: Motion, rows: np.ndarray, report: ReadingReport) -> Motion:

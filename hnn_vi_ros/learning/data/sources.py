@@ -3,6 +3,7 @@
 """Load training data from the source named by a configuration or on the command line."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 import os
 from pathlib import Path
 import re
@@ -111,11 +112,25 @@ def _recording(source: Path, data: MeasuredData | BagData | MotionSource, names:
     if isinstance(data, BagData | BagMotions):
         return read_bags(bags_of(source, data.paths, given), data, names)
     hint = f', which is {data.source}' if isinstance(data, MeasuredData) and data.source else ''
-    file = one_file(source, data.path, given, hint)
+    files = [Path(path) for path in given] or [one_file(source, data.path, given, hint)]
     if isinstance(data, MeasuredData | LogMotions):
-        return read_text(file, data, units)
-    path, runs = split_runs(str(file)) if given else (file, [])
-    return read_arrays(path, data, len(names), runs)
+        return _joined([read_text(file, data, units) for file in files], files)
+    paths, runs = zip(*(split_runs(str(file)) if given else (file, []) for file in files),
+                      strict=True)
+    return _joined([read_arrays(path, data, len(names), own) for path, own in zip(
+        paths, runs, strict=True)], paths)
+
+
+def _joined(recordings: Sequence[Recording], files: Sequence[Path]) -> Recording:
+    """Return the runs of all files, which are named after them if there are several."""
+    if len(files) == 1:
+        return recordings[0]
+    distinct = len({file.stem for file in files}) == len(files)
+    motions = [replace(motion, name='/'.join([
+        file.stem if distinct else str(file), *[motion.name] * (len(one.motions) > 1)]))
+        for one, file in zip(recordings, files, strict=True) for motion in one.motions]
+    return Recording(motions, ', '.join(one.name for one in recordings),
+                     ' '.join(one.digest for one in recordings))
 
 
 def states_of(motions: Sequence[EvenMotion], description: str) -> Dataset:
@@ -234,7 +249,16 @@ def configuration_of(given: Sequence[str]) -> dict[str, Any]:
     if is_bag(file):
         return _of_joints(f'{file}: joint_states', {'kind': 'bag', 'paths': list(given)},
                           joint_names(file))
-    return read_header(one_file(file, '', given)).configuration
+    readings = [read_header(Path(path)) for path in given]
+    sections = [{**one.data, 'path': ''} for one in readings]
+    for one, section in zip(readings, sections, strict=True):
+        if section != sections[0]:
+            raise DataError(f'{one.path}: its columns differ from those of {file}; give files of '
+                            'one machine, with the same header')
+    configuration = replace(readings[0], turns=[any(turns) for turns in zip(
+        *(one.turns for one in readings), strict=True)]).configuration
+    # A configuration names one file; several are given each time.
+    return configuration if len(given) == 1 else configuration | {'data': sections[0]}
 
 
 def _of_joints(where: str, data: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:

@@ -1,0 +1,82 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Standstill of a free body is found and left out: before the release, in a pause, at the end."""
+
+from hnn_vi_ros.learning.data.motions import even_motions, Motion, MotionData, Recording
+from hnn_vi_ros.learning.data.rest import cut_at_rest
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+SPACING = 0.02
+T = SPACING * np.arange(1500)
+
+
+def swing(start: float, damping: float = 0.1) -> np.ndarray:
+    """Return a pendulum that is released at an angle."""
+    return solve_ivp(lambda _, y: [y[1], -20.0 * np.sin(y[0]) - damping * y[1]], (0.0, T[-1]),
+                     [start, 0.0], 'DOP853', T, rtol=1e-10, atol=1e-12).y[0]
+
+
+def hold(angle: float, samples: int, tremor: float = 0.0) -> np.ndarray:
+    """Return an angle at which a hand holds a body."""
+    return angle + tremor * np.sin(0.9 * np.arange(samples))
+
+
+def lift(low: float, high: float) -> np.ndarray:
+    return low + (high - low) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 40)))
+
+
+# Parts of a log, and those of them in which the body moves freely.
+CUT = {
+    'before the release': ([hold(1.0, 75), swing(1.0)], [1]),
+    'a hand that trembles': ([hold(0.6, 150, 0.004), swing(0.6)], [1]),
+    'quanta': ([hold(1.0, 75), np.round(swing(1.0), 2)], [1]),
+    'lift before the release': ([hold(0.0, 100), lift(0.0, 1.0), hold(1.0, 80), swing(1.0)], [3]),
+    'pause between two swings': (
+        [swing(1.0), hold(swing(1.0)[-1], 200), lift(swing(1.0)[-1], 0.8), hold(0.8, 80),
+         swing(0.8)], [0, 4]),
+    'at the end': ([swing(1.0, 1.5), hold(0.0, 400)], [0])}
+KEPT = {
+    'swing': swing(1.0), 'turning near the top': swing(3.1, 0.0),
+    'beats': np.stack([np.cos(4.0 * T) + sign * np.cos(4.2 * T) for sign in (1, -1)], axis=-1),
+    'noise alone': np.random.default_rng(1).normal(size=len(T)), 'constant': 0.0 * T}
+
+
+def noisy(q: np.ndarray, noise: float) -> np.ndarray:
+    return q.reshape(len(q), -1) + noise * np.random.default_rng(0).normal(size=(len(q), 1))
+
+
+@pytest.mark.parametrize('noise', [0.0, 2e-3, 2e-2])
+@pytest.mark.parametrize('case', CUT)
+def test_standstill_is_cut_and_said(case, noise):
+    pieces, free = CUT[case]
+    q = noisy(np.concatenate(pieces), noise)
+    ends = np.cumsum([0, *map(len, pieces)])
+    parts, said = cut_at_rest(SPACING * np.arange(len(q)), q)
+    assert 'stands still from' in said and len(parts) == len(free)
+    assert ('moved by hand' in said) == (case in ('lift before the release',
+                                                  'pause between two swings'))
+    for part, k in zip(parts, free, strict=True):
+        # A fading motion ends within some samples of noise. A twentieth of the range, 1 - cos of
+        # 0.45 rad, hides 0.1 s of a release at 4.5 rad/s, and noise of 0.02 rad as much again.
+        assert ends[k] <= part[0] <= ends[k] + 0.2 / SPACING
+        assert part[-1] < ends[k + 1] + 5
+
+
+@pytest.mark.parametrize('noise', [0.0, 2e-3])
+@pytest.mark.parametrize('case', KEPT)
+def test_free_motion_is_not_cut(case, noise):
+    q = noisy(KEPT[case], noise)
+    parts, said = cut_at_rest(T, q)
+    assert not said and len(parts) == 1 and len(parts[0]) == len(q)
+
+
+def test_rest_of_a_driven_machine_is_kept_and_that_of_a_free_one_is_in_the_description():
+    q = noisy(np.concatenate([hold(1.0, 75), swing(1.0)]), 2e-3)
+    t, tau = SPACING * np.arange(len(q)), np.zeros((len(q), 1))
+    for force, count in ((0.0, 1500), (1.0, 1575)):
+        (motion,), said = even_motions(Recording(
+            [Motion('log', 'log', t, q, tau=tau + force)], 'log', ''), MotionData())
+        assert abs(len(motion.t) - count) < 20
+        assert ('log stands still from 0 to 1.' in said) == (not force)
