@@ -5,7 +5,7 @@
 from pathlib import Path
 
 from hnn_vi_ros.files import complete_by, Parser
-from hnn_vi_ros.learning import INPUTS
+from hnn_vi_ros.learning import add_config, INPUTS
 
 _IDENTIFIED = """\
 Names of numbers:
@@ -37,10 +37,11 @@ def identify() -> Parser:
         'a YAML file, or the name of a shipped scene (see hnn list scenes)')), 'scene')
     parser.add_argument('--data', required=True, nargs='+', metavar='FILE', help=(
         'read bags with joint states; or NPZ[:RUN,...] with arrays t [s], q and optionally dq (or '
-        'v) and tau, or RUN/t, ... for several runs; or a log with named '
+        'v) and tau, or RUN/t, ... for several runs; or logs with named '
         'columns'))
-    parser.add_argument('--config', type=Path, metavar='FILE', help=(
-        'read --data as the data section of this training configuration of a machine describes'))
+    add_config(parser, (
+        'read --data as the data section of this training configuration of a machine describes'
+        ), 'FILE').type = Path
     parser.add_argument('--measured', nargs='+', default=[], metavar='NAME', help=(
         'read only these coordinates from --data, in this order; the others are not measured '
         '(default: as in --config, or all)'))

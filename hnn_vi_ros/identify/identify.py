@@ -231,8 +231,6 @@ def _log(options: Namespace, hamiltonian: Hamiltonian) -> _Log:
         raise DataError(f'{options.data[0]}: {motions[0].q.shape[1]} coordinates, expected '
                         f'{len(names)}: {", ".join(names)}; name those that the data hold with '
                         '--measured')
-    if any(motion.v is None for motion in motions):
-        motions = [replace(motion, v=None) for motion in motions]
     return _Log(source, data, names, units, options.data, motions, description)
 
 
@@ -386,7 +384,8 @@ def _source(options: Namespace, coordinates: Sequence[Coordinate]) -> tuple[Path
                             '--data; remove --config, or name one with measured data')
         data: MotionSource = found
     else:
-        path, data = split_runs(options.data[0])[0], source_of(options.data[0], coordinates)
+        path, data = split_runs(options.data[0])[0], source_of(
+            options.data[0], coordinates, options.counts)
         data = _arrays(path, data) if isinstance(data, ArraysData) else data
     return path, data if options.inputs is None else data.model_copy(
         update={'inputs': options.inputs})

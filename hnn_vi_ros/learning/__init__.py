@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.learning.arguments import Course, INPUTS
+    from hnn_vi_ros.learning.arguments import add_config, Course, INPUTS
     from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
     from hnn_vi_ros.learning.data.motions import EvenMotion
     from hnn_vi_ros.learning.data.sampling import steps_between

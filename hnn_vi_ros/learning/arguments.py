@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parsers of training, evaluation and import commands; imports none of their implementations."""
 
+from argparse import Action, ArgumentTypeError
+from math import inf
 from pathlib import Path
 from typing import get_args, Literal
 
@@ -20,6 +22,21 @@ Only the tensors of a file are unpickled. H is that of the module, with the unit
 its authors chose."""
 
 
+def add_config(parser: Parser, text: str, metavar: str = 'NAME|FILE') -> Action:
+    """Add ``--config`` with this help, or ``--counts``, which tells how a log is read without."""
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument('--counts', type=_positive_number, metavar='N', help=(
+        'coordinates of a log that are in counts have N per turn (default: as in the lines above '
+        'its names)'))
+    return either.add_argument('--config', metavar=metavar, help=text)
+
+
+def _positive_number(text: str) -> float:
+    if not 0.0 < (number := float(text)) < inf:
+        raise ArgumentTypeError(f'{text!r} is not positive')
+    return number
+
+
 def train() -> Parser:
     """Return the parser of ``train``."""
     parser = Parser('train', 'Train a model of a mechanical system.', [
@@ -28,7 +45,7 @@ def train() -> Parser:
         'hnn train --config double_pendulum_bag --data BAG '
         '--out models/mine.safetensors',
         'hnn train --module net.py:make --data swing.csv'])
-    complete_by(parser.add_argument('--config', metavar='NAME|FILE', help=(
+    complete_by(add_config(parser, (
         'a YAML file, or the name of a shipped training configuration; default: the names of the '
         'columns in --data give coordinates and forces, and the configuration is printed'
         )), 'training')
@@ -42,8 +59,8 @@ def train() -> Parser:
                         help='write the model to this file (default: models/<name>.safetensors)')
     parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
                         help=(
-                            'read this log (.csv, ...), these bags or arrays (.npz); overrides '
-                            'the data of the configuration'))
+                            'read these logs (.csv, .parquet, ...), bags or arrays (.npz), each '
+                            'a run; overrides the data of the configuration'))
     parser.add_argument('--seed', type=int, help='override the seed of the configuration')
     parser.add_argument('--ensemble', type=int, metavar='N', help=(
         'train N members on resampled data; their mean is the model, and their spread measures '
@@ -72,9 +89,9 @@ def evaluate() -> Parser:
         'name or YAML file of a scene'))
     parser.add_argument('--data', nargs='+', default=[], metavar='FILE', help=(
         'read bags with joint states; or NPZ[:RUN,...] with arrays t [s], q, dq/dt and motor '
-        'forces, or RUN/t, ... for several runs; or a log with named columns; '
+        'forces, or RUN/t, ... for several runs; or logs with named columns; '
         'or, with --config, files of its format'))
-    complete_by(parser.add_argument('--config', metavar='NAME|FILE', help=(
+    complete_by(add_config(parser, (
         'read --data as the data section of this training configuration (of any family) '
         'describes; without --data, use the data that it names or computes')), 'training')
     parser.add_argument('--keys', metavar='T,Q[,V[,TAU]]', help=(

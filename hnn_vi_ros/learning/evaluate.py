@@ -242,8 +242,8 @@ def _motions(arguments: Namespace, given: Sequence[str], coordinates: Sequence[C
     changes: dict[str, object] = {} if arguments.smoothing is None else {
         'smoothing': arguments.smoothing}
     if arguments.config is None:
-        return _read(arguments, Path(given[0]), source_of(given[0], coordinates), given,
-                     coordinates, changes)
+        return _read(arguments, Path(given[0]), source_of(
+            given[0], coordinates, arguments.counts), given, coordinates, changes)
     source = find_config(arguments.config)
     config = load_config(source)
     if arguments.held_out and not hasattr(config.data, 'test_runs'):

@@ -183,7 +183,8 @@ def _configuration(arguments: Namespace) -> tuple[Path, AnyConfig]:
         raise ParameterError('--config or --data: name a configuration, or a log, arrays or bags')
     else:
         source = split_runs(arguments.data[0])[0]
-        config, text = (guess_states if arguments.module else guess_config)(arguments.data)
+        config, text = (guess_states if arguments.module else guess_config)(
+            arguments.data, arguments.counts)
         print(f'configuration (for --config, with the data at this place):\n\n{text}', flush=True)
     if arguments.module is None:
         if arguments.loss is not None:

@@ -21,7 +21,7 @@ def swing(rate: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def found(t: np.ndarray, q: np.ndarray) -> np.ndarray:
-    return faults(t, q[:, None], None, 'log')[0]
+    return faults(t, q[:, None], None, ['coordinate 1'], 'log')[0]
 
 
 @pytest.mark.parametrize('noise', [0.0, 5e-3, 0.05])

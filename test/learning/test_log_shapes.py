@@ -3,16 +3,21 @@
 """One log in many shapes: each is read as it is meant, or refused with the data that read it."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
+import sys
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning import EvenMotion, read_motions
 from hnn_vi_ros.learning.data.header import read_header
+from hnn_vi_ros.learning.data.sources import configuration_of, source_of
 from hnn_vi_ros.learning.data.text import LogMotions
 from messages import refused
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
+from scipy.io import savemat
 import yaml
 
 NOISE = 2e-3
@@ -25,6 +30,7 @@ U = np.sin(3.0 * T)
 # Times of a slow, busy logger, and of one with a clock that jitters by a fifth of the interval.
 RANDOM = np.sort(np.random.default_rng(1).uniform(0.0, 20.0, len(T)))
 JITTERING = np.sort(T + np.random.default_rng(2).normal(0.0, 0.01, len(T)))
+AT_RANDOM = np.random.default_rng(5).normal(size=len(T))
 AT = np.random.default_rng(1).permutation(np.arange(5, len(T) - 5))
 
 
@@ -51,6 +57,20 @@ def at(t: np.ndarray) -> np.ndarray:
 
 def comma(values: np.ndarray, quote: str = '') -> list[str]:
     return [f'{quote}{value:.5f}{quote}'.replace('.', ',') for value in values]
+
+
+def stamps(size: float, first: int = 1692089273) -> list[list[str]]:
+    """Return whole seconds and the rest in units of this size [s]."""
+    return [[f'{first + t // 1:.0f}' for t in T], [f'{(t % 1.0) / size:.0f}' for t in T]]
+
+
+def clock(t: float) -> str:
+    """Return the time of day that is 5 s before midnight at 0."""
+    return f'23:59:{55.0 + t:08.5f}' if t < 4.999 else f'00:00:{t - 5.0:08.5f}'
+
+
+def counts(per_turn: float) -> list[str]:
+    return [f'{round(q / (2.0 * np.pi) * per_turn)}' for q in Q]
 
 
 def wrapped(values: np.ndarray, low: float, turn: float) -> np.ndarray:
@@ -110,6 +130,43 @@ READ: dict[str, Callable[[], tuple[str | bytes, np.ndarray]]] = {
     'text columns': lambda: (rows(T, Q, ['ok'] * len(T), head='t,theta,status'), Q),
     'velocity': lambda: (rows(T, Q, V, head='t,theta,omega'), Q),
     'millimetres': lambda: (rows(T, 1e3 * Q, head='t,x_mm'), Q),
+    'stamps of other words': lambda: (rows(*stamps(1e-9), Q, head='secs,nsecs,theta'), Q),
+    'seconds and microseconds': lambda: (rows(*stamps(1e-6), Q, head='sec,usec,theta'), Q),
+    'seconds, nanoseconds': lambda: (rows(*stamps(1e-9), Q, head='seconds,nanoseconds,theta'), Q),
+    'the same time twice': lambda: (rows(T, 1e3 * T, Q, head='sec,msec,theta'), Q),
+    'dates of ISO': lambda: (rows([f'2026-01-01T10:00:{t:08.5f}Z' for t in T], Q), Q),
+    'dates with a space': lambda: (rows([f'2026-01-01 10:00:{t:08.5f}' for t in T], Q), Q),
+    'American dates': lambda: (rows([f'1/31/2026 10:00:{t:08.5f} PM' for t in T], Q), Q),
+    'German dates, hours, commas': lambda: (rows(
+        [f'{1 + (t > 4.99):02}.02.2026' for t in T], [*map(clock, T)], comma(DEG), mark=';',
+        head='Datum;Zeit;Winkel [Grad]'), Q),
+    'Date, Time': lambda: (rows([f'2026-01-{1 + (t > 4.99):02}' for t in T], [*map(clock, T)], Q,
+                                head='Date,Time,theta'), Q),
+    'time of day': lambda: (rows([f'10:00:{t:08.5f}' for t in T], Q, head='time,theta'), Q),
+    'German': lambda: (rows(T, DEG, np.degrees(V),
+                            head='Zeit [s],Winkel [Grad],Winkelgeschwindigkeit [Grad/s]'), Q),
+    'French': lambda: (rows(T, DEG, head='temps (s),angle (degrés)'), Q),
+    'French without accents': lambda: (rows(T, DEG, head='temps (s),angle (degre)'), Q),
+    'Spanish': lambda: (rows(T, DEG, head='tiempo (s),ángulo (grados)'), Q),
+    'Italian': lambda: (rows(T, DEG, head='tempo [s],angolo [gradi]'), Q),
+    'Dutch': lambda: (rows(T, DEG, head='tijd [s],hoek [graden]'), Q),
+    'small angle in Grad': lambda: (rows(T, 0.05 * DEG, head='t,Winkel [Grad]'), 0.05 * Q),
+    'PlotJuggler': lambda: (rows(T + 1.7e9, Q, V, head=(
+        '__time,/joint_states/elbow/position,/joint_states/elbow/velocity')), Q),
+    'topics without a slash': lambda: (rows(T, Q, head='__time,joint_states/elbow/position'), Q),
+    'fields of PlotJuggler': lambda: (rows(T, Q, V, head=(
+        '__time,/joint_states/position[0],/joint_states/velocity[0]')), Q),
+    'PASCO': lambda: (rows(T, Q, V, head=(
+        'Time (s) Run #1,Angle (rad) Run #1,Angular Velocity (rad/s) Run #1')), Q),
+    'PASCO Capstone': lambda: (rows(T, DEG, head=(
+        '"Run #1","Run #1"\n"Time (s)","Angle, Ch P1 (°)"')), Q),
+    'Vernier': lambda: (rows(T, Q, head='Latest: Time (s),Latest: Angle (rad)'), Q),
+    'counts per turn above': lambda: (rows(T, counts(2000), head=(
+        '# counts per turn: 2000\nt,encoder [counts]')), Q),
+    'ticks': lambda: (rows(T, counts(4096), head='counts_per_rev = 4096\nt,ticks'), Q),
+    'gear': lambda: (rows(T, counts(50 * 2000), U, head=(
+        'Gear ratio;1:50\nCPR;2000\nTorque constant [mNm/A];50\nt;encoder;current [A]'),
+        mark=';'), Q),
     'joint states': lambda: (rows(
         T, Q, V, U, head='/time,/joint_states/arm/position,/joint_states/arm/velocity,'
         '/joint_states/arm/effort'), Q),
@@ -145,13 +202,53 @@ REFUSED: dict[str, Callable[[], str | bytes]] = {
     'two motions in one': lambda: rows(0.01 * np.arange(2 * len(T)), np.concatenate([
         np.sin(0.6 * T), np.sin(0.6 * T + 2.0)])),
     'times that never increase': lambda: rows(T[::-1], Q),
+    'two runs side by side': lambda: rows(T, Q, T, 0.5 * Q, head=(
+        'Time (s) Run #1,Angle (rad) Run #1,Time (s) Run #2,Angle (rad) Run #2')),
+    'rostopic echo -p': lambda: rows([f'{1692089273 * 10**9 + round(1e9 * t)}' for t in T],
+                                     ['elbow'] * len(T), Q, head=(
+                                         '%time,field.name0,field.position0')),
+    'ros2 topic echo --csv': lambda: rows(*stamps(1e-9), [''] * len(T), ['elbow'] * len(T), Q,
+                                          head=''),
+    'unknown unit of a small angle': lambda: rows(T, 0.05 * DEG, head='t,angle [foo]'),
+    'counts of an unknown turn': lambda: rows(T, counts(4096), head='t,encoder'),
+    'dates that are none': lambda: rows([f'2026-13-01 10:00:{t:08.5f}' for t in T], Q),
+    'rates alone': lambda: rows(T, V, head='Time (s),Gyroscope x (rad/s)'),
+    'temperature': lambda: rows(T, 20.0 + Q, head='t,temperature [C]'),
+    'noise': lambda: rows(T, NOISE * AT_RANDOM, head='t,theta [rad]'),
+    'quanta of a body at rest': lambda: rows(T, 0.3 + np.round(NOISE * AT_RANDOM, 3),
+                                             head='t,theta [rad]'),
+    'a constant': lambda: rows(T, 0.0 * Q + 0.3),
+    'two bodies in turn': lambda: rows(np.ravel([T, T + 0.02], 'F'), ['a', 'b'] * len(T),
+                                       np.ravel([Q, 0.3 * np.cos(2.0 * T)], 'F'),
+                                       head='t,name,theta'),
+    'two bodies at the same times': lambda: rows(np.repeat(T, 2), np.ravel([Q, -Q], 'F')),
     'no times': lambda: rows(Q, V, head='theta,omega'),
     'a row too short': lambda: rows(T, Q).replace(f'\n{T[9]:.5f},', f'\n{T[9]:.5f};'),
     'a sheet': lambda: b'PK\x03\x04' + bytes(range(256)) * 9,
-    'dates': lambda: rows([f'2026-01-01 10:00:{t:08.5f}' for t in T], Q),
     'nothing': lambda: 't,theta\n',
     'one column': lambda: rows(T, head=''),
 }
+
+
+TABLE = pd.DataFrame({'timestamp': T, 'theta': Q})
+# Files that are no plain text.
+FILES: dict[str, Callable[[Path], object]] = {
+    'log.parquet': TABLE.to_parquet, 'log.feather': TABLE.to_feather,
+    'dates.parquet': lambda path: TABLE.assign(
+        timestamp=pd.Timestamp('2026-01-01') + pd.to_timedelta(T, 's')).set_index(
+            'timestamp').to_parquet(path),
+    'log.json': lambda path: TABLE.to_json(path, orient='records'), 'columns.json': TABLE.to_json,
+    'log.csv.gz': lambda path: TABLE.to_csv(path, index=False),
+    'log.zip': lambda path: TABLE.to_csv(path, index=False),
+    'log.npy': lambda path: np.save(path, TABLE.to_records(index=False)),
+    'log.mat': lambda path: savemat(path, {'t': T, 'theta': Q, 'rate': 20.0}),
+    'struct.mat': lambda path: savemat(path, {'log': {'t': T, 'theta': Q[:, None]}})}
+# First bytes of files that are refused, by their names.
+BINARY = {
+    'log.npy': b'\x93NUMPY', 'log.mat': b'MATLAB 7.3 MAT-file' + 105 * b' ' + b'\0\2IM',
+    'log.mcap.zstd': b'\x28\xb5\x2f\xfd', 'log.bag': b'#ROSBAG V2.0\n', 'log.ulg': b'ULog',
+    'log.h5': b'\x89HDF', 'log.pkl': b'\x80\4', 'log.xls': b'\xd0\xcf\x11\xe0',
+    'log.zip': b'PK\3\4', 'log.csv.gz': b'\x1f\x8b', 'log.parquet': b'PAR1', 'log.json': b'{'}
 
 
 def read(path, coordinates=()):
@@ -167,7 +264,7 @@ def is_meant(found: Sequence[EvenMotion], expected: np.ndarray) -> bool:
     # rad/s of phase: 5 / 384 (0.45 3.8)^4. Wrapped angles begin in any turn, and times anywhere.
     bound = np.ptp(expected) / np.ptp(Q) * (6.0 * NOISE + 5.0 / 384.0 * (0.45 * 3.8)**4)
     for motion in found:
-        t = motion.t - (motion.t[0] if motion.t[0] > 1e6 else 0.0)
+        t = motion.t - (motion.t[0] if motion.t[0] > 1e3 else 0.0)
         error = motion.q[:, 0] - np.interp(t, T, expected)
         error -= 2.0 * np.pi * np.round(error[0] / (2.0 * np.pi))
         if np.abs(error).max() >= bound:
@@ -194,6 +291,51 @@ def test_log_of_two_readings_is_refused_with_the_data_of_one(tmp_path, shape):
     unit = 'm' if 'millimetres' in shape else 'rad'
     motions, _ = read_motions(path, LogMotions.model_validate(data), ['x'], [str(path)], [unit])
     assert is_meant(motions, expected)
+
+
+@pytest.mark.parametrize('name', FILES)
+def test_tables_and_compressed_logs_are_read(tmp_path, name):
+    FILES[name](tmp_path / name)
+    assert is_meant(read(tmp_path / name)[0], Q)
+
+
+@pytest.mark.parametrize('name', BINARY)
+def test_file_that_is_no_log_is_refused_with_a_remedy(tmp_path, name):
+    (tmp_path / name).write_bytes(BINARY[name] + 99 * b'\1')
+    with refused(DataError):
+        read(tmp_path / name)
+
+
+def test_package_that_a_table_needs_is_named_and_plain_logs_need_none(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'pandas', None)
+    FILES['log.feather'](tmp_path / 'log.feather')
+    with refused(DataError):
+        read(tmp_path / 'log.feather')
+    for name in ('log.csv.gz', 'log.mat'):
+        FILES[name](tmp_path / name)
+        assert is_meant(read(tmp_path / name)[0], Q)
+
+
+def test_currents_are_torques_and_counts_angles_of_the_joint_behind_a_gear(tmp_path):
+    (tmp_path / 'log.csv').write_text(READ['gear']()[0])
+    (motion,), said = read(tmp_path / 'log.csv')
+    # 50 times 0.05 N m/A; the forces have five digits, and are interpolated.
+    np.testing.assert_allclose(motion.tau[:, 0], 2.5 * U, atol=1e-4)
+    assert '100000 counts per turn; 2.5 N m/A' in said
+    configuration = configuration_of([str(tmp_path / 'log.csv')])
+    assert configuration['coordinates'][0]['p_unit'] == 'N m s'
+
+
+def test_counts_per_turn_are_an_option_for_logs(tmp_path):
+    path = tmp_path / 'log.csv'
+    path.write_text(REFUSED['counts of an unknown turn']())
+    for count in (4096.0, 8192.0):
+        data = source_of(str(path), counts=count)
+        assert is_meant(read_motions(path, data, ['x'], [str(path)], ['rad'])[0],
+                        4096.0 / count * Q) and data.counts == count
+    np.savez(tmp_path / 'log.npz', t=T)
+    with refused(DataError):
+        configuration_of([str(tmp_path / 'log.npz')], 4096.0)
 
 
 @pytest.mark.parametrize('encoding', ['utf-16', 'cp1252'])

@@ -13,7 +13,6 @@ from hnn_vi_ros.learning.data.motions import (
     even_motions, Motion, MotionData, of_positions, part_of, Recording)
 from hnn_vi_ros.learning.data.sampling import increasing_samples, unexplained_share, unwrap_turns
 from hnn_vi_ros.learning.data.sources import configuration_of
-from hnn_vi_ros.learning.data.sources import configuration_of
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of
@@ -309,8 +308,8 @@ def test_unit_of_something_else_is_refused(tmp_path, head, unit):
 
 @pytest.mark.parametrize('name, times', [
     ('time', [f'{1.7e12 + 1e3 * t:.3f}' for t in T]),
-    ('time', [f'2026-01-01 10:00:{t:05.2f}' for t in T]),
-    ('time', [f'10:00:{t:05.2f}' for t in T])])
+    ('time', [f'2026-13-01 10:00:{t:05.2f}' for t in T]),
+    ('time', [f'10 h {t:05.2f}' for t in T])])
 def test_times_that_are_no_numbers_or_too_large_are_refused(tmp_path, name, times):
     path = tmp_path / 'log.csv'
     path.write_text('\n'.join([f'{name},angle', *(

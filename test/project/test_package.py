@@ -53,7 +53,7 @@ HOMES = {
     'contourpy': r'recording/viewer/phase_portrait\.py',
     'matplotlib': r'(learning|identify)/(\w+/)?\w+\.py|simulation/trajectory/\w+\.py'
                   r'|commands/cost_figure\.py',
-    'pandas': r'simulation/trajectory/\w+\.py',
+    'pandas': r'simulation/trajectory/\w+\.py|learning/data/tables\.py',
     'xarray': r'simulation/trajectory/\w+\.py',
     'control': r'control/linear\.py',
 }

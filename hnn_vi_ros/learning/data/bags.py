@@ -215,7 +215,8 @@ def _motion(name: str, reader: SignalReader, data: BagData | BagMotions, joints:
                   p=channel(topics.p, 0, MOMENTUM, f'{ARRAY} or ~/state of the simulator'),
                   dp_dt=channel(topics.dp_dt, 2, RATE),
                   inputs='linear' if topics.forces in ('', EFFORT) else 'held',
-                  notes=tuple(notes))
+                  notes=tuple(notes),
+                  names=(*joints, *(f'velocity of {joint}' for joint in joints)))
 
 
 def _choose_stamps(reader: SignalReader, topics: MotionTopics, data: BagData | BagMotions) -> None:

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find the samples of a measured motion that its sensor got wrong."""
 
+from collections.abc import Sequence
+
 from hnn_vi_ros.errors import DataError
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
@@ -26,13 +28,19 @@ _MAX_SHARE = 0.1
 # above which a sensor is slower than its log.
 _EQUAL, _NEVER, _FAST, _ABRUPT, _REGULAR = 5, 0.01, 0.3, 0.6, 0.9
 
+# Smallest time [s] that is shown as a date, that of 1 January 2000: robots have logged since then.
+_SINCE_1970 = 946684800.0
+
 
 def times_text(t: np.ndarray) -> str:
     """Return the first of some times for a message, such as ``' (at 0.5, 1, ... s)'``."""
+    if len(t) and t[0] > _SINCE_1970:
+        dates = [str(np.datetime64(round(1e3 * time), 'ms')) for time in t[:4].tolist()]
+        return f' (at {", ".join(dates)}{", ..." * (len(t) > 4)})'
     return f' (at {", ".join(f"{time:.6g}" for time in t[:4])}{", ..." * (len(t) > 4)} s)'
 
 
-def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, where: str
+def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, labels: Sequence[str], where: str
            ) -> tuple[np.ndarray, list[str]]:
     """
     Find glitches and stuck sensors.
@@ -45,6 +53,8 @@ def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, where: str
         Coordinates; angles may be wrapped.
     v : np.ndarray, shape (N, d), or None
         Velocities.
+    labels : sequence of str
+        Names of the coordinates, then of the velocities, for notes and error messages.
     where : str
         File and run, for error messages.
 
@@ -62,10 +72,9 @@ def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, where: str
     wrong, notes = np.zeros(len(t), dtype=bool), list[str]()
     if len(t) < _AROUND:
         return wrong, notes
-    columns = [(f'coordinate {k + 1}', x, _FAR_POSITION) for k, x in enumerate(q.T)]
-    columns += [] if v is None else [
-        (f'velocity {k + 1}', x, _FAR_VELOCITY) for k, x in enumerate(v.T)]
-    for name, x, far in columns:
+    columns = [(x, _FAR_POSITION) for x in q.T]
+    columns += [] if v is None else [(x, _FAR_VELOCITY) for x in v.T]
+    for name, (x, far) in zip(labels, columns, strict=False):
         x = unwrap_beside_glitches(t, x) if far == _FAR_POSITION else x
         found = _glitches(t, x, far)
         stuck = _stuck_samples(x) if far == _FAR_POSITION else np.zeros(len(t), dtype=bool)

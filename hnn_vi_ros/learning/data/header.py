@@ -3,10 +3,11 @@
 """Find the coordinates, velocities and forces of a log by the names of its columns."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 import re
 from typing import Any, Protocol
+from unicodedata import normalize
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.learning.data.faults import unwrap_beside_glitches
@@ -25,31 +26,50 @@ _GREEK = str.maketrans({'θ': 'theta', 'ϑ': 'theta', 'φ': 'phi', 'ϕ': 'phi', 
                         'ω': 'omega', 'τ': 'tau', '\u03b1': 'alpha', 'β': 'beta'})
 _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+')
 _ROLES = {word: role for role, words in {
-    TIME: 't time times timestamp stamp zeit temps elapsed seconds secs clock millis',
+    TIME: ('t time times timestamp stamp elapsed seconds secs sec clock millis date datum fecha '
+           'zeit uhrzeit temps heure tiempo hora tempo tijd'),
     TRIAL: 'trial run experiment episode swing segment repetition',
     UNUSED: ('index sample samples n seq row id frame unnamed desired des reference ref setpoint '
              'target goal command cmd error err temperature temp status mode flag raw filtered '
              'smoothed sin sine cos cosine'),
     A: 'acc accel acceleration',
-    V: 'v vel velocity velocities speed omega w rate gyro angvel',
-    TAU: 'u tau torque force f effort efforts moment input voltage current drive',
+    V: ('v vel velocity velocities speed omega w rate gyro angvel geschwindigkeit drehzahl '
+        'winkelgeschwindigkeit vitesse velocidad velocita snelheid'),
+    TAU: ('u tau torque force f effort efforts moment input voltage current drive kraft strom '
+          'drehmoment spannung couple courant tension fuerza corriente forza coppia'),
     Q: ('q theta th angle phi psi alpha beta pitch roll yaw heading tilt azimuth rotation winkel '
         'x y z s displacement distance height elongation extension deflection pos position '
-        'positions encoder enc'),
+        'positions encoder enc angulo angolo hoek weg auslenkung deplacement posicion '
+        'posizione'),
 }.items() for word in words.split()}
 # Words that tell an angle from a length.
 _KINDS = {word: kind for kind, words in {
     ANGLE: ('theta th angle phi psi alpha beta pitch roll yaw heading tilt azimuth rotation '
             'winkel omega w gyro angular angvel torque tau moment joint shoulder elbow wrist hip '
-            'knee ankle arm pendulum pole link wheel motor rotor shaft servo revolute'),
+            'knee ankle arm pendulum pole link wheel motor rotor shaft servo revolute angulo '
+            'angolo hoek winkelgeschwindigkeit drehmoment coppia drehzahl'),
     LENGTH: ('x y z s displacement distance height elongation extension force f cart slider slide '
-             'linear prismatic carriage stage piston mass'),
+             'linear prismatic carriage stage piston mass weg auslenkung kraft fuerza forza '
+             'deplacement'),
 }.items() for word in words.split()}
+# Name that a program for data gives a run, such as Run #1 of PASCO or Latest: of Vernier.
+_SET = re.compile(r'\b(?:run ?#? ?\d+:?|data set ?\d*:|latest:)', re.IGNORECASE)
+# Numbers of the machine in lines above the names: counts per turn of the encoder, the ratio of the
+# gear between motor and coordinate, and the torque constant of the motor.
+_SETTINGS = {name: re.compile(
+    rf'(?:{words}) *(?:[\[(](?P<of>[^\])]*)[\])])? *[:=,;\t]? *(?P<x>\d[\d.]*(?:e[-+]?\d+)?)'
+    r'(?: *: *(?P<to>\d[\d.]*))? *(?P<unit>[^\s,;]*)', re.IGNORECASE) for name, words in {
+    'counts': r'(?:counts?|ticks?)[ _]*(?:per|/)[ _]*(?:turn|rev\w*|rotation)|\bcpr\b',
+    'gear': r'\bgear[ _]*(?:ratio)?', 'torque_constant': r'torque[ _]*constant|\bk_?t\b'}.items()}
+_COUNTED = frozenset(('encoder', 'enc', 'counts', 'count', 'ticks', 'tick'))
 # Words of which each names a coordinate of its own.
 _LETTERS = frozenset((
     'theta', 'th', 'phi', 'psi', 'alpha', 'beta', 'pitch', 'roll', 'yaw', 'x', 'y', 'z', 's'))
 _DERIVED = re.compile(r'(?P<before>d*?)(?P<of>q|theta|th|phi|psi|alpha|beta|x|y|z|angle|pos)'
                       r'(?P<after>(?:dot|d)*)')
+# Units of currents, and a word in brackets after a name, which is a unit.
+_CURRENTS = parse_unit('A'), parse_unit('mA')
+_BRACKETED = re.compile(r' \[[^\W\d]')
 # Largest angle [rad] and length [m] that need no unit: degrees of a small swing go further.
 _MOST = {ANGLE: np.pi * 1.01, LENGTH: 10.0}
 # Intervals of samples [s] from this one on may be of another unit; and the times [s] since 1970 of
@@ -116,6 +136,8 @@ class Reading:
         Coordinates, velocities (or none), and forces, which may be fewer.
     turns : list of bool
         True for coordinates that make a whole turn.
+    settings : dict of str to float
+        Counts per turn and force per current, by their keys in the data section.
 
     """
 
@@ -127,6 +149,7 @@ class Reading:
     v: list[Column]
     tau: list[Column]
     turns: list[bool]
+    settings: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def data(self) -> dict[str, Any]:
@@ -138,7 +161,8 @@ class Reading:
         if self.trial is not None:
             section['trial'] = self.trial.name
         section['time'] = self.time.name
-        return section | {key: names for key, names in groups.items() if names}
+        return section | {key: names for key, names in groups.items() if names} | {
+            **self.settings}
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -147,7 +171,8 @@ class Reading:
         for one, turns in zip(self.q, self.turns, strict=True):
             alone = [other.key for other in self.q].count(one.key) == 1
             short = alone and re.search('[a-z]', one.key)
-            name = re.sub(r'\W+', '_', one.key if short else split_unit(one.name)[0]).strip('_')
+            name = re.sub(r'\W+', '_', one.key if short else _SET.sub(
+                '', split_unit(one.name)[0]).strip()).strip('_')
             name = f'q_{name}' if not name or name[0].isdigit() else name
             names.append(name if name not in names else f'{name}_{len(names) + 1}')
             units = COORDINATES.get(one.kind, {'q_unit': one.kind, 'kind': 'prismatic'})
@@ -168,13 +193,14 @@ class Reading:
 def column_of(name: str, known: Mapping[str, str]) -> Column:
     """Return the meaning of a column's name; `known` has the units of coordinates by name."""
     base, unit = split_unit(name)
+    base = _SET.sub('', base).strip() or base
     for coordinate, q_unit in known.items():
         # Whole, or as a part of a path: /joint_states/elbow/velocity.
         _, found, rest = f'/{base.lower()}/'.partition(f'/{coordinate.lower()}/')
         if found:
             role = column_of(rest, {}).role if rest else Q
             return Column(name, role, coordinate, coordinate, _kind_of(q_unit), unit)
-    words = [word.lower() for word in _WORD.findall(base.translate(_GREEK))]
+    words = _words_of(base)
     roles, key, letter, order = set[str](), list[str](), '', 0
     for word in words:
         derived = _DERIVED.fullmatch(word)
@@ -197,6 +223,12 @@ def column_of(name: str, known: Mapping[str, str]) -> Column:
     return Column(name, TIME if by_unit == TIME else role, ' '.join(key), letter, kind, unit)
 
 
+def _words_of(name: str) -> list[str]:
+    """Return the words of a name in lower case, without accents."""
+    return [word.lower() for word in _WORD.findall(
+        normalize('NFKD', name.translate(_GREEK)).encode('ascii', 'ignore').decode())]
+
+
 def _by_unit(unit: str) -> tuple[str, str]:
     """Return the kind of coordinate and the role that a unit tells, or ''."""
     known = parse_unit(unit)
@@ -215,7 +247,8 @@ def _kind_of(q_unit: str) -> str:
     return _by_unit(q_unit)[0] if q_unit != '1' else ''
 
 
-def read_header(path: Path, coordinates: Sequence[Named] = ()) -> Reading:
+def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | None = None
+                ) -> Reading:
     """
     Find out what the columns of a log are.
 
@@ -225,6 +258,8 @@ def read_header(path: Path, coordinates: Sequence[Named] = ()) -> Reading:
         Path of the log.
     coordinates : sequence of Named
         Coordinates of the scene or model, which the log is to have; none: those of the log.
+    counts : float, optional
+        Counts per turn of a coordinate; default: those in the lines above the names.
 
     Raises
     ------
@@ -256,20 +291,33 @@ def read_header(path: Path, coordinates: Sequence[Named] = ()) -> Reading:
     trials, rates, forces = ([one for one in columns if one.role == role]
                              for role in (TRIAL, V, TAU))
     q = _coordinates(path, columns, coordinates, doubts)
+    settings = _settings(table.above) | ({} if counts is None else {'counts': counts})
+    if parse_unit('count') not in [parse_unit(one.q_unit) for one in coordinates]:
+        q = [_counted(path, one, values[one.name], settings) for one in q]
     if not coordinates:
         q = [_with_kind(path, one, len(q), rates + forces, doubts) for one in q]
         q.sort(key=lambda one: one.kind == ANGLE)  # carts come first in a chain
     v = _columns_of(q, rates, 'velocity', doubts)
     tau = _columns_of(q, forces, 'force', doubts)
+    if 'torque_constant' in settings:
+        tau = [replace(one, unit='N m') if parse_unit(one.unit) in _CURRENTS else one
+               for one in tau]
+    doubts += [f'{one.name!r} has an unknown unit' for one in [*q, *v, *tau]
+               if not one.unit and _BRACKETED.search(one.name)]
     units = {time.name: _time_unit(time, t, bool(coordinates), doubts)} | {
         one.name: _unit(one, values[one.name], doubts) for one in q}
+    units |= {one.name: one.unit for one in q if one.unit and not split_unit(one.name)[1]}
     renamed = {name: f'{name} [{unit}]' if unit else name for name, unit in units.items()}
-    turns = [one.kind == ANGLE and _turns(t, values[one.name] * _size(renamed[one.name]))
+    turns = [one.kind == ANGLE and _turns(t, values[one.name] * (
+        2.0 * np.pi / settings['counts'] if one.unit == 'count' else _size(renamed[one.name])))
              for one in q]
+    uses = {'counts': any(one.unit == 'count' for one in q),
+            'torque_constant': any(split_unit(one.name)[1] != one.unit for one in tau)}
     time, *q = (replace(one, name=renamed[one.name]) for one in (time, *q))
     names = [renamed.get(name, name) for name in names]
     reading = Reading(path, names if names != table.names else [], time, [*trials, None][0], q,
-                      v if len(v) == len(q) else [], tau, turns)
+                      v if len(v) == len(q) else [], tau, turns,
+                      {key: x for key, x in settings.items() if uses[key]})
     if doubts:
         raise _refusal(doubts[0], reading)
     return reading
@@ -283,6 +331,31 @@ def _refusal(doubt: str, reading: Reading) -> DataError:
                      f'configuration, such as data: {section}')
 
 
+def _settings(above: Sequence[str]) -> dict[str, float]:
+    """Return the counts per turn and the force per current of a coordinate, as far as known."""
+    found = dict[str, float]()
+    for line in above:
+        for name, pattern in _SETTINGS.items():
+            if match := pattern.search(line):
+                size, _ = parse_unit(match['of'] or match['unit']) or (1.0, {})
+                x, to = float(match['x']), float(match['to'] or 1.0)
+                found[name] = max(x / to, to / x) if match['to'] else x * size
+    gear = found.pop('gear', 1.0)
+    return {name: gear * x for name, x in found.items()}
+
+
+def _counted(path: Path, one: Column, x: np.ndarray, settings: Mapping[str, float]) -> Column:
+    """Return a coordinate as an angle if it is in counts; DataError without those of a turn."""
+    whole = not one.unit and _COUNTED & {*_words_of(one.name)} and (
+        np.nanmax(np.abs(x)) > _MOST[LENGTH] and not np.nanmax(np.abs(x - np.round(x))))
+    if not whole and parse_unit(one.unit) != parse_unit('count'):
+        return one
+    if 'counts' not in settings:
+        raise DataError(f'{path}: {one.name!r} is in counts; give those of a turn with --counts '
+                        'N, or in a line above the names, such as # counts per turn: N')
+    return replace(one, kind=ANGLE, unit='count')
+
+
 def _size(name: str) -> float:
     """Return the size of the unit in a name, 1 if it has none."""
     return (parse_unit(split_unit(name)[1]) or (1.0,))[0]
@@ -290,11 +363,13 @@ def _size(name: str) -> float:
 
 def _time_of(path: Path, columns: Sequence[Column], values: Mapping[str, np.ndarray]) -> Column:
     """Return the column of times, which mostly increase."""
-    for one in columns:
+    times = [one for one in columns if one.role == TIME]
+    for one in times:
         steps = np.diff(values[one.name][np.isfinite(values[one.name])])
-        if one.role == TIME and (steps > 0.0).sum() > 0.5 * len(steps):
+        if (steps > 0.0).sum() > 0.5 * len(steps):
             return one
-        if one.role == TIME and (text := repeated_text(values[one.name])):
+    for one in times:
+        if text := repeated_text(values[one.name]):
             raise DataError(f'{path}: column {one.name!r}: {text}')
     raise DataError(f'{path}: no column of times that increase: '
                     f'{listed(one.name for one in columns)}; name it t [s], and write seconds')

@@ -18,8 +18,8 @@ from hnn_vi_ros.learning.arguments import Course
 from hnn_vi_ros.learning.data.faults import faults
 from hnn_vi_ros.learning.data.rest import cut_at_rest
 from hnn_vi_ros.learning.data.sampling import (
-    Between, clock_resets, cubic, even_times, increasing_samples, linear, low_pass, repeated_text,
-    spaced_samples, unexplained_share, unwrap_turns)
+    Between, clock_resets, cubic, even_times, increasing_samples, interleaved, is_noise, linear,
+    low_pass, repeated_text, spaced_samples, unexplained_share, unwrap_turns)
 import numpy as np
 from pydantic import BeforeValidator, Field
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
@@ -111,6 +111,8 @@ class Motion:
         Further notes for the model card.
     q_alone : np.ndarray, shape (N, d), or None
         Coordinates interpolated without velocities, where v has been used for q.
+    names : tuple of str
+        Names of coordinates, then of velocities, in the log, for messages; empty for numbers.
 
     """
 
@@ -126,11 +128,19 @@ class Motion:
     inputs: Inputs = 'linear'
     notes: tuple[str, ...] = ()
     q_alone: np.ndarray | None = None
+    names: tuple[str, ...] = ()
 
     @property
     def held(self) -> bool:
         """Return True if each force is held until the next sample."""
         return self.inputs == 'held'
+
+    @property
+    def labels(self) -> list[str]:
+        """Return the names of the coordinates and of their velocities for messages."""
+        return [*map(repr, self.names)] or [
+            f'{what} {k + 1}' for what in ('coordinate', 'velocity')
+            for k in range(self.q.shape[1])]
 
     @property
     def channels(self) -> dict[str, np.ndarray]:
@@ -244,6 +254,7 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
                        v=None if data.velocities == NONE else motion.v)
                for motion in recording.motions]
     cut = [pieces_of(motion, data.on_bad, report) for motion in motions]
+    _check_motions(cut)
     # The interval of most samples is used for motions at different rates.
     usual = float(np.quantile(np.repeat([one.spacing for one in cut], [
         sum(map(len, one.rows)) for one in cut]), 0.5, method='lower'))
@@ -303,6 +314,21 @@ class Pieces(NamedTuple):
     motion: Motion
     rows: list[np.ndarray]
     spacing: float
+
+
+def _check_motions(cut: Sequence[Pieces]) -> None:
+    """Raise DataError if positions are those of bodies in turn, or all of them are noise."""
+    runs = [(one.motion, unwrap_turns(one.motion.t[rows], one.motion.q[rows], None)[0])
+            for one in cut for rows in one.rows]
+    for motion, q in runs:
+        for label, x in zip(motion.labels, q.T, strict=False):
+            if count := interleaved(x):
+                raise DataError(f'{motion.where}: {label} goes to and fro between {count} '
+                                'motions, as of bodies in one column; give each a log of its own')
+    if all(is_noise(x) for _, q in runs for x in q.T):
+        raise DataError(f'{motion.where}: no sample of {listed(motion.labels[:q.shape[1]])} is '
+                        'related to those before it: it is noise, at rest, or sampled less than '
+                        'twice a period; measure a motion')
 
 
 def pieces_of(motion: Motion, on_bad: str, report: ReadingReport) -> Pieces:
@@ -379,7 +405,8 @@ def _without_faults(motion: Motion, parts: Sequence[np.ndarray], on_bad: str,
     good = []
     for part in parts:
         wrong, notes = faults(motion.t[part], motion.q[part],
-                              None if motion.v is None else motion.v[part], motion.where)
+                              None if motion.v is None else motion.v[part], motion.labels,
+                              motion.where)
         if notes and on_bad == 'fail':
             raise DataError(f'{motion.where}: {notes[0]}; leave them out, or take data.on_bad: '
                             'drop or split')
@@ -419,8 +446,8 @@ def _even_pieces(pieces: Pieces, usual: float, data: MotionData, report: Reading
 
 def _in_motion(motion: Motion, rows: np.ndarray, report: ReadingReport) -> list[np.ndarray]:
     """Return the parts of some samples of a free motion in which it moves."""
-    t, q, v = (None if part is None else part[rows] for part in (motion.t, motion.q, motion.v))
-    parts, note = cut_at_rest(t, unwrap_turns(t, q, v)[0])
+    piece = part_of(motion, rows)
+    parts, note = cut_at_rest(piece.t, unwrap_turns(piece.t, piece.q, piece.v)[0])
     report.note(*[f'{motion.name} {note}'] * bool(note))
     return [rows[part] for part in parts]
 
@@ -429,7 +456,7 @@ def unwrapped_piece(motion: Motion, rows: np.ndarray, report: ReadingReport) -> 
     """Return some samples of a motion with angles unwrapped."""
     piece = part_of(motion, rows)
     q, turning = unwrap_turns(piece.t, piece.q, piece.v)
-    report.note(*(f'coordinate {k + 1} unwrapped' for k in turning))
+    report.note(*(f'{motion.labels[k]} unwrapped' for k in turning))
     return replace(piece, q=q)
 
 
@@ -475,7 +502,7 @@ def check_rates(motion: Motion) -> None:
         if (shares > _UNEXPLAINED).any():
             worst = int(np.nanargmax(shares))
             raise DataError(
-                f'{motion.where}: the {name} of coordinate {worst + 1} are not the rates of its '
+                f'{motion.where}: the {name} of {motion.labels[worst]} are not the rates of its '
                 f'{of}: {100.0 * min(shares[worst], 1.0):.0f} % of its motion is not in them; '
                 f'check both for other units, another sign, zeros or outliers, or {remedy}')
 

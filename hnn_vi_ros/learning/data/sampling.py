@@ -24,6 +24,9 @@ _CLOCK = 0.01
 # Maximum number of steps between samples: logs have 0.25 to 4, and a thousand times as many if
 # milliseconds are read as seconds.
 _MOST_STEPS = 250
+# Number of samples that tell noise from motion, and the limit of autocorrelations in standard
+# deviations of those of white noise: of a thousand, one in a thousand logs exceeds it.
+_LEAST, _RELATED = 50, 5.0
 # Number of samples on each side that distinguish a reset clock from late samples.
 _AROUND = 20
 # Rates are judged only where a coordinate moves by this multiple of its noise.
@@ -82,6 +85,24 @@ def repeated_text(t: np.ndarray) -> str:
         return ''
     return (f'{repeated} of {len(t)} times repeat the previous one, as times rounded to '
             f'{longer.min():.4g} do; log them with more digits')
+
+
+def is_noise(x: np.ndarray) -> bool:
+    """Return True if no autocorrelation of samples differs from that of white noise."""
+    x = x - x.mean()
+    if len(x) < _LEAST or not x.any():
+        return not x.any()
+    spectrum = np.abs(np.fft.rfft(x, 2 * len(x)))**2
+    correlation = np.fft.irfft(spectrum)[1:len(x) // 4]
+    return bool(np.abs(correlation).max() < _RELATED / math.sqrt(len(x)) * (x @ x))
+
+
+def interleaved(x: np.ndarray) -> int:
+    """Return how many smooth curves take turns in a coordinate, 0 for a single one."""
+    def roughness(part: np.ndarray) -> float:
+        return float(np.median(np.abs(np.diff(part, 3))))
+    return next((count for count in (2, 3, 4) if len(x) >= _LEAST * count and all(
+        roughness(x) > _RELATED * roughness(x[k::count]) for k in range(count))), 0)
 
 
 def spaced_samples(t: np.ndarray, least: float) -> np.ndarray:

@@ -192,7 +192,8 @@ def _locate(source: Path, path: str) -> Path:
     return beside if os.path.exists(beside) else Path(path)
 
 
-def source_of(path: str, coordinates: Sequence[Named] = ()) -> MotionSource:
+def source_of(path: str, coordinates: Sequence[Named] = (), counts: float | None = None
+              ) -> MotionSource:
     """
     Find out how a file is read.
 
@@ -202,6 +203,8 @@ def source_of(path: str, coordinates: Sequence[Named] = ()) -> MotionSource:
         Bag, arrays, or a text file, whose columns are found by their names.
     coordinates : sequence of Named
         Coordinates of the scene or model.
+    counts : float, optional
+        Counts per turn of a coordinate of a log; default: as in its header.
 
     Raises
     ------
@@ -209,14 +212,22 @@ def source_of(path: str, coordinates: Sequence[Named] = ()) -> MotionSource:
         There is no such file, or a log has two readings.
 
     """
-    file, _ = split_runs(path)
+    file = _file_of(path, counts)
     if file.suffix == _ARRAYS:
         return ArraysData()
     if is_bag(file):
         return BagMotions()
     if not os.path.exists(file):
         raise DataError(f'{file}: no such file; give a bag, an .npz file of arrays, or a log')
-    return LogMotions.model_validate(read_header(file, coordinates).data)
+    return LogMotions.model_validate(read_header(file, coordinates, counts).data)
+
+
+def _file_of(path: str, counts: float | None) -> Path:
+    """Return the file without its runs; DataError for counts per turn of one that is no log."""
+    file, _ = split_runs(path)
+    if counts is not None and (file.suffix == _ARRAYS or is_bag(file)):
+        raise DataError(f'{file}: --counts {counts:g} is for logs with named columns; remove it')
+    return file
 
 
 def is_bag(file: Path) -> bool:
@@ -224,14 +235,16 @@ def is_bag(file: Path) -> bool:
     return file.is_dir() or file.suffix in ('.mcap', '.db3', '.yaml')
 
 
-def configuration_of(given: Sequence[str]) -> dict[str, Any]:
+def configuration_of(given: Sequence[str], counts: float | None = None) -> dict[str, Any]:
     """
     Return a training configuration for the only reading of some data.
 
     Parameters
     ----------
     given : sequence of str
-        A log or arrays, or bags.
+        Logs, arrays or bags.
+    counts : float, optional
+        See source_of.
 
     Raises
     ------
@@ -239,7 +252,7 @@ def configuration_of(given: Sequence[str]) -> dict[str, Any]:
         There is no reading, or there are two; the message has both.
 
     """
-    file, _ = split_runs(given[0])
+    file = _file_of(given[0], counts)
     if file.suffix == _ARRAYS:
         archive = Archive(file)
         width = archive.array(next((key for key in archive.arrays if key.rpartition('/')[2] == 'q'
@@ -249,7 +262,7 @@ def configuration_of(given: Sequence[str]) -> dict[str, Any]:
     if is_bag(file):
         return _of_joints(f'{file}: joint_states', {'kind': 'bag', 'paths': list(given)},
                           joint_names(file))
-    readings = [read_header(Path(path)) for path in given]
+    readings = [read_header(Path(path), counts=counts) for path in given]
     sections = [{**one.data, 'path': ''} for one in readings]
     for one, section in zip(readings, sections, strict=True):
         if section != sections[0]:

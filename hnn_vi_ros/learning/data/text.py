@@ -6,6 +6,7 @@ from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 import csv
+from datetime import date
 from itertools import chain, islice, pairwise, zip_longest
 import os
 from pathlib import Path
@@ -19,6 +20,7 @@ from hnn_vi_ros.learning.data.dataset import (
     BLOCKS, Derivatives, mass_matrix, Names, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.faults import times_text
 from hnn_vi_ros.learning.data.motions import MAX_VALUE, Motion, MotionData, Recording
+from hnn_vi_ros.learning.data.tables import table_text
 from hnn_vi_ros.learning.data.units import conversion, parse_unit, split_unit
 import numpy as np
 from pydantic import Field, model_validator
@@ -32,9 +34,15 @@ _MOST_HEAD, _ROWS = 200, 10
 # Names of columns without a header.
 COLUMN = 'column {}'
 
-# Nanoseconds of a stamp of ROS, such as header.stamp.nanosec.
-_NANOSECONDS = re.compile(r'(|.*[^a-z])(?:nanosec|nsec)s?', re.IGNORECASE)
-_DATE = re.compile(r'\d+[-/:.]\d+[-/:.]\d.*')
+# Parts of a second beside whole ones, such as header.stamp.nanosec; and days beside times of day.
+_PART = re.compile(r'(|.*[^a-z])(nano|n|micro|u|milli|m)sec(?:ond)?s?', re.IGNORECASE)
+_SIZES = {'n': 1e-9, 'u': 1e-6, 'micro': 1e-6, 'm': 1e-3, 'milli': 1e-3, 'nano': 1e-9}
+_DAYS, _CLOCKS = ('date', 'datum', 'fecha', 'data', 'day'), (
+    'time', 'zeit', 'uhrzeit', 'heure', 'hora', 'ora', 'tijd')
+_DATE = re.compile(
+    r'(?:(?P<a>\d{1,4})(?P<mark>[-/.])(?P<b>\d{1,2})(?P=mark)(?P<c>\d{1,4}))?[T ]*'
+    r'(?:(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d(?:[.,]\d+)?) ?(?P<half>[ap]m)?)? ?'
+    r'(?:Z|UTC|[-+]\d\d:?\d\d)?', re.IGNORECASE)
 _DIGITS = re.compile(r"[+-]?\d*[,.' ]\d[\d,.' ]*(e[+-]?\d+)?", re.IGNORECASE)
 _SWAPPED = str.maketrans('.,', ',.')
 # Whitespace comes last because it also splits at the space after a comma.
@@ -81,6 +89,10 @@ class LogColumns(LogFormat):
     q: Names = Field(min_length=1, description='columns of the coordinates')
     degrees: Names | None = Field(None, description=(
         'columns of angles and their rates in degrees; default: those whose names say so'))
+    counts: float | None = Field(None, gt=0.0, description=(
+        'counts per turn of a coordinate in counts: those of the encoder times the gear ratio'))
+    torque_constant: float | None = Field(None, gt=0.0, description=(
+        'force per current [N m/A]: that of the motor times the gear ratio'))
 
     @property
     def channels(self) -> dict[str, Names]:
@@ -196,6 +208,8 @@ def read_text(path: Path, data: LogColumns, units: Sequence[str] = ()) -> Record
     table = read_log(path, data)
     column = dict(zip(table.names, table.numbers.T, strict=True))
     factors, notes = _factors(path, data, units), list(table.notes)
+    notes += [f'{x:g} {unit}' for x, unit in ((data.counts, 'counts per turn'), (
+        data.torque_constant, 'N m/A')) if x]
     t = factors.get(data.time, 1.0) * column[data.time]
     column |= {name: factors.get(name, 1.0) * without_sentinels(column[name], t, name, notes)
                for name in data.used}
@@ -214,6 +228,7 @@ def read_text(path: Path, data: LogColumns, units: Sequence[str] = ()) -> Record
         name = f'{number:.15g}' if data.trial else path.stem
         motions.append(Motion(
             name, f'{path}: {name}', column[data.time][rows], notes=tuple(notes),
+            names=(*data.q, *(data.channels.get('v') or ())),
             **{key: values[rows] for key, values in channels.items()}))
     return Recording(motions, path.name, table.digest[:16])
 
@@ -241,6 +256,12 @@ def _factors(path: Path, data: LogColumns, units: Sequence[str]) -> dict[str, fl
         for k, name in enumerate(names):
             unit = split_unit(name)[1]
             known = parse_unit(unit)
+            if known is not None and data.counts and known[1].get('count') == 1:
+                factors[name] = 2.0 * np.pi / data.counts * known[0]
+                continue
+            if known is not None and data.torque_constant and known[1] == {'A': 1}:
+                factors[name] = data.torque_constant * known[0]
+                continue
             if known is None or channel == 'tau':
                 factors[name] = 1.0 if known is None else known[0]
                 continue
@@ -281,6 +302,8 @@ class Table(NamedTuple):
         SHA-256 of the file.
     names : list of str
         Names of the columns.
+    above : list of str
+        Lines above the names.
     notes : list of str
         Notes for the model card.
 
@@ -290,6 +313,7 @@ class Table(NamedTuple):
     lines: np.ndarray
     digest: str
     names: Names
+    above: list[str]
     notes: list[str]
 
 
@@ -300,6 +324,7 @@ class Layout(NamedTuple):
     decimal: str  # mark of the decimals, point or comma
     names: Names  # those of all columns
     first: int  # line of the first row
+    above: list[str]  # lines before it
 
 
 def read_log(path: Path, data: LogFormat) -> Table:
@@ -338,15 +363,19 @@ def read_log(path: Path, data: LogFormat) -> Table:
 
 def _lines(path: Path, data: LogFormat) -> Iterator[tuple[int, str]]:
     """Yield the lines of a log, each with its number."""
-    return text_lines(path, MAX_BYTES,
-                      'utf-8-sig' if data.encoding == 'utf-8' else data.encoding)
+    encoding = 'utf-8-sig' if data.encoding == 'utf-8' else data.encoding
+    text = table_text(path, MAX_BYTES, encoding)
+    if text is None:
+        yield from text_lines(path, MAX_BYTES, encoding)
+    else:
+        yield from enumerate(text.splitlines(), 1)
 
 
 def _read_rows(path: Path, data: LogFormat, layout: Layout) -> Table:
     # Stored as 8-byte numbers: lists of lists would take ten times the size of the log.
     numbers, lines, notes = array('d'), array('q'), list[str]()
     names, stamps = layout.names, _stamps(layout.names)
-    used = {*(data.used or names), *stamps.values()}
+    used = {*(data.used or names), *(part for part, _ in stamps.values())}
     rows = (row for row in _lines(path, data) if row[0] >= layout.first
             and row[1].strip() and not row[1].lstrip().startswith(data.comment))
     closed, least = _ends_with_line_break(path), MAX_BYTES
@@ -368,19 +397,32 @@ def _read_rows(path: Path, data: LogFormat, layout: Layout) -> Table:
             lines.append(number)
             least = min(least, decimals)
     table = np.array(numbers).reshape(len(lines), -1)
-    for whole_seconds, parts in stamps.items():
-        table[:, names.index(whole_seconds)] += 1e-9 * table[:, names.index(parts)]
-    return Table(table, np.array(lines), sha256_of(path, MAX_BYTES), names, notes)
+    for whole, (part, size) in stamps.items():
+        rest = size * table[:, names.index(part)]
+        known = rest[np.isfinite(rest)]
+        if known.size and ((known % 86400.0 == 0.0) if size == 1.0 else np.abs(known) < 1.0).all():
+            table[:, names.index(whole)] += rest
+    return Table(table, np.array(lines), sha256_of(path, MAX_BYTES), names,
+                 layout.above, notes)
 
 
-def _stamps(names: Sequence[str]) -> dict[str, str]:
-    """Return the columns of whole seconds of ROS stamps, and those of their nanoseconds."""
-    return {name: part for name in names for part in names
-            if (match := _NANOSECONDS.fullmatch(part)) and name.lower() in (
-                f'{match[1]}sec'.lower(), f'{match[1]}secs'.lower())}
+def _stamps(names: Sequence[str]) -> dict[str, tuple[str, float]]:
+    """Return the columns of whole seconds, each with that of a part to add and its size [s]."""
+    found, lower = dict[str, tuple[str, float]](), [name.lower() for name in names]
+    for part in names:
+        match = _PART.fullmatch(part)
+        for name in names if match else ():
+            if match and name.lower() in {f'{match[1]}{word}'.lower() for word in (
+                    'sec', 'secs', 'second', 'seconds')}:
+                found[name] = part, _SIZES[match[2].lower()]
+    days, clocks = ([names[k] for k, name in enumerate(lower) if name in words]
+                    for words in (_DAYS, _CLOCKS))
+    return found | dict.fromkeys(clocks[:1], (days[0], 1.0)) if days else found
 
 
 def _ends_with_line_break(path: Path) -> bool:
+    if (text := table_text(path, MAX_BYTES, 'utf-8-sig')) is not None:
+        return text.endswith('\n')
     with limited(path, MAX_BYTES) as stream:
         stream.seek(max(os.fstat(stream.fileno()).st_size - 2, 0))
         return stream.read().rstrip(b'\0')[-1:] in (b'\n', b'\r')  # UTF-16 has zeros after them
@@ -404,9 +446,33 @@ def _trimmed(fields: list[str], least: int = 0) -> list[str]:
 
 
 def _number(field: str, decimal: str) -> float:
-    """Return a number with this decimal mark; NaN for others, for words and for huge numbers."""
+    """Return a number with this decimal mark, or a date in s; NaN for words and huge numbers."""
     value = plain_number(field if decimal == '.' else field.translate(_SWAPPED))
-    return value if abs(value) <= MAX_VALUE else np.nan
+    return value if abs(value) <= MAX_VALUE else _seconds(field) if value != value else np.nan
+
+
+def _seconds(field: str) -> float:
+    """Return the time of a date since 1970, or of an hour since midnight [s]; NaN for others."""
+    match = _DATE.fullmatch(field) if field[:1].isdigit() else None
+    if not match or not (match['a'] or match['h']):
+        return np.nan
+    day = 0
+    if match['a']:
+        numbers = [int(match[key]) for key in 'abc']
+        # The year has four digits; 1/31/2026 is American, as 31/1/2026 is not.
+        numbers = numbers if len(match['a']) == 4 else numbers[::-1]
+        if len(match['a']) != 4 and (
+                numbers[1] > 12 or (match['mark'] == '/' and numbers[2] <= 12)):
+            numbers[1:] = numbers[:0:-1]
+        try:
+            day = date(*numbers).toordinal() - date(1970, 1, 1).toordinal()
+        except ValueError:
+            return np.nan
+    hours = int(match['h'] or 0)
+    if match['half']:
+        hours = hours % 12 + 12 * (match['half'].lower() == 'pm')
+    return 86400.0 * day + 3600.0 * hours + 60.0 * int(match['m'] or 0) + float(
+        (match['s'] or '0').replace(',', '.'))
 
 
 def _row(where: str, line: str, layout: Layout, used: set[str], strict: bool) -> list[float]:
@@ -427,7 +493,6 @@ def _row(where: str, line: str, layout: Layout, used: set[str], strict: bool) ->
         digits = bool(_DIGITS.fullmatch(field))
         if strict or digits:
             remedy = 'remove separators of thousands, and use one decimal mark' if digits else \
-                'convert times to seconds from the start' if _DATE.fullmatch(field) else \
                 'remove the row'
             raise DataError(f'{where}: column {len(row)} ({name}): expected a finite number, '
                             f'found {field[:40]!r}; {remedy}')
@@ -461,6 +526,7 @@ def _layout(path: Path, data: LogFormat) -> Layout:
     sample = [row for line in rows if any(row := kinds(line, mark))]
     first = next((at for at, (_, line) in enumerate(head) if sample
                   and not line.lstrip().startswith(data.comment) and any(row := kinds(line, mark))
+                  and len(row) >= min(len(sample[-1]), 2)
                   and (row[0] is not False or sample[-1][0] is False)), None)
     if first is None:
         split_by = f', split by {data.delimiter}; set data.delimiter: {best}' \
@@ -468,11 +534,13 @@ def _layout(path: Path, data: LogFormat) -> Layout:
         raise DataError(f'{path}: no rows of numbers{split_by or "; give one for each sample"}')
     fields = [field for line in rows for field in _fields(line, mark)]
     decimal = max('.,', key=lambda mark: sum(
-        mark in field and bool(is_number(field)) for field in fields))
+        mark in field and bool(is_number(field)) and _seconds(field) != _seconds(field)
+        for field in fields))
     above = [(number, line.strip().removeprefix(data.comment).removeprefix('% ').strip())
              for number, line in head[:first]]
     width = len(_trimmed(_fields(head[first][1], mark)))
-    return Layout(mark, decimal, _names(path, data, above, mark, width), head[first][0])
+    return Layout(mark, decimal, _names(path, data, above, mark, width), head[first][0],
+                  [text for _, text in above])
 
 
 def _names(path: Path, data: LogFormat, above: list[tuple[int, str]], mark: str | None,

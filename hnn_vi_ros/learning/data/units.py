@@ -11,13 +11,15 @@ _FORCE: Dimensions = {'kg': 1, 'm': 1, 's': -2}
 _TORQUE: Dimensions = {'kg': 1, 'm': 2, 's': -2}
 # Spellings of each unit, its size in SI units, and its dimensions; angles have none.
 _UNITS: tuple[tuple[str, float, Dimensions], ...] = (
-    ('s sec secs second seconds', 1.0, {'s': 1}),
+    ('s sec secs second seconds sek sekunden secondes segundos secondi', 1.0, {'s': 1}),
     ('ms msec msecs millis millisecond milliseconds', 1e-3, {'s': 1}),
     ('us usec usecs µs μs micros microsecond microseconds', 1e-6, {'s': 1}),
     ('ns nsec nsecs nanos nanosecond nanoseconds', 1e-9, {'s': 1}),
     ('min minute minutes', 60.0, {'s': 1}), ('h hour hours', 3600.0, {'s': 1}),
     ('rad rads radian radians 1', 1.0, {}), ('mrad', 1e-3, {}),
-    ('deg degs degree degrees ° º', math.pi / 180.0, {}),
+    # Grad is German; no logger counts the 400 gon of a turn.
+    ('deg degs degree degrees ° º grad degré degrés degre degres grado grados gradi graden grader '
+     'graus', math.pi / 180.0, {}),
     ('rev revs turn turns', 2.0 * math.pi, {}), ('rpm', math.pi / 30.0, {'s': -1}),
     ('dps', math.pi / 180.0, {'s': -1}), ('m meter meters metre metres', 1.0, {'m': 1}),
     ('cm', 1e-2, {'m': 1}), ('mm', 1e-3, {'m': 1}), ('um µm μm', 1e-6, {'m': 1}),

@@ -289,16 +289,18 @@ def find_config(config: str) -> Path:
     return find_yaml('training', config, DataError)
 
 
-def guess_config(given: Sequence[str]) -> tuple[MachineConfig, str]:
+def guess_config(given: Sequence[str], counts: float | None = None
+                 ) -> tuple[MachineConfig, str]:
     """Return a configuration for the only reading of some data, also as YAML, or DataError."""
-    text = dump_yaml(configuration_of(given))
+    text = dump_yaml(configuration_of(given, counts))
     data, places = parse_mapping(text, given[0], DataError)
     return validate(data, places, MachineConfig, DataError), text
 
 
-def guess_states(given: Sequence[str]) -> tuple[FieldConfig, str]:
+def guess_states(given: Sequence[str], counts: float | None = None
+                 ) -> tuple[FieldConfig, str]:
     """Return the same for H(q, p), with velocities as momenta."""
-    machine = configuration_of(given)
+    machine = configuration_of(given, counts)
     text = dump_yaml({'coordinates': [
         {'name': one['name'], 'q_unit': one['q_unit'], 'p_unit': f'{one["q_unit"]}/s'}
         for one in machine['coordinates']], 'data': machine['data']})

@@ -1,0 +1,126 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Return the rows of compressed logs and of binary tables as comma-separated text."""
+
+from collections.abc import Mapping
+import csv
+import errno
+from functools import lru_cache
+import gzip
+from io import BytesIO, StringIO
+from itertools import chain
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile, ZipFile
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files import in_bytes, parse_json, read_limited
+import numpy as np
+
+# Functions of pandas that read tables, and the packages that they need.
+_PANDAS = {'.parquet': ('read_parquet', 'pandas pyarrow'),
+           '.feather': ('read_feather', 'pandas pyarrow'), '.json': ('DataFrame', 'pandas'),
+           '.xlsx': ('read_excel', 'pandas openpyxl')}
+_READ = frozenset(('.gz', '.zip', '.npy', '.mat', *_PANDAS))
+_CSV = 'save its table as CSV'
+_REMEDIES = {'.bag': 'convert it with rosbags-convert', '.ulg': 'convert it with ulog2csv'} | {
+    suffix: remedy for remedy, suffixes in {
+        'decompress it with zstd -d': ('.zst', '.zstd'),
+        'write its arrays with numpy.savez': ('.h5', '.hdf5'),
+        _CSV: ('.bz2', '.jsonl', '.mf4', '.ods', '.tdms', '.xls', '.xz'),
+        f'{_CSV}, for pickles may run code': ('.pkl', '.pickle')}.items() for suffix in suffixes}
+
+
+def table_text(path: Path, most: int, encoding: str) -> str | None:
+    """
+    Return the rows of a table under a line of their names, or None for a file of plain text.
+
+    Parameters
+    ----------
+    path : Path
+        File whose suffix names the format: compressed text (.gz, .zip with one file), arrays of
+        columns (.npy, .mat), or a table that pandas reads (.parquet, .feather, .json, .xlsx).
+    most : int
+        Maximum size of the file and of its text [bytes].
+    encoding : str
+        Encoding of compressed text.
+
+    Raises
+    ------
+    DataError
+        The format is not supported or needs a package; the message names the remedy.
+    OSError
+        The file cannot be read, or is larger than `most`.
+
+    """
+    suffix = path.suffix.lower()
+    if suffix in _REMEDIES:
+        raise DataError(f'{path}: {suffix} is no format of a log; {_REMEDIES[suffix]}')
+    if suffix not in _READ:
+        return None
+    state = path.stat()
+    return _unpacked(path, suffix, most, encoding, state.st_mtime_ns, state.st_size)
+
+
+# The text is read three times: for its form, for the roles of its columns, and for the numbers.
+@lru_cache(maxsize=1)
+def _unpacked(path: Path, suffix: str, most: int, encoding: str, *_: int) -> str:
+    stream, reader, needs = BytesIO(read_limited(path, most)), *_PANDAS.get(suffix, ('', ''))
+    try:
+        if suffix in ('.gz', '.zip'):
+            text = _decompress(stream, suffix, most + 1)
+            if len(text) > most:
+                raise OSError(errno.EFBIG, f'unpacks to more than {in_bytes(most)}')
+            return text.decode(encoding)
+        if suffix == '.npy':
+            return _csv(_columns({'': np.load(stream)}))
+        if suffix == '.mat':
+            from scipy.io import loadmat
+            return _csv(_columns(loadmat(stream)))
+        import pandas
+        # read_json would take numbers of columns such as timestamp for dates.
+        table = pandas.DataFrame(parse_json(stream.read())) if suffix == '.json' else \
+            getattr(pandas, reader)(stream)
+    except ImportError as problem:
+        raise DataError(f'{path}: {suffix} is read with {" and ".join(needs.split())}; '
+                        f'pip install {needs}, or {_CSV}') from problem
+    except (ValueError, TypeError, KeyError, EOFError, RuntimeError, BadZipFile,
+            gzip.BadGzipFile) as problem:
+        reason = ' '.join(str(problem).split())[:200]
+        raise DataError(f'{path}: not a readable {suffix} table ({reason}); {_CSV}') from problem
+    table = table if table.index.name is None else table.reset_index()
+    return _csv({str(name): table[name].to_numpy() for name in table})
+
+
+def _decompress(stream: BytesIO, suffix: str, most: int) -> bytes:
+    """Return the first bytes of a compressed file."""
+    if suffix == '.gz':
+        return gzip.open(stream).read(most)
+    archive = ZipFile(stream)
+    if len(names := archive.namelist()) != 1:
+        raise ValueError(f'it has {len(names)} files, expected one')
+    return archive.open(names[0]).read(most)
+
+
+def _columns(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return the columns of arrays of equal length; those of a matrix have numbers."""
+    found: dict[str, np.ndarray] = {}
+    for key, values in arrays.items():
+        if isinstance(values, np.ndarray) and values.dtype == object and values.size == 1:
+            values = values.item()  # of a struct
+        if isinstance(values, np.ndarray) and values.dtype.names:
+            found |= _columns({name: values[name] for name in values.dtype.names})
+        elif isinstance(values, np.ndarray) and values.dtype.kind in 'fiub' and values.size:
+            table = values.reshape(-1, values.shape[-1] if np.squeeze(values).ndim > 1 else 1)
+            found |= {f'{key}{k + 1}' if table.shape[1] > 1 else key: column
+                      for k, column in enumerate(table.T)}
+    rows = max(map(len, found.values()), default=0)
+    return {name: column for name, column in found.items() if len(column) == rows}
+
+
+def _csv(columns: Mapping[str, np.ndarray]) -> str:
+    """Return columns as text, without a header if they come from an array without names."""
+    text, header = StringIO(), [] if '1' in columns else [[*columns]]
+    csv.writer(text, lineterminator='\n').writerows(chain(header, zip(
+        *(column.tolist() for column in columns.values()), strict=True)))
+    return text.getvalue()
