@@ -12,7 +12,8 @@ import numpy as np
 import torch
 
 # Bounds of friction widths relative to the usual speed; without bounds they diverge.
-_NARROWEST, _WIDEST = 0.003, 1.0
+NARROWEST, WIDEST = 0.003, 1.0
+_SPAN = math.log(WIDEST / NARROWEST)
 # Initial diagonal of B in its own units: D = B B^T is initially as small as other friction.
 _FIRST_ROOT = 0.2
 
@@ -85,18 +86,22 @@ class JointFrictionModule(torch.nn.Module):
         or (0, d) without load-dependent friction.
         """
         positive = torch.nn.functional.softplus
-        span = math.log(_WIDEST / _NARROWEST)
-        width = self.speed_unit * _NARROWEST * torch.exp(span * torch.sigmoid(2 * self.raw_width))
+        width = self.speed_unit * NARROWEST * torch.exp(_SPAN * torch.sigmoid(2 * self.raw_width))
         shares = positive(self.raw_force)
         terms = len(shares) - self.choice.load
         return (self.viscous_unit * positive(self.raw_viscous) * self.choice.viscous,
                 self.force_unit * shares[:terms], width,
                 self.speed_unit * torch.sigmoid(self.raw_speed), shares[terms:])
 
+    def raw_of_widths(self, width: torch.Tensor) -> torch.Tensor:
+        """Return the parameters of widths (k, d); see ``coefficients``."""
+        share = torch.log(width / self.speed_unit / NARROWEST) / _SPAN
+        return 0.5 * torch.logit(share, eps=1e-9)
+
     @property
     def switch(self) -> torch.Tensor:
         """Return the width of the sign change of load and directed friction, shape (d,)."""
-        return self.speed_unit * math.sqrt(_NARROWEST * _WIDEST)
+        return self.speed_unit * math.sqrt(NARROWEST * WIDEST)
 
     def shares(self, v: torch.Tensor) -> torch.Tensor:
         """Return the weight of the parameters of each sign at v, shape (N, n, d)."""

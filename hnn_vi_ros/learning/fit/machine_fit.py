@@ -63,7 +63,8 @@ def fit_machine(config: MachineConfig, motions: Sequence[EvenMotion],
         # Nothing is left to train, so that a saved run of this model cannot exist.
         train(TrainingProblem(rigid.module))
         return rigid
-    structure = replace(structure, angles=rigid.module.structure.angles)
+    own = rigid.module.structure
+    structure = replace(structure, angles=own.angles, friction=own.friction)
     network = MechanicalNetwork(structure, config.hidden, scales, config.seed).with_prior_of(
         rigid.module)
     fading = Fading(structure, motions, family.residual_weight, family.fade_weight)

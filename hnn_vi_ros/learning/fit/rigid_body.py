@@ -19,7 +19,7 @@ from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import Structure, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.fitted_rigid_body import (
-    downsampled, FittedRigidBody, positions_alone, sensors_of)
+    covariance_of, downsampled, FittedRigidBody, positions_alone, sensors_of)
 from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.growing import (
     cost_at_start, excess_of, fit_numbers, FittedNumbers, refitted)
@@ -54,6 +54,9 @@ _OVERLAP = 20
 _NO_WORSE = 1.02
 # Relative tolerance of the fit to positions: errors of the numbers are far larger.
 _TOLERANCE = 1e-5
+# Change of a number at half the step that matters, in standard errors, and most halvings; singular
+# values of normalised columns that are rounding errors.
+_MOVED, _HALVED, _OPEN = 0.2, 6, 1e-6
 
 
 def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
@@ -79,7 +82,7 @@ def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
     """
     if positions_alone(motions) and not loss.records:
         try:
-            return _fit_positions(networks, loss, motions)
+            return _fit_positions([_with_one_width(one) for one in networks], loss, motions)
         except CannotFollow:
             return None
     found = [fit_smoothed(network, loss, motions) for network in networks]
@@ -99,17 +102,51 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
     thin, driven = downsampled(motions, loss.step_size)[0], any(
         motion.tau.any() for motion in motions)
     for network in networks:
-        physical = PriorUnknowns(network)
+        physical = PriorUnknowns(network, widths=True)
         models.append(min((
             RigidModel(physical, _first(physical, states)[0], thin[0].spacing, driven)
             for states in samples), key=lambda model: cost_at_start(model, thin)))
-    fitted = _without_idle_numbers(fit_numbers(
-        models, thin, None, True, tolerance=_TOLERANCE))
+    fitted = _without_idle_numbers(_with_finer_steps(fit_numbers(
+        models, thin, None, True, tolerance=_TOLERANCE)))
     model = fitted.problem.model
     assert isinstance(model, RigidModel)
     return FittedRigidBody(model.network_at(fitted.solution.values), {
         f'rigid_body_{length:.3g}': misfit for length, misfit in fitted.stages},
         noise=fitted.noise, numbers=fitted)
+
+
+def _with_one_width(network: MechanicalNetwork) -> MechanicalNetwork:
+    """Return a network with one Coulomb term, whose width is fitted, unless more are chosen."""
+    friction = network.structure.friction
+    return network if 'coulomb' in friction.model_fields_set else MechanicalNetwork(
+        replace(network.structure, friction=friction.model_copy(update={'coulomb': 1})), [1],
+        network.scales, 0)
+
+
+def _with_finer_steps(fitted: FittedNumbers) -> FittedNumbers:
+    """
+    Return the fit with steps so small that half of them moves no number, to first order.
+
+    Sharp friction jumps within a step where a joint reverses.
+    """
+    for _ in range(_HALVED):
+        solution, problem, model = fitted.solution, fitted.problem, fitted.problem.model
+        assert isinstance(model, RigidModel)
+        weights, windows = problem.weights(solution.residuals), solution.windows
+        fine = model.at_step(0.5 * model.step_size)
+        now, after = (LogSimulation(one.parts_at(solution.values), windows).predict(
+            solution.starts) for one in (model, fine))
+        change = np.where(windows.there[..., None], (after - now) / solution.noise, 0.0)
+        rest = projected(replace(solution, parameter_jacobian=change[..., None]), weights)[0]
+        units = units_of(solution)
+        slopes = (projected(solution, weights)[0] / units).reshape(-1, len(units))
+        moved = np.linalg.lstsq(slopes, rest.ravel(), rcond=_OPEN)[0] / units
+        if (np.abs(moved) <= _MOVED * np.sqrt(np.diag(covariance_of(fitted)))).all():
+            break
+        found = refitted(fitted, fine, solution.values, _TOLERANCE)
+        fitted = found._replace(stages=[*fitted.stages[:-1], (fitted.stages[-1][0], excess_of(
+            found.solution, found.problem, found.sensor))])
+    return fitted
 
 
 def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
@@ -142,6 +179,7 @@ def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
         idle.append(k)
     if not idle:
         return fitted
+    idle += model.useless_widths(idle)
     # By the criterion residuals grow by no more than this.
     limit = _NO_WORSE * math.sqrt(1.0 + len(idle) * price / solution.freedom)
     return _refitted_without(

@@ -13,6 +13,7 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels import Kernel
+from hnn_vi_ros.learning.families.joint_friction import NARROWEST, WIDEST
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.windows import FOREVER, ModelParts, Number
 from hnn_vi_ros.models import (
@@ -64,7 +65,7 @@ class RigidModel:
 
     def __init__(self, unknowns: 'RigidUnknowns', start: np.ndarray, step_size: float,
                  driven: bool):
-        self.unknowns, self._h, self._driven = unknowns, step_size, driven
+        self.unknowns, self.step_size, self._driven = unknowns, step_size, driven
         # A number that starts at its bound could stay there.
         least, most = unknowns.least * unknowns.scale, unknowns.most * unknowns.scale
         room = ABOVE * unknowns.scale
@@ -97,6 +98,25 @@ class RigidModel:
         other.numbers = [number for k, number in enumerate(self.numbers) if k not in idle]
         return other
 
+    def useless_widths(self, idle: Sequence[int]) -> list[int]:
+        """Return the numbers of widths of friction that would be without force."""
+        sizes, friction = self.unknowns.sizes, self.unknowns.network.friction
+        acts, first = np.zeros(sum(sizes), bool), sum(sizes[:2])
+        acts[[int(number.name) for k, number in enumerate(self.numbers) if k not in idle]] = True
+        forces = acts[first:first + sizes[2]].reshape(-1, self.unknowns.network.d)
+        n, sides = friction.choice.coulomb, 1 + friction.choice.directed
+        used = np.concatenate([forces[:sides * n].reshape(n, sides, -1).any(axis=1),
+                               forces[sides * n:]]).ravel()
+        first = sum(sizes[:7])
+        return [k for k, number in enumerate(self.numbers)
+                if int(number.name) >= first and not used[int(number.name) - first]]
+
+    def at_step(self, step_size: float) -> 'RigidModel':
+        """Return the model with another step size [s]."""
+        other = copy(self)
+        other.step_size = step_size
+        return other
+
     def network_at(self, values: np.ndarray) -> MechanicalNetwork:
         """Return the network at values of the numbers."""
         parameters = self._base.copy()
@@ -108,7 +128,7 @@ class RigidModel:
         network = self.network_at(values)
         if not all(bool(part.isfinite().all()) for part in network.parameters()):
             raise ModelError('the mass matrix is not positive definite')
-        return parts_of_card(network.card(), self._h, self._driven)
+        return parts_of_card(network.card(), self.step_size, self._driven)
 
 
 def parts_of_card(card: MechanicalCard, step_size: float, driven: bool) -> ModelParts:
@@ -133,12 +153,14 @@ class RigidUnknowns(ABC):
         A network with a prior.
     scale, least : np.ndarray, shape (n,)
         Usual sizes of the prior's numbers, and their lower bounds in units of these.
+    widths : bool
+        True if the widths of friction are unknowns too.
 
     Attributes
     ----------
     sizes : list of int
-        Counts of numbers: prior, viscous friction, other friction, offsets, input map, fades, and
-        Stribeck speeds.
+        Counts of numbers: prior, viscous friction, other friction, offsets, input map, fades,
+        Stribeck speeds, and widths of friction.
     scale, least, most : np.ndarray, shape (k,)
         Sizes and bounds of all numbers. The gradient of friction vanishes below its lower bound.
 
@@ -147,7 +169,8 @@ class RigidUnknowns(ABC):
     # True if fades and Stribeck speeds, in which forces are nonlinear, are unknowns too.
     everything = True
 
-    def __init__(self, network: MechanicalNetwork, scale: np.ndarray, least: np.ndarray):
+    def __init__(self, network: MechanicalNetwork, scale: np.ndarray, least: np.ndarray,
+                 widths: bool = False):
         friction, self.network = network.friction, network
         sides, offsets = (len(friction.raw_viscous) * friction.choice.viscous,
                           friction.raw_offset.numel())
@@ -159,7 +182,8 @@ class RigidUnknowns(ABC):
                  (np.tile(force, len(friction.raw_force)), LEAST, np.inf),
                  (force[:offsets], -np.inf, np.inf), (np.ones(motors), -np.inf, np.inf),
                  (1.0 / fades, LEAST, np.inf),
-                 (np.tile(speed, len(friction.raw_speed) * self.everything), _SHARE, 1.0 - _SHARE)]
+                 (np.tile(speed, len(friction.raw_speed) * self.everything), _SHARE, 1.0 - _SHARE),
+                 (np.tile(speed, len(friction.raw_width) * widths), NARROWEST, WIDEST)]
         self.sizes = [len(scale) for scale, _, _ in parts]
         self.scale, self.least, self.most = (
             np.concatenate([np.broadcast_to(part, len(own[0])) for own, part in zip(
@@ -186,7 +210,8 @@ class RigidUnknowns(ABC):
             'friction.raw_offset': lambda x: x.reshape(-1, d) / friction.force_unit,
             'raw_map': lambda x: x.reshape(d, -1),
             'raw_fade': lambda x: inverse_softplus(x * network.command_unit),
-            'friction.raw_speed': lambda x: torch.logit(x.reshape(-1, d) / friction.speed_unit)}
+            'friction.raw_speed': lambda x: torch.logit(x.reshape(-1, d) / friction.speed_unit),
+            'friction.raw_width': lambda x: friction.raw_of_widths(x.reshape(-1, d))}
         return self.raw_prior(prior) | {
             name: raw[name](part) for name, part in zip(raw, others, strict=True) if len(part)}
 
@@ -200,9 +225,9 @@ class RigidUnknowns(ABC):
             [one.p_unit for one in coordinates]).items()]
         for kind, count, units in zip(
                 ('viscous friction', 'dry friction', 'offset', 'input map', 'fade',
-                 'Stribeck speed'), self.sizes[1:], (
+                 'Stribeck speed', 'width of dry friction'), self.sizes[1:], (
                      [f'{force} / ({speed})' for force, speed in zip(forces, speeds, strict=True)],
-                     forces, forces, ['1'], ['1'], speeds), strict=True):
+                     forces, forces, ['1'], ['1'], speeds, speeds), strict=True):
             for k in range(count):
                 of = f' of {coordinates[k].name}' if count == len(coordinates) else f' {k + 1}'
                 found.append((kind + of, units[k % len(units)]))
@@ -225,12 +250,12 @@ class RigidUnknowns(ABC):
 class PriorUnknowns(RigidUnknowns):
     """The physical parameters of a prior as unknowns."""
 
-    def __init__(self, network: MechanicalNetwork):
+    def __init__(self, network: MechanicalNetwork, widths: bool = False):
         assert network.prior is not None
         self.prior = network.prior
         free = [self.prior.linear and 'inertia' not in name for name in self.prior.names]
         # Inertias are positive.
-        super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0))
+        super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0), widths)
 
     @property
     def springs(self) -> list[int]:
@@ -249,7 +274,8 @@ class PriorUnknowns(RigidUnknowns):
             parts.append(network.raw_map.flatten())
         if self.sizes[5]:
             parts.append(network.fade())
-        parts.append(network.friction.coefficients()[3].flatten())
+        _, _, widths, speeds, _ = network.friction.coefficients()
+        parts += [speeds.flatten(), widths.flatten()[:self.sizes[7]]]
         return torch.cat(parts).detach().numpy()
 
 
