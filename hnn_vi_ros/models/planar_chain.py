@@ -9,14 +9,15 @@ the angles of links from the vertical, zero for carts; F has the rows of A, and 
     M = sum_i I_i F_i F_i^T + sum_(i<j) C_ij cos(phi_i - phi_j) (F_i F_j^T + F_j F_i^T)
         + sum_(i>1) R_i e_i e_i^T
     V = sum_i G_i (1 - cos phi_i),  G_i q_i for a cart
-        + q . k q / 2 - T . q  with springs
+        + q . k q / 2 - T . q + sum_(n>1) sum_i S_ni q_i^(n+1) / (n + 1)  with springs
 
 I_i = J_i + m_i c_i^2 + l_i^2 sum_(k>i) m_k, C_ij = l_i (m_j c_j + l_j sum_(k>j) m_k) and
 G_i = g (m_i c_i + l_i sum_(k>i) m_k), for masses m, lengths l, centres of mass c and inertias J
 about them; R_i is the inertia of a motor on joint i. Only these combinations are identifiable.
 For a cart, I_i is all that it carries, C_ij = m_j c_j + l_j sum_(k>j) m_k, and G_i a weight along
 its rail. G_i < 0 if zero is upright. k is the stiffness of springs at joints and between them,
-and T their force at q = 0 (for a cart, a part of G_i). M and V are linear in these parameters.
+and T their force at q = 0 (for a cart, a part of G_i). S_n is the part of a spring's force that grows
+with the n-th power, up to the fifth. M and V are linear in these parameters.
 
 M is positive definite at all q if the matrix K of I_i and C_ij is, and without motors only if:
 cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
@@ -35,11 +36,14 @@ import numpy as np
 # angles of the first two kinds are the features of V.
 PLANAR_CHAIN = 'planar_chain'
 CHAINS = {'pendulum': (1, 1), 'double_pendulum': (2, 2), PLANAR_CHAIN: (1, 4)}
+# Highest power of the force of springs.
+HIGHEST_POWER = 5
 
 
 class Terms(NamedTuple):
     """
-    M = sum_k A_k cos(g_k . q), V = sum_l c_l (1 - cos(h_l . q)) + w . q + q . k q / 2.
+    M = sum_k A_k cos(g_k . q),
+    V = sum_l c_l (1 - cos(h_l . q)) + w . q + q . k q / 2 + sum_ni s_ni q_i^(n+1) / (n + 1).
 
     Parameters
     ----------
@@ -55,6 +59,8 @@ class Terms(NamedTuple):
         w.
     stiffness : np.ndarray, shape (d, d)
         k.
+    powers : np.ndarray, shape (4, d)
+        s_n for n of 2 to 5.
 
     """
 
@@ -64,6 +70,7 @@ class Terms(NamedTuple):
     weights: np.ndarray
     pull: np.ndarray
     stiffness: np.ndarray
+    powers: np.ndarray
 
 
 def chain_angles(kinds: Sequence[str], features: Sequence[Sequence[float]] = ()
@@ -106,9 +113,13 @@ def is_chain(kind: str, angles: Sequence[Sequence[float]] | np.ndarray, kinds: S
                 and np.linalg.matrix_rank(A) == d - carts)
 
 
-def parameter_places(angles: Sequence[Sequence[float]], springs: bool = False
+def parameter_places(angles: Sequence[Sequence[float]], springs: int = 0
                      ) -> list[tuple[str, tuple[int, ...]]]:
-    """Return the kind of each parameter, and its link or its two links."""
+    """
+    Return the kind of each parameter, and its link or its two links.
+
+    Forces of springs grow up to the power ``springs``; 0 for none.
+    """
     d, carts = len(angles), sum(not any(row) for row in angles)
     # For links whose coordinates are their own angles, it is a part of the inertia.
     relative = bool((np.count_nonzero(angles, axis=1) > 1).any())
@@ -117,24 +128,26 @@ def parameter_places(angles: Sequence[Sequence[float]], springs: bool = False
     places = {'inertia': links, 'coupling': pairs, 'gravity': links,
               'motor_inertia': links[carts + 1:] if relative else []}
     if springs:
-        places |= {'stiffness': [*links, *pairs], 'spring_force': links[carts:]}
+        places |= {'stiffness': [*links, *pairs], 'spring_force': links[carts:]} | {
+            f'spring{power}_': links for power in range(2, springs + 1)}
     return [(kind, place) for kind, own in places.items() for place in own]
 
 
-def parameter_names(angles: Sequence[Sequence[float]], springs: bool = False) -> list[str]:
-    """Return the names: inertia, coupling, gravity, motor_inertia, stiffness, spring_force."""
+def parameter_names(angles: Sequence[Sequence[float]], springs: int = 0) -> list[str]:
+    """Return the names: inertia1, coupling12, gravity1, stiffness1, spring_force1, spring2_1."""
     return [kind + ''.join(str(link + 1) for link in place)
             for kind, place in parameter_places(angles, springs)]
 
 
 def is_spring(name: str) -> bool:
     """Return True if this is the name of a parameter of springs."""
-    return name.startswith(('stiffness', 'spring_force'))
+    return name.startswith(('stiffness', 'spring'))
 
 
-def has_springs(parameters: Iterable[str]) -> bool:
-    """Return True if these parameters of a chain include springs."""
-    return 'stiffness1' in parameters
+def power_of_springs(parameters: Iterable[str]) -> int:
+    """Return the highest power of the springs among parameters of a chain, 0 for none."""
+    return max((power for power in range(1, HIGHEST_POWER + 1)
+                if (f'spring{power}_1' if power > 1 else 'stiffness1') in parameters), default=0)
 
 
 def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Terms:
@@ -154,11 +167,13 @@ def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, floa
     gravity = np.array([parameters[f'gravity{i + 1}'] for i in range(d)])
     force = np.array([parameters.get(f'spring_force{i + 1}', 0.0) for i in range(d)])
     stiffness = symmetric(d, parameters, 'stiffness', 'stiffness')
+    powers = np.array([[parameters.get(f'spring{power}_{i + 1}', 0.0) for i in range(d)]
+                       for power in range(2, HIGHEST_POWER + 1)])
     return Terms(np.array(rows), np.array(matrices), A, gravity, gravity * slides - force,
-                 stiffness)
+                 stiffness, powers)
 
 
-def unit_terms(angles: Sequence[Sequence[float]], springs: bool = False) -> list[Terms]:
+def unit_terms(angles: Sequence[Sequence[float]], springs: int = 0) -> list[Terms]:
     """Return M and V, linear in the parameters, for each parameter at 1 and others at 0."""
     names = parameter_names(angles, springs)
     return [chain_terms(angles, dict(zip(names, row, strict=True))) for row in np.eye(len(names))]
@@ -166,13 +181,13 @@ def unit_terms(angles: Sequence[Sequence[float]], springs: bool = False) -> list
 
 def chain_kernel(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Kernel:
     """Return the functions of H of a chain, as code without loops."""
-    springs = has_springs(parameters)
+    springs = power_of_springs(parameters)
     return _kernels(tuple(map(tuple, angles)), springs)({
         name: parameters[name] for name in parameter_names(angles, springs)})
 
 
 @cache
-def _kernels(angles: tuple[tuple[float, ...], ...], springs: bool
+def _kernels(angles: tuple[tuple[float, ...], ...], springs: int
              ) -> Callable[[Mapping[str, float]], Kernel]:
     """Return the functions as a function of the parameters; fits try many of them."""
     graph, d = Graph(), len(angles)
@@ -194,6 +209,8 @@ def _kernels(angles: tuple[tuple[float, ...], ...], springs: bool
         energy += parameter * combined(terms.pull)
         for i, j in np.argwhere(terms.stiffness):
             energy += 0.5 * (parameter * q[i] * q[j])
+        for power, i in np.argwhere(terms.powers) + (3, 0):
+            energy += 1.0 / float(power) * (parameter * q[i]**int(power))
     return mass_kernels(graph, mass, energy, p, (names, momenta))
 
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models of machines that are chosen by what goes furthest, and what they have seen."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hnn_vi_ros.learning.fit.config import guess_config, MachineConfig
 from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import Fading
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
+from hnn_vi_ros.learning.tasks import selection
 from hnn_vi_ros.learning.tasks.machine import as_selected, MACHINE
 from hnn_vi_ros.learning.tasks.selection import (
     best_of, Candidate, held_out, OF_VELOCITIES, RIGID, selected, trust_text)
@@ -209,6 +211,44 @@ def test_springs_are_added_where_held_out_motions_need_them():
     assert not chosen.family.springs
 
 
+@cache
+def double_well() -> EvenMotion:
+    """Return a driven mass of 0.5 kg, V = -6 q^2 + 225 q^4, by its positions every 10 ms."""
+    t = 0.01 * np.arange(1000)
+    force = (0.8 * np.sin(t[:, None] * [2.1, 5.3, 8.0] + [0.3, 1.0, 2.0])).sum(1)
+    z = solve_ivp(lambda time, z: [z[1], 2.0 * (
+        np.interp(time, t, force) - 0.35 * z[1] + 12.0 * z[0] - 900.0 * z[0]**3)], (0.0, t[-1]),
+        np.array([0.12, 0.0]), t_eval=t, rtol=1e-9, atol=1e-11).y.T
+    q = z[:, :1] + 3e-4 * np.random.default_rng(5).normal(size=(len(t), 1))
+    return smoothed('well', t, q, None, force[:, None], 40.0)
+
+
+def test_delay_at_the_end_of_its_search_is_no_evidence():
+    forces = selection._Forces('linear', 0.0)
+    for sign in (1.0, -1.0):
+        assert selection._best_delay(lambda one: 9.0 - sign * one.delay, forces) == forces
+    found = selection._best_delay(lambda one: 1.0 + (one.delay - 3.3)**2, forces)
+    assert found.delay == pytest.approx(3.3, abs=0.1)
+
+
+@pytest.mark.long
+def test_double_well_is_chosen_as_a_rigid_body_with_a_spring_and_no_delay():
+    """Late forces of another course fitted better than without a spring."""
+    chosen, card = selected(sliding(), [double_well()])
+    assert card.chosen == RIGID and not chosen.data.delay and chosen.family.springs == 5
+
+
+def test_double_well_has_a_cubic_spring():
+    chosen = sliding(prior='planar_chain', residual=False, springs=5)
+    found = fit_machine(chosen, [double_well()]).estimates(sliding().coordinates, None)
+    assert {'inertia1', 'stiffness1', 'spring3_1', 'viscous friction of x'} <= {*found}
+    assert not [name for name in found if 'dry' in name or name.startswith(('spring2', 'spring5'))]
+    for name, truth in (('inertia1', 0.5), ('stiffness1', -12.0), ('spring3_1', 900.0)):
+        low, high = found[name].interval
+        # Four standard errors.
+        assert abs(found[name].value - truth) < 2.0 * (high - low) / 1.96
+
+
 @pytest.mark.parametrize('stiffness', [0.0, 60.0])
 def test_springs_that_positions_do_not_show_are_left_out(stiffness: float):
     motions = of_positions([carriage(seed, 1.0, stiffness) for seed in (1, 2)])
@@ -217,15 +257,51 @@ def test_springs_that_positions_do_not_show_are_left_out(stiffness: float):
     assert (prior.values['stiffness1'] == 0.0) is (stiffness == 0.0)
 
 
-def test_intervals_are_wider_where_residuals_exceed_the_noise():
-    """One width of friction instead of two: residuals of 5.8 times the noise."""
+def test_width_of_friction_is_a_number_of_the_fit():
+    """Fixed widths gave residuals of 5.8 times the noise, and numbers outside their intervals."""
     motions = of_positions([carriage(seed, 1.0) for seed in (1, 2)])
-    problem = fit_machine(sliding(prior='planar_chain', residual=False, friction={'coulomb': 1}),
-                          motions)
-    found = problem.estimates(sliding().coordinates, None)
-    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5)):
+    rigid = fit_machine(sliding(prior='planar_chain', residual=False), motions)
+    found = rigid.estimates(sliding().coordinates, None)
+    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
+                        ('dry friction of x', 1.0), ('width of dry friction of x', 0.05)):
         low, high = found[name].interval
         assert low < truth < high
+    assert not [name for name in found if name.startswith('dry friction ') and name[-1] != 'x']
+
+
+def test_intervals_are_wider_where_residuals_exceed_the_noise():
+    rigid = fit_machine(sliding(prior='planar_chain', residual=False),
+                        of_positions([carriage(1, 1.0)]))
+    (length, _), = stages = rigid.numbers.stages[-1:]
+    sizes = [np.ptp(replace(rigid, numbers=rigid.numbers._replace(
+        stages=[(length, excess)])).estimates(sliding().coordinates, None)['inertia1'].interval)
+        for excess in (1.0, 3.0)]
+    assert stages and sizes[1] == pytest.approx(3.0 * sizes[0], rel=1e-9)
+
+
+def test_steps_are_as_small_as_sharp_friction_needs():
+    """A carriage that reverses within a step: the numbers of coarse steps were 9 errors off."""
+    t, rng = 0.01 * np.arange(800), np.random.default_rng(4)
+    force = (2.5 * np.sin(t[:, None] * [2.1, 3.7, 5.3] + [0.3, 1.0, 2.0])).sum(1)
+    z, found = np.zeros(2), []
+    for value in force:
+        found.append(z[0])
+        for _ in range(100):  # 0.1 ms: a twentieth of the time in which friction changes its sign
+            middle = z + 5e-5 * np.array([z[1], 0.5 * (
+                value - 0.5 * z[1] - np.tanh(z[1] / 0.004))])
+            z = z + 1e-4 * np.array([middle[1], 0.5 * (
+                value - 0.5 * middle[1] - np.tanh(middle[1] / 0.004))])
+    q = np.array(found)[:, None] + 1e-4 * rng.normal(size=(len(t), 1))
+    run = replace(smoothed('sharp', t, q, None, force[:, None], 40.0), inputs='held')
+    rigid = fit_machine(sliding(prior='planar_chain', residual=False), [run])
+    assert rigid.numbers.problem.model.step_size < 0.006
+    assert rigid.numbers.stages[-1][1] < 1.1
+    found = rigid.estimates(sliding().coordinates, None)
+    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
+                        ('dry friction of x', 1.0), ('width of dry friction of x', 0.004)):
+        # Four standard errors.
+        low, high = found[name].interval
+        assert abs(found[name].value - truth) < 2.0 * (high - low) / 1.96
 
 
 @pytest.mark.parametrize('magnet', [0.0, 12.0])

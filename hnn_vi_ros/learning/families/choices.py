@@ -13,8 +13,8 @@ from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models import (
-    chain_angles, CHAINS, check_prior, check_row, exact_systems, FAMILIES, is_periodic, Kind,
-    PLANAR_CHAIN, RIGID_BODY, Scheme, tree_card, TreeCard, values_of)
+    chain_angles, CHAINS, check_prior, check_row, exact_systems, FAMILIES, HIGHEST_POWER,
+    is_periodic, Kind, PLANAR_CHAIN, RIGID_BODY, Scheme, tree_card, TreeCard, values_of)
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 import torch
@@ -230,8 +230,8 @@ class Structure:
         Disabled networks among ``mass`` and ``potential``.
     angles : list of list of float, optional
         Angles of a chain's links from the vertical; None selects the best fit.
-    springs : bool, optional
-        True for a chain with springs.
+    springs : int, optional
+        Highest power of the springs of a chain, 0 without them.
 
     """
 
@@ -247,7 +247,7 @@ class Structure:
     values: np.ndarray | None = None
     left_out: tuple[str, ...] = ()
     angles: list[list[float]] | None = None
-    springs: bool = False
+    springs: int = 0
 
 
 class MechanicalChoice(FamilyChoice):
@@ -278,9 +278,11 @@ class MechanicalChoice(FamilyChoice):
         'for a planar_chain: angles of its links from the vertical, as linear combinations of the '
         'rotating coordinates; default: the best fit among the features, the coordinates and '
         'their sums'))
-    springs: bool = Field(False, description=(
-        'for a planar_chain: linear springs at the joints and between them, with fitted stiffness '
-        'and position of rest; prior: auto adds them if they predict held-out motions better'))
+    springs: bool | int = Field(False, ge=0, le=HIGHEST_POWER, description=(
+        'for a planar_chain: springs at the joints and linear ones between them, with fitted '
+        'stiffness and position of rest; true: linear, or the highest power of their force; '
+        'prior: auto adds them if they predict held-out motions better, up to the fifth power '
+        'with positions alone'))
     residual: bool | list[Literal['potential', 'mass']] = Field(True, description=(
         'add networks to a prior: true, false, or a list of networks'))
     residual_weight: float = Field(1e-6, ge=0.0, description=(
@@ -327,7 +329,7 @@ class MechanicalChoice(FamilyChoice):
             rows(rubbing, 'friction.network_depends_on') if friction.network else None,
             left_out=() if self.residual is True else tuple(
                 name for name in parts if name not in (self.residual or parts)), angles=angles,
-            springs=self.springs)
+            springs=int(self.springs))
 
     def _angles(self, names: Sequence[str], kinds: list[Kind], texts: Sequence[str]
                 ) -> list[list[float]]:

@@ -74,14 +74,14 @@ class PlanarChain(PriorModule):
         Rows of the angles of the links from the vertical.
     inertia : float
         Unit u of the parameters.
-    springs : bool
-        True with springs.
+    springs : int
+        Highest power of the springs, 0 without them.
 
     """
 
     linear = True
 
-    def __init__(self, angles: Sequence[Sequence[float]], inertia: float, springs: bool = False):
+    def __init__(self, angles: Sequence[Sequence[float]], inertia: float, springs: int = 0):
         super().__init__()
         self.names, self.angles = parameter_names(angles, springs), [[*row] for row in angles]
         d = len(self.angles)
@@ -90,11 +90,12 @@ class PlanarChain(PriorModule):
                          for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')),
                        sum(map(is_spring, self.names))]
         units = unit_terms(angles, springs)
-        matrices, weights, pulls, stiffness = (
+        matrices, weights, pulls, stiffness, powers = (
             np.stack([getattr(unit, name) for unit in units])
-            for name in ('matrices', 'weights', 'pull', 'stiffness'))
+            for name in ('matrices', 'weights', 'pull', 'stiffness', 'powers'))
+        self._springs = springs
         keep(self, mass_rows=units[0].mass_rows, matrices=matrices, rows=units[0].rows,
-             weights=weights, pulls=pulls, stiffness=stiffness,
+             weights=weights, pulls=pulls, stiffness=stiffness, powers=powers,
              lower=np.stack(np.triu_indices(d, 1)[::-1]), unit=np.array(inertia))
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))
 
@@ -123,12 +124,12 @@ class PlanarChain(PriorModule):
         forces, slides = [*map(force_unit, p_units)], [not any(row) for row in self.angles]
         found = {}
         for name, (kind, place), value in zip(
-                self.names, parameter_places(self.angles, self._sizes[-1] > 0),
+                self.names, parameter_places(self.angles, self._springs),
                 self.values().tolist(), strict=True):
             # The force on the first link, and the second that moves.
             unit, slide = forces[place[0]], slides[place[-1]]
-            if unit != '1' and kind == 'stiffness':
-                unit += '/m' if slide else '/rad'
+            if unit != '1' and is_spring(kind) and kind != 'spring_force':
+                unit += ('/m' if slide else '/rad') + kind.removeprefix('stiffness')[6:-1]
             elif unit != '1' and kind not in ('gravity', 'spring_force'):
                 unit = _INERTIAS.get((unit, slide), f'{unit} s2' + ('/m' if slide else ''))
             found[name] = Quantity(value=value, unit=unit)
@@ -174,7 +175,9 @@ class PlanarChain(PriorModule):
         return turned, (0.5 * (slope * squares) @ self.mass_rows
                         - (weights * torch.sin(q @ self.rows.T)) @ self.rows
                         - values @ self.pulls
-                        - q @ (values @ self.stiffness.flatten(1)).reshape(-1, d))
+                        - q @ (values @ self.stiffness.flatten(1)).reshape(-1, d)
+                        - sum((values @ self.powers[:, n] * q**(n + 2)
+                               for n in range(self._springs - 1)), torch.zeros_like(q)))
 
 
 class ExactPrior(PriorModule):

@@ -24,10 +24,13 @@ from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.predictors import predicted_by
 from hnn_vi_ros.learning.judging.residuals import (
     is_noise, judged_along, noise_text, ONLY_NOISE, Residuals)
-from hnn_vi_ros.models import CandidateCard, chain_angles, Errors, PLANAR_CHAIN, SelectionCard
+from hnn_vi_ros.models import (
+    CandidateCard, chain_angles, Errors, HIGHEST_POWER, PLANAR_CHAIN, SelectionCard)
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+# A delay closer than this to the end of its search [samples] is not found by it.
+_EDGE = 0.1
 # Most rounds in which the delay and the course of forces are found.
 _ROUNDS = 4
 # Number of pieces into which motions are cut, and their maximum duration [s].
@@ -294,7 +297,7 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
     best = best._replace(explained=_is_explained(best))
     if best.explained or getattr(best.config.family, 'springs', True):
         return [best, *others]
-    return [*_with_springs(best), *others]
+    return [*_with_springs(best, first), *others]
 
 
 def _is_explained(candidate: Candidate) -> bool:
@@ -379,12 +382,18 @@ def _misfit(rigid: FittedRigidBody, base: _Trials, config: MachineConfig, forces
 
 
 def _best_delay(misfit: Callable[[_Forces], float], forces: _Forces) -> _Forces:
-    """Return forces with the delay that fits best, searched from theirs."""
+    """
+    Return forces with the delay that fits best, searched from theirs.
+
+    One at the end of the search is no evidence: it makes up for something that the model lacks.
+    """
+    begun = forces
     for side in (1.0, -1.0):
         while abs(forces.delay + side) <= MOST_DELAY and misfit(
                 later := forces._replace(delay=forces.delay + side)) < misfit(forces):
             forces = later
-    return _refined(misfit, forces)
+    found = _refined(misfit, forces)
+    return begun if abs(found.delay) > MOST_DELAY - _EDGE else found
 
 
 def _refined(misfit: Callable[[_Forces], float], forces: _Forces) -> _Forces:
@@ -402,14 +411,20 @@ def _with_data(config: MachineConfig, **changes: object) -> MachineConfig:
     return config.model_copy(update={'data': config.data.model_copy(update=changes)})
 
 
-def _with_springs(plain: Candidate) -> list[Candidate]:
-    """Return a rigid body with springs if they are needed, and the other one."""
-    config = plain.config.model_copy(update={
-        'family': plain.config.family.model_copy(update={'springs': True})})
-    springs = plain.trials.candidate(f'{RIGID} with springs', config)
+def _with_springs(plain: Candidate, first: Candidate) -> list[Candidate]:
+    """
+    Return a rigid body with springs if they are needed, and the other one.
+
+    Other forces between samples are found again: those of a body that lacks springs mimic them.
+    """
+    power = HIGHEST_POWER if positions_alone(first.trials.motions) else 1
+    config = first.config.model_copy(update={
+        'family': first.config.family.model_copy(update={'springs': power})})
+    springs = first.trials.candidate(f'{RIGID} with springs', config)
     if springs.rigid is None or not springs.is_better_than(plain):
         return [plain, springs]
-    return [springs.named(RIGID)._replace(explained=_is_explained(springs)),
+    best, *others = _with_forces(springs.named(RIGID))
+    return [best._replace(explained=_is_explained(best)), *others,
             plain.named(f'{RIGID} without springs')]
 
 
