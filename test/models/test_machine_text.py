@@ -37,7 +37,8 @@ CHAINS = [
         'motor_inertia2': 0.05}),
     (['prismatic', 'revolute'], [[0.0, 0.0], [0.0, 1.0]], {
         'inertia1': 1.71, 'inertia2': 0.23, 'coupling12': 0.17, 'gravity1': 0.2, 'gravity2': 1.3,
-        'stiffness1': 7.0, 'stiffness2': 0.4, 'stiffness12': -0.6, 'spring_force2': 0.3})]
+        'stiffness1': 7.0, 'stiffness2': 0.4, 'stiffness12': -0.6, 'spring_force2': 0.3,
+        'spring2_1': 0.8, 'spring2_2': 0.0, 'spring3_1': -0.5, 'spring3_2': 0.9})]
 
 
 @pytest.mark.parametrize(('kinds', 'angles', 'parameters'), CHAINS)
@@ -54,7 +55,7 @@ def test_written_equation_is_that_of_the_model(kinds, angles, parameters):
         written = 0.5 * np.array(p) @ np.linalg.solve(M, p) + value('V')
         # Four digits of each number.
         size = 0.5 * np.array(p) @ np.linalg.solve(M, p) * np.linalg.cond(M) + sum(
-            map(abs, parameters.values())) * (1.0 + a * a + b * b)
+            map(abs, parameters.values())) * (1.0 + a**4 + b**4)
         energy = kernel.energy.py_func(kernel.parameters, np.array([a, b]), np.array(p))
         assert energy == pytest.approx(written, abs=5e-4 * size)
 
