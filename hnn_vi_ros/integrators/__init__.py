@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.integrators.dense_output import (
         bend_at, collocation_output, cubic, DenseOutput, hermite_output, quintic, slope_at,
         value_at, WHOLE)
+    from hnn_vi_ros.integrators.dop853 import Dop853, PairWork, path_in_legendre
     from hnn_vi_ros.integrators.equations import LEAST_SCALE, set_scale
     from hnn_vi_ros.integrators.gauss import Gauss, GAUSS_METHODS, gauss_tableau, Tableau
     from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.integrators.taylor import Taylor, TaylorWork
     from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
     from hnn_vi_ros.integrators.workspaces import (
-        arrays_of, DEPTH, discard_history, FAST_MATRIX, LARGEST_MATRIX, mark_independent,
-        MemoryByAddress, SolverWork)
+        arrays_of, DEPTH, discard_history, FAST_MATRIX, LARGEST_MATRIX, mark_commanded,
+        mark_independent, MemoryByAddress, SolverWork)
 
 __getattr__, __dir__ = lazy_exports(__name__)

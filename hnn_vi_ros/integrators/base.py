@@ -253,6 +253,8 @@ class Integrator(ABC):
         Requirements on a system, and conservation properties.
     explicit : bool
         True if a step solves no equation.
+    adaptive : bool
+        True if a step consists of internal steps that satisfy a tolerance.
     keeps_gradient : bool
         True if a step leaves the gradient at the new state at no extra cost.
     halves : tuple of callable or None
@@ -277,6 +279,7 @@ class Integrator(ABC):
     order: int
     explicit: bool
     requirements: Requirements
+    adaptive: ClassVar[bool] = False
     keeps_gradient: ClassVar[bool] = False
     compiled: bool = True
     no_solution: str = ''

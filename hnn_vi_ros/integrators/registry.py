@@ -10,6 +10,7 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.composition import Composition, KahanLi8, Suzuki4, Yoshida4
 from hnn_vi_ros.integrators.discrete_euler_lagrange import DiscreteEulerLagrange
 from hnn_vi_ros.integrators.discrete_gradient import DiscreteGradient
+from hnn_vi_ros.integrators.dop853 import Dop853
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
@@ -17,7 +18,7 @@ from hnn_vi_ros.integrators.lie.lie_gauss import LIE_GAUSS_METHODS
 from hnn_vi_ros.integrators.lie.lie_leapfrog import (
     LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint, LieVariationalEuler)
 from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
-from hnn_vi_ros.integrators.runge_kutta import DOP853, ExplicitEuler, RK4
+from hnn_vi_ros.integrators.runge_kutta import ExplicitEuler, RK4
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler, SymplecticEulerAdjoint
 from hnn_vi_ros.integrators.taylor import Taylor
@@ -48,7 +49,7 @@ INTEGRATORS: dict[str, type[Integrator]] = {
     **LIE_GAUSS_METHODS,
     'explicit_euler': ExplicitEuler,
     'rk4': RK4,
-    'dop853': DOP853,
+    'dop853': Dop853,
     'taylor': Taylor,
 }
 

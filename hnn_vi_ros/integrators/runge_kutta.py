@@ -1,12 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Explicit Runge-Kutta methods for comparison: Euler, the classical one and DOP853."""
+"""Explicit Runge-Kutta methods for comparison: Euler and the classical one."""
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians import check_positive
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import ENDLESS, Integrator, OK, PhasePoint, Requirements, tableau
+from hnn_vi_ros.integrators.base import Integrator, OK, PhasePoint, Requirements, tableau
 from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
@@ -108,64 +107,3 @@ class RK4(Baseline):
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], h / 6.0 * sum_p[i])
         kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
         return OK, 0.0, 4
-
-
-class Tolerances(NamedTuple):
-    """Relative and absolute error tolerances of an adaptive step."""
-
-    relative: float
-    absolute: float
-
-
-class DOP853(Baseline):
-    """
-    DOP853 of scipy: each step h consists of adaptive steps that satisfy the tolerances.
-
-    Neither symplectic nor symmetric, of order 8. A baseline; for long times use `gauss8`.
-
-    Parameters
-    ----------
-    relative_tolerance, absolute_tolerance : float
-        rtol [1] and atol [units of q and p] of scipy.
-
-    Raises
-    ------
-    ValueError
-        A tolerance is not positive.
-
-    References
-    ----------
-    E. Hairer, S. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, section II.5.
-
-    """
-
-    order, compiled = 8, False
-
-    def __init__(self, relative_tolerance: float = 1e-9, absolute_tolerance: float = 1e-12):
-        check_positive(relative_tolerance=relative_tolerance,
-                       absolute_tolerance=absolute_tolerance)
-        self._tolerances = Tolerances(relative_tolerance, absolute_tolerance)
-
-    def options(self, attempt: int = 0, dimension: int = 1) -> Tolerances:
-        """Return the tolerances."""
-        return self._tolerances
-
-    @staticmethod
-    def step(kernel: Kernel, h: float, options: Tolerances, z: PhasePoint, z1: PhasePoint,
-             memory: tuple) -> tuple[int, float, int]:
-        """Take one step; see Integrator."""
-        # Imported lazily: no other method needs scipy.
-        from scipy.integrate import solve_ivp
-        n = z.q.size
-        dH_dq, dH_dp = np.empty(n), np.empty(n)
-
-        def field(t: float, y: np.ndarray) -> np.ndarray:
-            kernel.gradient(kernel.parameters, y[:n], y[n:], dH_dq, dH_dp)
-            return np.concatenate([dH_dp, -dH_dq])
-
-        solution = solve_ivp(field, (0.0, h), np.concatenate([z.q, z.p]), method='DOP853',
-                             rtol=max(options.relative, 3e-14), atol=options.absolute)
-        if not solution.success:
-            return ENDLESS, np.inf, solution.nfev
-        z1.q[:], z1.p[:] = solution.y[:n, -1], solution.y[n:, -1]
-        return OK, 0.0, solution.nfev

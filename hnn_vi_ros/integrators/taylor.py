@@ -415,7 +415,7 @@ class Taylor(Integrator):
 
     """
 
-    explicit, compiled = True, False
+    explicit, adaptive, compiled = True, True, False
     requirements = Requirements(symmetric=False, symplectic=False, forces='held')
 
     def __init__(self, tolerance: float = 1e-12):

@@ -53,6 +53,13 @@ def mark_independent(memory: tuple, row: int, width: int) -> None:
             solver.iterates.layout[:] = row, width
 
 
+def mark_commanded(memory: tuple) -> None:
+    """Mark the internal steps of a memory, if any, as ending where commands change forces."""
+    for workspace in memory:
+        if 'ends_at_clock' in getattr(workspace, '_fields', ()):
+            workspace.ends_at_clock[0] = 1
+
+
 def arrays_of(name: str, group: Any) -> Iterator[tuple[str, np.ndarray]]:
     """Yield all arrays of a group, at any depth, with dotted names that begin with its name."""
     for field, value in group._asdict().items():

@@ -8,7 +8,7 @@ from typing import NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.integrators import (
-    collocation_output, DenseOutput, Gauss, hermite_output, Taylor, WHOLE)
+    collocation_output, DenseOutput, Dop853, Gauss, hermite_output, WHOLE)
 from hnn_vi_ros.phase_space import coordinate_rates, momentum_rates
 import numpy as np
 
@@ -41,7 +41,8 @@ class DenseStep:
     methods of order up to 3, for rotations and if forces or effects act, quintic Hermite
     otherwise, and the collocation polynomial for Gauss methods of 5 or more stages (with fewer,
     its order s is below 5). It interpolates both ends of the step; if ``time_transformed`` takes
-    several internal steps per step of the clock, there is one polynomial for each of them.
+    several internal steps per step of the clock, there is one polynomial for each of them. Paths
+    of ``taylor`` and ``dop853`` are as accurate as these methods, ``dop853`` to order 7.
     ``state`` is as accurate as the method: it uses the polynomial if that has the method's order
     and nothing but H acts, otherwise a step of the method from the same start with a fraction of
     h, with all effects and the same random numbers; so rods keep their lengths, quaternions their
@@ -76,9 +77,11 @@ class DenseStep:
         simulation.advance(1)
         self._end, self._slopes, self._smooth = _look(simulation), None, cuts() == uncut
         stages = getattr(simulation.integrator, 'stages', 0)
-        # The Taylor series can be evaluated anywhere in the step.
-        self._series = (plain and isinstance(simulation.integrator, Taylor)
-                        and self._start.q.ndim == 1)
+        # The paths of adaptive methods can be evaluated anywhere in the step; that of a pair
+        # contains forces as well.
+        pair = isinstance(simulation.integrator, Dop853) and not simulation.system.layered
+        self._series = (simulation.integrator.adaptive and (plain or pair)
+                        and simulation.rescued == rescued and self._start.q.ndim == 1)
         if (plain and isinstance(simulation.integrator, Gauss) and stages >= _MIN_STAGES
                 and simulation.rescued == rescued):
             # H_q and H_p at the stages, stored by the step for the next initial guess.
@@ -119,7 +122,7 @@ class DenseStep:
     def polynomial(self) -> DenseOutput:
         """Return the interpolating polynomial of q and p, of shape (d,) or (m d,)."""
         if self._series:
-            return self._simulation.series(np.append(self._start.q, self._start.p))
+            return self._simulation.series(self._before)
         h, (ends, looks) = self._simulation.step_size, self._knots
         z, v = (np.array(rows) for rows in zip(*map(self._line, looks), strict=True))
         if self._slopes is not None:
@@ -165,7 +168,8 @@ class DenseStep:
         time = theta * simulation.step_size
         if not self._takes_state:
             return simulation.clock_trial(self._before, time)
-        if self._plain and self.polynomial.order >= simulation.integrator.order:
+        if self._series or (
+                self._plain and self.polynomial.order >= simulation.integrator.order):
             q, p = self.polynomial(theta)
             return q.reshape(simulation.q.shape), p.reshape(simulation.p.shape)
         q, p = simulation.trial(self._before, time)

@@ -12,8 +12,8 @@ from hnn_vi_ros.effects import StepLayer, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.integrators import (
     arrays_of, BEYOND, Composition, copy_point, discard_history, ImplicitMidpoint, Integrator,
-    INTEGRATORS, largest, LieIntegrator, mark_independent, NO_CONVERGENCE, NO_SOLUTION, OK,
-    ON_FAILURE, PhasePoint)
+    INTEGRATORS, largest, LieIntegrator, mark_commanded, mark_independent, NO_CONVERGENCE,
+    NO_SOLUTION, OK, ON_FAILURE, PhasePoint)
 from hnn_vi_ros.kernels import inlined, Kernel
 from hnn_vi_ros.simulation.assembly import advance, Loop, take_substeps
 from hnn_vi_ros.simulation.system import System
@@ -97,6 +97,8 @@ class Rescue:
         memory, d = method.memory(n), self._system.kernel.dimension
         if n > d and not self._system.hamiltonian.rotations:
             mark_independent(memory, n, d)
+        if self._system.commanded:
+            mark_commanded(memory)
         return memory
 
     def take_step(self, active: int, h: float, z: PhasePoint, z1: PhasePoint, memory: tuple
@@ -340,11 +342,11 @@ def stability_limit(integrator: Integrator) -> float:
     Parameters
     ----------
     integrator : Integrator
-        Any method; the limit is inf if it is not explicit, not compiled by numba, or unstable for
-        all h.
+        Any method; the limit is inf if it is not explicit, if it is adaptive, or if it is
+        unstable for all h.
 
     """
-    if not (integrator.explicit and integrator.compiled):
+    if integrator.adaptive or not integrator.explicit:
         return math.inf
 
     def grows(frequency: float) -> bool:

@@ -16,7 +16,7 @@ from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import (
     arrays_of, BEYOND, DenseOutput, discard_history, IN_DOUBT, Integrator, is_finite, NO_SOLUTION,
-    NOT_FINITE, OK, PhasePoint, REASONS, step_failure, TaylorWork)
+    NOT_FINITE, OK, PairWork, path_in_legendre, PhasePoint, REASONS, step_failure, TaylorWork)
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
@@ -36,6 +36,8 @@ _Costs = tuple[int, int, int, float, tuple[int, int]]
 # Target wall time of one call of compiled code [s], and largest growth of its number of steps from
 # call to call. Signals are handled between calls, which cost some microseconds.
 _CALL_TIME, _MAX_GROWTH = 0.02, 16.0
+# The shortest step of a clock [s].
+_SHORTEST = math.ulp(0.0)
 
 
 class RescuePending(Exception):
@@ -211,6 +213,17 @@ class Simulation:
         own = [names.index(name) if name in names else -1 for name in seen.names]
         turning = np.array([k >= 0 and self.system.turning[k] for k in own], dtype=bool)
         return seen._replace(position=seen.position - whole_turns(seen.position - q[own], turning))
+
+    @property
+    def internal_steps(self) -> np.ndarray:
+        """
+        Return counts of the internal steps of `dop853` since the initial state, shape (3,).
+
+        They are accepted and rejected ones, and accepted ones whose size stability limits; zeros
+        for other methods.
+        """
+        work = self._memories[0][0] if self._memories[0] else None
+        return work.kept.tally[:3].copy() if isinstance(work, PairWork) else np.zeros(3, np.int64)
 
     @property
     def connected(self) -> bool:
@@ -487,7 +500,7 @@ class Simulation:
             raise failure.dated(begin * h) from None
         finally:
             if own is not None:
-                own.own_step[0] = 0.0
+                own.own_step[:] = 0.0
             self.step_size = h
             self.system.effect_state.step[:] = attempted
             self.put(now)
@@ -521,10 +534,29 @@ class Simulation:
                          and self._kernel.channels == 0 and not self.hamiltonian.rotations,
                          lambda: self.system.cuts)
 
-    def series(self, state: np.ndarray) -> DenseOutput:
-        """Return the Taylor series of a step from (q, p), shape (2 d,); for a Taylor method."""
-        work: TaylorWork = self._memories[0][0]
-        return work.path(self._kernel, self.step_size, state)
+    def series(self, row: np.ndarray) -> DenseOutput:
+        """Return the path of an adaptive method in a step from a row, shape (R,)."""
+        work: TaylorWork | PairWork = self._memories[0][0]
+        if isinstance(work, TaylorWork):
+            return work.path(self._kernel, self.step_size, row[HEAD:HEAD + 2 * self._z.q.size])
+        h, time, ends, parts = self.step_size, 0.0, [0.0], list[np.ndarray]()
+        kept, d = work.kept, self.hamiltonian.dimension
+        with self._elsewhere(row):
+            while time < h:
+                # In the shortest step of the clock an internal step is taken, if needed.
+                work.own_step[:], self.step_size = (h, h - time), _SHORTEST
+                self.advance(1)
+                lead, _, length = kept.clock[0]
+                self.step_size = min(lead, h - time)
+                begin = 1.0 - lead / length
+                parts.append(np.hstack([path_in_legendre(
+                    path[:, :d], begin, begin + self.step_size / length)
+                    for path in (kept.path_q, kept.path_p)]))
+                work.own_step[1] = h - time
+                self.advance(1)
+                time = h if lead >= h - time else time + lead
+                ends.append(time / h)
+        return DenseOutput(7, np.stack(parts, axis=1), d, np.array(ends), in_legendre=True)
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -242,6 +242,9 @@ class System:
         Name of each effect: its kind, with its index if the kind occurs more than once.
     conservative, batched : bool
         True if no effect does work, and if several trajectories can step together.
+    commanded, layered : bool
+        True if forces change between steps, by commands or at random, and if effects act around
+        steps.
     unbatched : list of str
         Names of the effects and of the method due to which they cannot.
     motors : Motors
@@ -277,6 +280,8 @@ class System:
         if not hamiltonian.canonical or hamiltonian.rotations:
             self._check_coordinates(hamiltonian, integrator)
         self._places = [effect.place(integrator) for effect in effects]
+        self.layered = any(place > Place.NODES for place in self._places)
+        self.commanded = any(isinstance(effect, Commanded) or effect.random for effect in effects)
         self._check_together()
         self._check(integrator, hamiltonian)
         self._parameters = [self._resolve(index, hamiltonian) for index in range(len(effects))]

@@ -213,7 +213,8 @@ class RunStatus:
             'steps [1]': simulation.steps, 'simulated_time [s]': f'{self._sampler.time:.9g}',
             'gradients_per_step [1]': self._monitor.timing.figures.gradients_per_step,
             'gradients_of_the_costliest_step [1]': simulation.costliest[0],
-            'residual [1]': simulation.residual, 'rescued_steps [1]': simulation.rescued})
+            'residual [1]': simulation.residual, 'rescued_steps [1]': simulation.rescued,
+            'rejected_internal_steps [1]': int(simulation.internal_steps[1])})
 
     def _energy(self) -> Status:
         record, sample, tolerance = (

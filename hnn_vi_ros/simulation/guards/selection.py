@@ -13,13 +13,13 @@ from hnn_vi_ros.simulation.guards.loops import ClosureGuard, SingularGuard
 from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.steps import (
-    CostGuard, DriveGuard, RescueGuard, SolutionGuard, StiffnessGuard)
+    CostGuard, DriveGuard, RescueGuard, SolutionGuard, StabilityGuard, StiffnessGuard)
 
 # Alarms of the same step are reported in this order.
 GUARDS: tuple[type[Guard], ...] = (
-    BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, StiffnessGuard, DriveGuard, InvariantGuard,
-    BarrierGuard, ForcedPathGuard, PathGuard, PoleGuard, ClosureGuard, SingularGuard,
-    SolutionGuard, RescueGuard)
+    BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, StiffnessGuard, StabilityGuard, DriveGuard,
+    InvariantGuard, BarrierGuard, ForcedPathGuard, PathGuard, PoleGuard, ClosureGuard,
+    SingularGuard, SolutionGuard, RescueGuard)
 
 
 def make_guards(run: RunFacts, kinds: tuple[type[Guard], ...] = (Guard,)) -> Iterator[Guard]:

@@ -5,6 +5,7 @@
 from collections.abc import Iterator
 from typing import ClassVar
 
+from hnn_vi_ros.integrators import Dop853
 from hnn_vi_ros.simulation.guards.base import Guard, LimitGuard
 from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.samples import Observed
@@ -86,6 +87,43 @@ class StiffnessGuard(LimitGuard):
     def value(self, sample: Observed) -> float:
         """Return h omega."""
         return self._reach
+
+
+class StabilityGuard(LimitGuard):
+    """
+    Internal steps of `dop853`: their size is limited by the tolerance, not by stability.
+
+    In a stiff motion, with fast oscillation or damping at rest beside slow motion, an explicit
+    method takes tiny steps at any tolerance.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Simulation to watch.
+
+    """
+
+    kind = 'stiff'
+    remedy = 'use an implicit method, such as `gauss4` or `implicit_midpoint`'
+    limit = 0.0
+    message = ('stability, not the tolerance, limited {:.0f} internal steps so far: the motion is '
+               f'stiff; {remedy}')
+
+    def __init__(self, simulation: Simulation):
+        self._simulation = simulation
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        if isinstance(run.simulation.integrator, Dop853):
+            yield cls(run.simulation)
+
+    def value(self, sample: Observed) -> float:
+        """Return the number of internal steps that stability limits."""
+        return int(self._simulation.internal_steps[2])
+
+    def step(self, sample: Observed) -> int:
+        """Return the newest step: see CountGuard."""
+        return self._simulation.steps
 
 
 class DriveGuard(LimitGuard):

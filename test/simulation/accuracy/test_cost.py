@@ -100,7 +100,9 @@ def test_recommendation_is_the_cheapest_and_none_below_what_is_known():
     # More steps were tried near the error: the next longer one of the method does not hold it.
     tried = [row for row in study.costs if row.method.kind == best.method.kind]
     held = max(row.step_size for row in tried if study.error(row) <= 0.95e-6 - study.floor)
-    assert any(held < row.step_size <= 1.3 * held for row in tried)
+    # The error of an adaptive method does not depend on the step size.
+    assert INTEGRATORS[best.method.kind].adaptive or any(
+        held < row.step_size <= 1.3 * held for row in tried)
     assert study.recommended(0.5 * study.floor) is None
 
 
