@@ -69,6 +69,19 @@ def test_run_from_an_initial_command_agrees_bit_by_bit(tmp_path, driven, begin):
     assert SignalReader(bag, ['angle1', 'angle2']).commanded_before
 
 
+@pytest.mark.parametrize('begin', [None, 33])
+@pytest.mark.parametrize('name', ['exact_damped_driven_pendulum', 'exact_double_pendulum'])
+def test_run_of_dop853_agrees_bit_by_bit_also_from_inside_an_internal_step(tmp_path, name, begin):
+    pair = {'kind': 'dop853', 'relative_tolerance': 1e-5, 'absolute_tolerance': 1e-5}
+    scene = load_scene(name).changed({'integrator': pair})
+    assert_agrees(record_run(tmp_path / 'bag', scene, 100, begin=begin))
+    force = {'kind': 'external_force', 'timeout': 0.05,
+             'coordinates': [build(scene).hamiltonian.coordinates[0].name]}
+    driven = scene.changed({'effects': [force]})
+    assert_agrees(record_run(tmp_path / 'driven', driven, 100, commands={
+        20: [[0.5]], 30: [[1.0]], 41: [[-1.0]]}, begin=begin))
+
+
 def test_bag_without_samples_is_not_confirmed_and_says_why(tmp_path, driven):
     verdict = check_replay(record_run(tmp_path / 'bag', driven, 0))
     assert not verdict.good

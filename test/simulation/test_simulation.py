@@ -202,8 +202,9 @@ def test_step_failure_for_a_state_that_is_not_finite():
 
 
 @pytest.mark.parametrize('name', mostly_long(sorted(set(INTEGRATORS) - {
-    'stormer_verlet', 'dop853', 'taylor', 'discrete_euler_lagrange', 'variational_midpoint'} - {
-        name for name in INTEGRATORS if name.startswith('lie_')}), *KINDS, 'time_transformed'))
+    'stormer_verlet', 'taylor', 'discrete_euler_lagrange', 'variational_midpoint'} - {
+        name for name in INTEGRATORS if name.startswith('lie_')}), *KINDS, 'time_transformed',
+        'dop853'))
 def test_simulation_restored_from_a_snapshot_is_bit_identical(name):
     whole, resumed = (plain_run('tao', name, 0.05, [1.0], [-1.0]) for _ in range(2))
     whole.advance(50)
