@@ -20,6 +20,8 @@ _SLOPES, _NEW = 16, 12
 # beta > 0, a PI controller, sizes vary less and fewer steps are rejected.
 _SAFETY, _ALPHA, _BETA, _LEAST, _MOST = 0.9, 0.7 / 8.0, 0.4 / 8.0, 0.2, 10.0
 _LEAST_ERROR = 1e-4
+# The smallest relative tolerance: below some roundings the estimate of the error is noise.
+_ROUNDING = 3e-14
 # Bounds on internal steps: their number in a step of the clock, and their length relative to it.
 _MAX_STEPS, _SHORTEST, _LONGEST = 1_000_000, 2.0**-50, 1000.0
 # A step that leaves less than this share of itself until a fixed end takes all of it.
@@ -86,6 +88,8 @@ class PairWork(NamedTuple):
         State for the next step of the clock.
     own_step : np.ndarray, shape (2,)
         Size of the step of the clock, and its rest, if the next step is a part of it; else 0 [s].
+    factor : np.ndarray, shape (1,)
+        Factor of the tolerances, below 1 in repetitions that are to be more accurate.
     ends_at_clock : np.ndarray, shape (1,)
         1 if internal steps end at the clock, since commands change the forces there.
     slopes_q, slopes_p : np.ndarray, shape (16, n)
@@ -99,6 +103,7 @@ class PairWork(NamedTuple):
 
     kept: PairState
     own_step: np.ndarray
+    factor: np.ndarray
     ends_at_clock: np.ndarray
     slopes_q: np.ndarray
     slopes_p: np.ndarray
@@ -115,8 +120,8 @@ class PairWork(NamedTuple):
             *np.zeros((2, 8, n), dtype), *np.zeros((2, n), dtype))
         slopes: np.ndarray = np.zeros((2, _SLOPES, n), dtype)
         stage: np.ndarray = np.zeros((2, n), dtype)
-        return cls(kept, np.zeros(2), np.zeros(1, dtype=np.int64), slopes[0], slopes[1],
-                   PhasePoint.empty(n, dtype), stage[0], stage[1])
+        return cls(kept, np.zeros(2), np.ones(1), np.zeros(1, dtype=np.int64), slopes[0],
+                   slopes[1], PhasePoint.empty(n, dtype), stage[0], stage[1])
 
 
 class Dop853(Integrator):
@@ -152,9 +157,7 @@ class Dop853(Integrator):
     def __init__(self, relative_tolerance: float = 1e-9, absolute_tolerance: float = 1e-12):
         check_positive(relative_tolerance=relative_tolerance,
                        absolute_tolerance=absolute_tolerance)
-        # Below some roundings the estimate of the error is noise.
-        self._options = PairOptions(max(relative_tolerance, 3e-14), absolute_tolerance,
-                                    DOP853_TABLEAU)
+        self._options = PairOptions(relative_tolerance, absolute_tolerance, DOP853_TABLEAU)
 
     def options(self, attempt: int = 0, dimension: int = 1) -> PairOptions:
         """Return the tolerances and coefficients."""
@@ -271,7 +274,8 @@ def _first_step(kernel: Kernel, options: PairOptions, end: PhasePoint, new: Phas
     n = end.q.size - kernel.channels
     state, slope, bend = 0.0, 0.0, 0.0
     for i in range(n):
-        scale_q, scale_p = _scale(options, end.q[i], 0.0), _scale(options, end.p[i], 0.0)
+        scale_q = _scale(options, work, end.q[i], 0.0)
+        scale_p = _scale(options, work, end.p[i], 0.0)
         state += (end.q[i] / scale_q) ** 2 + (end.p[i] / scale_p) ** 2
         slope += (end.dH_dp[i] / scale_q) ** 2 + (end.dH_dq[i] / scale_p) ** 2
     state, slope = math.sqrt(state / (2 * n)), math.sqrt(slope / (2 * n))
@@ -280,7 +284,8 @@ def _first_step(kernel: Kernel, options: PairOptions, end: PhasePoint, new: Phas
         new.q[i], new.p[i] = end.q[i] + size * end.dH_dp[i], end.p[i] - size * end.dH_dq[i]
     kernel.gradient(kernel.parameters, new.q, new.p, new.dH_dq, new.dH_dp)
     for i in range(n):
-        scale_q, scale_p = _scale(options, end.q[i], 0.0), _scale(options, end.p[i], 0.0)
+        scale_q = _scale(options, work, end.q[i], 0.0)
+        scale_p = _scale(options, work, end.p[i], 0.0)
         bend += ((new.dH_dp[i] - end.dH_dp[i]) / scale_q) ** 2 \
             + ((new.dH_dq[i] - end.dH_dq[i]) / scale_p) ** 2
     steepest = max(slope, math.sqrt(bend / (2 * n)) / size)
@@ -291,8 +296,11 @@ def _first_step(kernel: Kernel, options: PairOptions, end: PhasePoint, new: Phas
 
 
 @inlined
-def _scale(options: PairOptions, x: float, y: float) -> float:
-    return options.absolute + options.relative * max(abs(x), abs(y))
+def _scale(options: PairOptions, work: PairWork, x: float, y: float) -> float:
+    """Return the tolerance of a coordinate that moves from x to y."""
+    factor = work.factor[0]
+    return factor * options.absolute \
+        + max(factor * options.relative, _ROUNDING) * max(abs(x), abs(y))
 
 
 @inlined
@@ -335,8 +343,8 @@ def _try(kernel: Kernel, size: float, options: PairOptions, end: PhasePoint, new
         new.p[k], new.p_carry[k] = plus(
             end.p[k], end.p_carry[k], -size * _sum(weights, work.slopes_p, 5, _NEW, k))
         if k < n:
-            scale_q = _scale(options, end.q[k], new.q[k])
-            scale_p = _scale(options, end.p[k], new.p[k])
+            scale_q = _scale(options, work, end.q[k], new.q[k])
+            scale_p = _scale(options, work, end.p[k], new.p[k])
             fifth += (_sum(tableau.errors[0], work.slopes_q, 5, _NEW, k) / scale_q) ** 2 \
                 + (_sum(tableau.errors[0], work.slopes_p, 5, _NEW, k) / scale_p) ** 2
             third += (_sum(tableau.errors[1], work.slopes_q, 5, _NEW, k) / scale_q) ** 2 \

@@ -403,7 +403,8 @@ class Simulation:
         step_size : float
             Step size of the trial [s].
         samples, every : int, optional
-            See ``record``.
+            See ``record``. With `dop853`, whose internal steps do not depend on the step size, the
+            tolerances are divided by every^8, as errors of steps of 1 / every would be.
 
         Returns
         -------
@@ -418,8 +419,10 @@ class Simulation:
         """
         # Earlier solutions at another step size do not fit as initial guesses.
         rows = self.state.without_counts(row)
-        with self._elsewhere(self.row if row.ndim > 1 else rows):
+        with self._elsewhere(self.row if row.ndim > 1 else rows) as own:
             self.step_size = step_size
+            if isinstance(own, PairWork):
+                own.factor[0] = float(every) ** -self.integrator.order
             if row.ndim == 1:
                 return self.record(samples, every)
             path = self.follow_on(rows, np.empty((len(rows), samples, 0)), every).swapaxes(0, 1)
@@ -501,6 +504,8 @@ class Simulation:
         finally:
             if own is not None:
                 own.own_step[:] = 0.0
+            if isinstance(own, PairWork):
+                own.factor[0] = 1.0
             self.step_size = h
             self.system.effect_state.step[:] = attempted
             self.put(now)

@@ -3,7 +3,8 @@
 """The pair DOP853: orders, tolerances, the clock, events, snapshots, stiffness."""
 
 from helpers import dop853_path, effect, kepler_orbit, plain_run, python_kernel, Uncompiled
-from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
+from hnn_vi_ros import load_scene, simulate
+from hnn_vi_ros.errors import AlarmWarning, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Formula, HAMILTONIANS
 from hnn_vi_ros.integrators import Dop853, mark_commanded, PhasePoint
 from hnn_vi_ros.integrators.dop853_tableau import DOP853_TABLEAU
@@ -238,3 +239,24 @@ def test_dop853_limited_by_stability_raises_an_alarm_that_names_an_implicit_meth
         watch.update(look(simulation))
         assert [alarm.kind for alarm in watch.alarms] == ['stiff'] * stiff
         assert all('gauss4' in alarm.message for alarm in watch.alarms)
+
+
+def test_energy_drift_of_dop853_is_named_as_that_of_a_method_that_is_not_symplectic():
+    scene = load_scene('exact_pendulum').changed({'integrator': {
+        'kind': 'dop853', 'relative_tolerance': 0.03, 'absolute_tolerance': 0.03}})
+    with pytest.warns(AlarmWarning, match='dop853 is not symplectic, and its energy drifts by'):
+        found = simulate(scene, duration=300.0)
+    assert all('step_size' not in alarm.message for alarm in found.alarms)
+
+
+@pytest.mark.parametrize('tolerance', [1e-2, 1e-5])
+def test_dop853_repeats_steps_of_half_the_size_within_tolerances_that_are_smaller_alike(tolerance):
+    """With the same tolerances internal steps would be the same: no error would be seen."""
+    simulation, times = run('pendulum', tolerance, 0.1), np.linspace(0.0, 3.0, 31)
+    exact = dop853_path(simulation.hamiltonian, [1.5], [0.0], times, 1e-12, 1e-13)[1:]
+    first, second = (np.hstack(simulation.trial(simulation.row, 0.1 / parts, 30, parts))
+                     for parts in (1, 2))
+    # By 2^-8, up to the factors between an error and its tolerance.
+    assert np.abs(second - exact).max() < 0.1 * np.abs(first - exact).max()
+    assert np.array_equal(simulation.q, [1.5]) and simulation.internal_steps[0] == 0
+    assert np.array_equal(first, np.hstack(simulation.record(30, 1)))

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 import math
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import method_name
 from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.simulation.accuracy.diagnostics import state_scales
 from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard
@@ -198,10 +199,10 @@ class ResolutionGuard(BandGuard):
     def _tell(self, step: int, band: float, limit: float, times: float) -> Alarm:
         if not (limit > 0.0 and math.isfinite(band / limit)):
             return Alarm(self.kind, step, band, limit, 'the energy is not finite: '
-                         'under-resolved; use a smaller step_size, or another initial state')
+                         f'under-resolved; use {self.smaller}, or another initial state')
         return Alarm(self.kind, step, band, limit,
                      f'the energy error exceeds {100.0 * self._share * times:g} % of the energy '
-                     'scale; use a smaller step_size, or a method of higher order')
+                     f'scale; use {self.smaller}, or a method of higher order')
 
 
 class BarrierGuard(BandGuard):
@@ -271,7 +272,7 @@ class BarrierGuard(BandGuard):
     def _alarm(self, step: int) -> Alarm:
         return Alarm(self.kind, step, self.band, self.limit,
                      f'the energy error is {self.band:.2g} J, but the {self._name} is only '
-                     f'{self.limit:.2g} J away: {self.kind}; use a smaller step_size')
+                     f'{self.limit:.2g} J away: {self.kind}; use {self.smaller}')
 
 
 # Spacing of finite differences relative to the state; an accuracy of a tenth suffices.
@@ -340,7 +341,7 @@ class InvariantGuard(BandGuard):
     def _alarm(self, step: int) -> Alarm:
         return Alarm(self.kind, step, self.band, self.limit,
                      f'{self._name} is not conserved: it varies by {self.band:.2g}, limit '
-                     f'{self.limit:.2g}; use a smaller step_size, or a method that conserves it',
+                     f'{self.limit:.2g}; use {self.smaller}, or a method that conserves it',
                      '1')
 
 
@@ -399,6 +400,8 @@ class EnergyGuard(BlockGuard):
         Returns the energy scale at each sample of a block [J]; see SampledScale.
     conservative : bool, optional
         True if other guards judge the energy as well.
+    drifting : Simulation, optional
+        Simulation whose method is not symplectic, so that its energy drifts.
 
     """
 
@@ -406,8 +409,9 @@ class EnergyGuard(BlockGuard):
     remedy = ('use a symplectic method instead of a baseline, or a smaller step_size; check that '
               'every effect that acts is listed in the scene')
 
-    def __init__(self, share: float, scale: Scale, conservative: bool = True):
-        self.raised, self._how = False, (share, '')
+    def __init__(self, share: float, scale: Scale, conservative: bool = True,
+                 drifting: Simulation | None = None):
+        self.raised, self._how, self._drifting = False, (share, ''), drifting
         self._jump = _JUMP_RATIO if conservative else _LARGEST_ERROR
         self._share, self._scale_at, self._scale = share, scale, 0.0
         # Work at the last sample, and total absolute work.
@@ -422,7 +426,9 @@ class EnergyGuard(BlockGuard):
 
     @classmethod
     def of_run(cls, run: RunFacts) -> Iterator[Guard]:
-        yield cls(run.change_limit, run.scale, run.conservative)
+        method = run.simulation.integrator
+        yield cls(run.change_limit, run.scale, run.conservative, run.simulation if method.explicit
+                  and not method.requirements.symplectic else None)
 
     def allow(self, band: float, change: float) -> None:
         self._share = change
@@ -486,12 +492,17 @@ class EnergyGuard(BlockGuard):
         self.raised, self._how = True, (share, how)
         if not math.isfinite(value):
             return Alarm(self.kind, step, value, share * self._scale,
-                         'the energy is not finite; use a smaller step_size, or another initial '
+                         f'the energy is not finite; use {self.smaller}, or another initial '
                          'state')
+        cause = ''
+        if self._drifting is not None:
+            time = max(step, 1) * self._drifting.step_size
+            cause = (f'{method_name(self._drifting.integrator)} is not symplectic, and its energy '
+                     f'drifts by {value / time:.2g} J/s; ')
         return Alarm(self.kind, step, value, share * self._scale,
                      f'the energy has {how} by more than {100.0 * share:g} % of the energy '
-                     'scale, apart from the work done: use a symplectic method or a smaller '
-                     'step_size')
+                     f'scale, apart from the work done: {cause}use a symplectic method or '
+                     f'{self.smaller}')
 
 
 def is_wrong(kind: str) -> bool:

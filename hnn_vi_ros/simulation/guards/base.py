@@ -49,11 +49,14 @@ class Guard(ABC):
         Name of its alarms.
     remedy : str
         Remedy against its alarms; the page on troubleshooting lists them all.
+    smaller : str
+        Cause of shorter steps with the method of the run, for messages.
 
     """
 
     kind: str
     remedy: ClassVar[str]
+    smaller: str = 'a smaller step_size'
 
     @classmethod
     def of_run(cls, run: RunFacts) -> Iterator['Guard']:

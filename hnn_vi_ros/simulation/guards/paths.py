@@ -246,18 +246,18 @@ class PathGuard(BlockGuard):
 
     def _alarm(self, step: int) -> Alarm:
         if self._error <= _MAX_PATH_ERROR:
-            return _estimate_alarm(step, self._estimate.value)
+            return _estimate_alarm(step, self._estimate.value, self.smaller)
         return Alarm(self.kind, step, self._error, _MAX_PATH_ERROR,
                      f'the path error is {100.0 * self._error:.2g} % of the path length: the '
-                     'number of turns is wrong; use a smaller step_size, or a method of higher '
-                     'order', '1')
+                     f'number of turns is wrong; use {self.smaller}, or a method of higher order',
+                     '1')
 
 
-def _estimate_alarm(step: int, value: float) -> Alarm:
+def _estimate_alarm(step: int, value: float, smaller: str) -> Alarm:
     size = f'by about {100.0 * value:.2g} % of' if value < 1.0 else 'by more than'
     return Alarm(PathGuard.kind, step, value, _MAX_ESTIMATE,
                  f'a repetition of some steps with half the step size shows that the path is off '
-                 f'{size} its amplitude; use a smaller step_size, or a method of higher order',
+                 f'{size} its amplitude; use {smaller}, or a method of higher order',
                  '1')
 
 
@@ -313,7 +313,7 @@ class ForcedPathGuard(StateGuard):
         return self.renew(sample) if self._raised else None
 
     def renew(self, sample: Observed) -> Alarm:
-        return _estimate_alarm(sample.step, self._estimate.value)
+        return _estimate_alarm(sample.step, self._estimate.value, self.smaller)
 
     def _try(self, sample: Observed, n: int) -> None:
         """Run a trial of n steps from the current state."""

@@ -36,4 +36,7 @@ def make_guards(run: RunFacts, kinds: tuple[type[Guard], ...] = (Guard,)) -> Ite
     """
     for kind in GUARDS:
         if issubclass(kind, kinds):
-            yield from kind.of_run(run)
+            for guard in kind.of_run(run):
+                if run.simulation.integrator.adaptive:
+                    guard.smaller = 'smaller tolerances'
+                yield guard

@@ -41,7 +41,7 @@ def name_step(alarms: Sequence[Alarm], simulation: Simulation,
     The energy error does not predict this step size: at any step size that does not resolve the
     motion, the error is as large as the energy scale. The run is therefore repeated with a half
     of its step size, a quarter and so on; no step size is added if this takes more gradients than
-    can be evaluated in some tenths of a second.
+    can be evaluated in some tenths of a second, or if the method is adaptive.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def name_step(alarms: Sequence[Alarm], simulation: Simulation,
     """
     named = list(alarms)
     for k, alarm in enumerate(alarms):
-        if alarm.kind == ResolutionGuard.kind:
+        if alarm.kind == ResolutionGuard.kind and not simulation.integrator.adaptive:
             step = _resolving_step(simulation, repeat)
             if step is not None:
                 named[k] = alarm._replace(
