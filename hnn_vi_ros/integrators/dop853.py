@@ -26,10 +26,11 @@ _ROUNDING = 3e-14
 _MAX_STEPS, _SHORTEST, _LONGEST = 1_000_000, 2.0**-50, 1000.0
 # A step that leaves less than this share of itself until a fixed end takes all of it.
 _END_SHARE = 0.01
-# h times the largest rate of the linearised motion, beyond which stability limits a step: the
-# boundary of the region of stability is 6.0 to 6.8 away from 0 in the left half plane. The number
-# of such steps after which a motion counts as stiff, and of others after which it no longer does.
-_STABLE, _STIFF_STEPS, _CALM_STEPS = 6.1, 15, 6
+# h times the fastest rate of the linearised motion, beyond which stability limits steps: the
+# boundary of the region of stability is 6.0 to 6.8 away from 0 in the left half plane, and sizes
+# vary below it; a tolerance of 0.1 limits those of an oscillator to 3.5. The number of such steps
+# after which a motion counts as stiff, and of others after which it no longer does.
+_STABLE, _STIFF_STEPS, _CALM_STEPS = 5.0, 15, 6
 
 
 class PairOptions(NamedTuple):
@@ -162,6 +163,10 @@ class Dop853(Integrator):
     def options(self, attempt: int = 0, dimension: int = 1) -> PairOptions:
         """Return the tolerances and coefficients."""
         return self._options
+
+    def own_times(self, kernel: Kernel) -> tuple[float, float]:
+        """Return the time of a step of the clock, and that of a stage."""
+        return 5e-8, 3.5e-8
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[PairWork]:
         """Return the workspace."""
@@ -356,14 +361,24 @@ def _try(kernel: Kernel, size: float, options: PairOptions, end: PhasePoint, new
 
 @inlined
 def _note_stiffness(size: float, n: int, new: PhasePoint, work: PairWork) -> None:
-    """Count steps whose size stability limits, from the last two stages, both at the end."""
-    slope, distance, tally, last = 0.0, 0.0, work.kept.tally, _NEW - 1
+    """
+    Count steps whose size stability limits, from the last two stages, both at the end.
+
+    The differences D between these stages are along the fastest motion. Its rate follows from
+
+        rate^2 = (abs(D H_q) / abs(D q)) (abs(D H_p) / abs(D p)),
+
+    which does not depend on the units of q and p, unlike the ratio of z' and z.
+    """
+    tally, last = work.kept.tally, _NEW - 1
+    change_q, change_p, force, velocity = 0.0, 0.0, 0.0, 0.0
     for k in range(n):
-        slope += (new.dH_dp[k] - work.slopes_q[last, k]) ** 2 \
-            + (new.dH_dq[k] - work.slopes_p[last, k]) ** 2
-        distance += (new.q[k] - work.stage_q[k]) ** 2 + (new.p[k] - work.stage_p[k]) ** 2
+        change_q += (new.q[k] - work.stage_q[k]) ** 2
+        change_p += (new.p[k] - work.stage_p[k]) ** 2
+        force += (new.dH_dq[k] - work.slopes_p[last, k]) ** 2
+        velocity += (new.dH_dp[k] - work.slopes_q[last, k]) ** 2
     tally[0] += 1
-    if size * size * slope > _STABLE * _STABLE * distance:
+    if size ** 4 * force * velocity > _STABLE ** 4 * change_q * change_p:
         tally[3], tally[4] = tally[3] + 1, 0
         if tally[3] >= _STIFF_STEPS:
             tally[2] += 1

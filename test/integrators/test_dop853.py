@@ -232,7 +232,8 @@ def test_dop853_limited_by_stability_raises_an_alarm_that_names_an_implicit_meth
     for system, start, effects, stiff in (
             (hamiltonian, [[1.5, 1e-12], [0.0, 0.0]], [], True),
             ('pendulum', [[1.5], [0.0]], [effect('damping', [1000.0])], True),
-            ('pendulum', [[1.5], [0.0]], [effect('damping', [1.0])], False)):
+            ('pendulum', [[1.5], [0.0]], [effect('damping', [1.0])], False),
+            ('kepler', [[0.4, 0.0], [0.0, 2.0]], [], False)):
         simulation = plain_run(system, Dop853(tolerance, tolerance), 0.1, *start, *effects)
         watch = Watch(RunFacts(simulation), (StabilityGuard,))
         simulation.advance(20)
