@@ -16,8 +16,8 @@ G_i = g (m_i c_i + l_i sum_(k>i) m_k), for masses m, lengths l, centres of mass 
 about them; R_i is the inertia of a motor on joint i. Only these combinations are identifiable.
 For a cart, I_i is all that it carries, C_ij = m_j c_j + l_j sum_(k>j) m_k, and G_i a weight along
 its rail. G_i < 0 if zero is upright. k is the stiffness of springs at joints and between them,
-and T their force at q = 0 (for a cart, a part of G_i). S_n is the part of a spring's force that grows
-with the n-th power, up to the fifth. M and V are linear in these parameters.
+and T their force at q = 0 (for a cart, a part of G_i). S_n is the part of a spring's force that
+grows with the n-th power, up to the fifth. M and V are linear in these parameters.
 
 M is positive definite at all q if the matrix K of I_i and C_ij is, and without motors only if:
 cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.

@@ -70,7 +70,8 @@ def test_columns_are_found_by_their_names_and_the_printed_yaml_is_the_configurat
 
 
 @pytest.mark.parametrize('header, unit, numbers', [
-    ('t,x_mm,u_V', 'V s', 'V s2/m V V/m V/m2'), ('t,theta,current [A]', 'A s', 'A s2 A A/rad A A/rad2'),
+    ('t,x_mm,u_V', 'V s', 'V s2/m V V/m V/m2'),
+    ('t,theta,current [A]', 'A s', 'A s2 A A/rad A A/rad2'),
     ('t,theta,tau [Nm]', 'N m s', 'kg m2 N m N m/rad N m N m/rad2'),
     ('t,x [m],theta [rad],F [N]', 'N s N m s',
      'kg kg m2 kg m N N m N/m N m/rad N/rad N m N/m2 N m/rad2')])
