@@ -3,7 +3,7 @@
 """Simulation: the state of a scene, advanced by whole steps in compiled code."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import math
 from operator import itemgetter
 import time
@@ -224,6 +224,21 @@ class Simulation:
         """
         work = self._memories[0][0] if self._memories[0] else None
         return work.kept.tally[:3].copy() if isinstance(work, PairWork) else np.zeros(3, np.int64)
+
+    @property
+    def path_step(self) -> float:
+        """Return the step size, or that of the next internal step if it is shorter [s]."""
+        work = self._memories[0][0] if self._memories[0] else None
+        if not isinstance(work, PairWork):
+            return self.step_size
+        inside = float(work.kept.control[0, 0])
+        if not inside:
+            with self._elsewhere(self.row), suppress(StepFailure):
+                # The first internal step shows it.
+                work.own_step[:], self.step_size = self.step_size, _SHORTEST
+                self.advance(1)
+                inside = float(work.kept.control[0, 0])
+        return min(self.step_size, inside or math.inf)
 
     @property
     def connected(self) -> bool:

@@ -208,7 +208,7 @@ class PathGuard(BlockGuard):
 
     def _try(self, step: int, q: np.ndarray, p: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the path error over the path length, and the largest derivatives of H."""
-        simulation, h, start = self._simulation, self._simulation.step_size, np.append(q, p)
+        simulation, h, start = self._simulation, self._simulation.path_step, np.append(q, p)
         self._next = max(step + _MAX_STEPS, _TIMES_APART * step)
         try:
             row, = simulation.rows(start[None])
@@ -237,7 +237,7 @@ class PathGuard(BlockGuard):
             worst -= errors[:begin + 1].max(axis=0)
             counted = counted & turned.any()
         self._estimate.add(step, better[part, :q.size], worst[:q.size],
-                           worst[:q.size] / (end - begin), 0.0,
+                           worst[:q.size] / (end - begin) * (simulation.step_size / h), 0.0,
                            (self._next - step) // 2)
         slopes = np.hstack(simulation.hamiltonian.gradient(
             better[part, :q.size], better[part, q.size:]))
@@ -317,7 +317,8 @@ class ForcedPathGuard(StateGuard):
 
     def _try(self, sample: Observed, n: int) -> None:
         """Run a trial of n steps from the current state."""
-        simulation, h, step = self._simulation, self._simulation.step_size, sample.step
+        simulation, h, step = self._simulation, self._simulation.path_step, sample.step
+        parts = simulation.step_size / h
         rows, elapsed = simulation.row if self._rows is None else self._rows, step - self._first
         self._next = self._first + max(elapsed + n, int(_FORCED_APART * elapsed))
         start = sample.q, sample.p
@@ -353,8 +354,9 @@ class ForcedPathGuard(StateGuard):
         reach = _FIRST_LOOK ** 2 * sizes[0]
         path = np.clip(path, start[0] - reach, start[0] + reach)
         self._estimate.add(
-            step, np.concatenate([start[0][None], path, finer[0]]), worst, grown / (n - early),
-            -np.log(np.clip(kept, _NEIGHBOUR, 1.0)) / n, (self._next - step) // 2)
+            step, np.concatenate([start[0][None], path, finer[0]]), worst,
+            parts * grown / (n - early), -parts * np.log(np.clip(kept, _NEIGHBOUR, 1.0)) / n,
+            (self._next - step) // 2)
 
 
 def _largest(values: np.ndarray) -> float:
