@@ -11,8 +11,8 @@ from pathlib import Path
 import shlex
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects import Effect, ExternalForce
-from hnn_vi_ros.errors import DataError, ParameterError, RecordingError
+from hnn_vi_ros.effects import Commanded, Effect, ExternalForce
+from hnn_vi_ros.errors import DataError, listed, ParameterError, RecordingError
 from hnn_vi_ros.files import check_new, elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
@@ -85,6 +85,9 @@ def _judged(arguments: Namespace) -> _Judgement:
     if arguments.held_out:
         motions = train_and_test(motions, data.test_runs)[1]
         description += ', only the runs held out by a training with this configuration'
+    if not (arguments.model.endswith('.safetensors') or any(one.tau.any() for one in motions)):
+        kinds = [type(one).__name__ for one in parts.effects if isinstance(one, Commanded)]
+        description += f'; no forces, with which {listed(kinds)} acts: they are 0' * bool(kinds)
     parts = parts._replace(effects=_effects_for(
         arguments.model, parts.effects, motions, description))
     checkpoint = getattr(hamiltonian, 'checkpoint', None)

@@ -14,13 +14,14 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import ArraysData, evaluate, EvenMotion, train
 from hnn_vi_ros.learning.data.motions import smoothed
+from hnn_vi_ros.learning.fit.windows import ModelParts
 from hnn_vi_ros.learning.judging.evaluation import score, TrajectoryBundle, whole_records
-from hnn_vi_ros.learning.judging.predictors import constant_velocity, linear_model
+from hnn_vi_ros.learning.judging.predictors import constant_velocity, linear_model, simulated
 from hnn_vi_ros.learning.judging.report import shown
 from hnn_vi_ros.models import load_checkpoint, save_checkpoint
 from hnn_vi_ros.simulation import Simulation
 from machines import driven, from_file
-from messages import refused
+from messages import assert_message, refused
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -368,6 +369,17 @@ def test_whole_runs_are_simulated_once_from_the_sample_that_is_named():
     assert whole_records(off, [motion, motion], 20) == [pytest.approx([0.01], rel=1e-9)] * 2
     assert calls == [([20], 379)] * 2
     assert np.isinf(whole_records(lambda *_: np.full((1, 400, 1), np.nan), [motion], 0)[0])
+
+
+def test_failure_names_its_cause_and_joints_without_rotors(caplog):
+    chain = HAMILTONIANS['double_pendulum'](mass1=3.0, mass2=1e-4)
+    parts = ModelParts(chain, INTEGRATORS['implicit_midpoint'](), [], 0.1)
+    one = np.ones((50, 1))
+    motion = smoothed('run', 0.1 * np.arange(50), one * [2.0, 0.0], one * [0.0, 1e3],
+                      one * [0.0, 0.0], 40.0)
+    q = simulated(parts)(motion, np.array([0, 5]), 30)
+    assert np.isnan(q).any() and len(caplog.records) == 1
+    assert_message(caplog.records[0].getMessage())
 
 
 def test_failed_simulations_are_counted_and_no_number_is_made_up_for_them():

@@ -3,12 +3,13 @@
 """Predictors of measured motions: models, scenes, and the baselines they are compared with."""
 
 from collections.abc import Callable, Sequence
+import logging
 import math
 from pathlib import Path
 
 from hnn_vi_ros.effects import (
     Damping, Effect, ExternalForce, has_map, LearnedDissipation, LearnedFriction)
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import is_path
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint, VariationalMidpoint
@@ -22,6 +23,10 @@ from hnn_vi_ros.simulation import build, resolve
 import numpy as np
 import torch
 
+
+# Inertia below which a joint needs that of its rotor, relative to the largest one.
+_LIGHT = 1e-3
+_LOGGER = logging.getLogger(__name__)
 
 # ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at the samples from
 # each start on, or at fewer if the motion ends before; NaN after a failure of the simulation.
@@ -92,8 +97,26 @@ def simulated(parts: ModelParts) -> Predict:
                 raise DataError(f'{motion.name}: the state at {motion.t[start]:.6g} s cannot be '
                                 f'simulated: {problem}') from problem
         found: np.ndarray = log.states(states[:, None])[:, 0, :, :motion.q.shape[1]]
+        fails = ~np.isfinite(found).all(axis=2) & windows.there
+        if fails.any():
+            row = int(fails.any(axis=1).argmax())
+            _LOGGER.warning('warning: %s: errors are inf, since the simulation from %.4g s on '
+                            'fails after %.3g s%s', motion.name, motion.t[starts[row]],
+                            motion.spacing * fails[row].argmax(),
+                            _light_joints(parts.hamiltonian, *np.split(states[row], 2)))
         return found
     return predict
+
+
+def _light_joints(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> str:
+    """Return a remark on coordinates with next to no inertia at a state, '' for none."""
+    inverse = [hamiltonian.hessian_vector(q, p, np.zeros_like(q), unit)[1]
+               for unit in np.eye(len(q))]
+    inertia = 1.0 / np.diag(inverse)
+    light = [name for name, x in zip(names_of(hamiltonian), inertia, strict=True)
+             if x < _LIGHT * inertia.max()]
+    return f'; {listed(light)}: next to no inertia beside the others; geared joints have that ' \
+        'of their motors, rotor_inertia' if light else ''
 
 
 def constant_velocity(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
