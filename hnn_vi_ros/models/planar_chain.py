@@ -42,8 +42,9 @@ HIGHEST_POWER = 5
 
 class Terms(NamedTuple):
     """
-    M = sum_k A_k cos(g_k . q),
-    V = sum_l c_l (1 - cos(h_l . q)) + w . q + q . k q / 2 + sum_ni s_ni q_i^(n+1) / (n + 1).
+    M = sum_k A_k cos(g_k . q), and a potential V.
+
+        V = sum_l c_l (1 - cos(h_l . q)) + w . q + q . k q / 2 + sum_ni s_ni q_i^(n+1) / (n + 1)
 
     Parameters
     ----------
@@ -209,8 +210,8 @@ def _kernels(angles: tuple[tuple[float, ...], ...], springs: int
         energy += parameter * combined(terms.pull)
         for i, j in np.argwhere(terms.stiffness):
             energy += 0.5 * (parameter * q[i] * q[j])
-        for power, i in np.argwhere(terms.powers) + (3, 0):
-            energy += 1.0 / float(power) * (parameter * q[i]**int(power))
+        for n, i in np.argwhere(terms.powers).tolist():
+            energy += 1.0 / (n + 3) * (parameter * q[i]**(n + 3))
     return mass_kernels(graph, mass, energy, p, (names, momenta))
 
 

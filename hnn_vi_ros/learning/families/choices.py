@@ -282,7 +282,7 @@ class MechanicalChoice(FamilyChoice):
         'for a planar_chain: springs at the joints and linear ones between them, with fitted '
         'stiffness and position of rest; true: linear, or the highest power of their force; '
         'prior: auto adds them if they predict held-out motions better, up to the fifth power '
-        'with positions alone'))
+        'for one coordinate with positions alone'))
     residual: bool | list[Literal['potential', 'mass']] = Field(True, description=(
         'add networks to a prior: true, false, or a list of networks'))
     residual_weight: float = Field(1e-6, ge=0.0, description=(

@@ -23,6 +23,9 @@ import numpy as np
 
 # Half-width of 95 % intervals in standard deviations.
 _QUANTILE = 1.96
+# Residuals in units of the noise that show that a body lacks something, and the least share of
+# them that is evidence for other forces.
+_POOR, _MOST = 5.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -61,9 +64,14 @@ class FittedRigidBody(Fitted):
                                       loss.step_size)[0])
 
     def is_evidence(self, gain: float) -> bool:
-        """Return True if residuals that are smaller by this share are three sigma smaller."""
+        """
+        Return True if residuals that are smaller by this share are three sigma smaller.
+
+        Of residuals that are many times the noise it must be most: the body lacks something else.
+        """
         return self.numbers is not None and (
-            evidence_of(self.numbers.solution.freedom, 1.0 - gain) > EVIDENCE)
+            evidence_of(self.numbers.solution.freedom, 1.0 - gain) > EVIDENCE) and (
+                gain > _MOST or self.numbers.stages[-1][1] < _POOR)
 
     def misfit_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
         """Return the residuals with other forces, of a fit to positions."""

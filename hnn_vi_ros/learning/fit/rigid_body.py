@@ -54,9 +54,11 @@ _OVERLAP = 20
 _NO_WORSE = 1.02
 # Relative tolerance of the fit to positions: errors of the numbers are far larger.
 _TOLERANCE = 1e-5
-# Change of a number at half the step that matters, in standard errors, and most halvings; singular
-# values of normalised columns that are rounding errors.
-_MOVED, _HALVED, _OPEN = 0.2, 6, 1e-6
+# Cost of an initial guess, relative to the least, from which other angles are not tried.
+_HOPELESS = 100.0
+# Change of a number at half the step that matters: in standard errors, and relative to it, for logs
+# without noise; most halvings; singular values of normalised columns that are rounding errors.
+_MOVED, _EXACT, _HALVED, _OPEN = 0.2, 1e-5, 5, 1e-6
 
 
 def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
@@ -94,7 +96,7 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
                    motions: Sequence[EvenMotion]) -> FittedRigidBody:
     """Fit the best of some networks in windows whose initial states are unknowns."""
     motions = [replace(motion, v=None) for motion in motions]
-    cutoff, models = cutoff_of(motions, motions[0].spacing), []
+    cutoff, models = cutoff_of(motions, motions[0].spacing), list[tuple[float, RigidModel]]()
     # Coarser states have less noise: derivatives of noise look like friction.
     samples = [samples_of(states, None) for states in (motions, *(
         [smoothed(motion.name, motion.t, motion.q, motion.v, motion.tau, share * cutoff)
@@ -103,11 +105,14 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
         motion.tau.any() for motion in motions)
     for network in networks:
         physical = PriorUnknowns(network, widths=True)
-        models.append(min((
-            RigidModel(physical, _first(physical, states)[0], thin[0].spacing, driven)
-            for states in samples), key=lambda model: cost_at_start(model, thin)))
+        begun = [RigidModel(physical, _first(physical, states)[0], thin[0].spacing, driven)
+                 for states in samples]
+        models.append(min(((cost_at_start(model, thin), model) for model in begun),
+                          key=lambda one: one[0]))
+    least = min(cost for cost, _ in models)
     fitted = _without_idle_numbers(_with_finer_steps(fit_numbers(
-        models, thin, None, True, tolerance=_TOLERANCE)))
+        [model for cost, model in models if not cost > _HOPELESS * least], thin, None, True,
+        tolerance=_TOLERANCE)))
     model = fitted.problem.model
     assert isinstance(model, RigidModel)
     return FittedRigidBody(model.network_at(fitted.solution.values), {
@@ -129,24 +134,29 @@ def _with_finer_steps(fitted: FittedNumbers) -> FittedNumbers:
 
     Sharp friction jumps within a step where a joint reverses.
     """
+    solution, problem, begun = fitted.solution, fitted.problem, fitted.problem.model
+    assert isinstance(begun, RigidModel)
+    weights, windows, units = problem.weights(solution.residuals), solution.windows, units_of(
+        solution)
+    slopes = (projected(solution, weights)[0] / units).reshape(-1, len(units))
+    # Of the noise alone: errors of the steps are a part of the excess.
+    errors = np.sqrt(np.diag(covariance_of(fitted))) / max(1.0, fitted.stages[-1][1])
+    model, now = begun, LogSimulation(begun.parts_at(solution.values), windows).predict(
+        solution.starts)
     for _ in range(_HALVED):
-        solution, problem, model = fitted.solution, fitted.problem, fitted.problem.model
-        assert isinstance(model, RigidModel)
-        weights, windows = problem.weights(solution.residuals), solution.windows
         fine = model.at_step(0.5 * model.step_size)
-        now, after = (LogSimulation(one.parts_at(solution.values), windows).predict(
-            solution.starts) for one in (model, fine))
+        after = LogSimulation(fine.parts_at(solution.values), windows).predict(solution.starts)
         change = np.where(windows.there[..., None], (after - now) / solution.noise, 0.0)
         rest = projected(replace(solution, parameter_jacobian=change[..., None]), weights)[0]
-        units = units_of(solution)
-        slopes = (projected(solution, weights)[0] / units).reshape(-1, len(units))
         moved = np.linalg.lstsq(slopes, rest.ravel(), rcond=_OPEN)[0] / units
-        if (np.abs(moved) <= _MOVED * np.sqrt(np.diag(covariance_of(fitted)))).all():
+        if (np.abs(moved) <= _MOVED * errors + _EXACT * np.abs(solution.values)).all():
             break
-        found = refitted(fitted, fine, solution.values, _TOLERANCE)
-        fitted = found._replace(stages=[*fitted.stages[:-1], (fitted.stages[-1][0], excess_of(
-            found.solution, found.problem, found.sensor))])
-    return fitted
+        model, now = fine, after
+    if model is begun:
+        return fitted
+    found = refitted(fitted, model, solution.values, _TOLERANCE)
+    return found._replace(stages=[*fitted.stages[:-1], (fitted.stages[-1][0], excess_of(
+        found.solution, found.problem, found.sensor))])
 
 
 def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:

@@ -417,7 +417,8 @@ def _with_springs(plain: Candidate, first: Candidate) -> list[Candidate]:
 
     Other forces between samples are found again: those of a body that lacks springs mimic them.
     """
-    power = HIGHEST_POWER if positions_alone(first.trials.motions) else 1
+    alone = positions_alone(first.trials.motions) and len(first.config.coordinates) == 1
+    power = HIGHEST_POWER if alone else 1
     config = first.config.model_copy(update={
         'family': first.config.family.model_copy(update={'springs': power})})
     springs = first.trials.candidate(f'{RIGID} with springs', config)
