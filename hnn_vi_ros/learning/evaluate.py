@@ -22,6 +22,7 @@ from hnn_vi_ros.learning.data.motions import (
     delayed, EvenMotion, MotionData, of_positions, train_and_test)
 from hnn_vi_ros.learning.data.sources import (
     make_dataset, motions_of, MotionSource, read_motions, source_of)
+from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.config import BodyConfig, FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.excitation import ExcitationData
@@ -249,9 +250,12 @@ def _motions(arguments: Namespace, given: Sequence[str], coordinates: Sequence[C
             given[0], coordinates, arguments.counts), given, coordinates, changes)
     source = find_config(arguments.config)
     config = load_config(source)
-    if arguments.held_out and not hasattr(config.data, 'test_runs'):
+    if arguments.held_out and (
+            isinstance(config, FieldConfig) or not hasattr(config.data, 'test_runs')):
         raise ParameterError(f'--held-out: {source} holds out states, not runs; remove the option')
     if isinstance(config, FieldConfig):
+        if isinstance(config.data, ArraysData | LogMotions):
+            return _read(arguments, source, config.data, given, coordinates, changes)
         _check_format(arguments, config.data)
         data = MotionData.model_validate(changes)
         dataset = make_dataset(config.data, config.seed, source, given,

@@ -9,7 +9,7 @@ import types
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import HnnViRosError, Interrupted
 from hnn_vi_ros.files import dump_yaml
-from hnn_vi_ros.learning import read_motions, source_of
+from hnn_vi_ros.learning import evaluate, read_motions, source_of
 from hnn_vi_ros.learning.fit.loop import TrainingCheckpoint, TrainingRun
 from hnn_vi_ros.learning.train import main, train
 from hnn_vi_ros.models import load_checkpoint, load_learned
@@ -366,6 +366,13 @@ def test_family_of_states_is_trained_from_the_data_of_machines(
     if taken:
         main(words)
         assert load_checkpoint(Path('m.safetensors')).card.family == kind
+        if not forces:
+            # Options that do not hold for these data are not left out either.
+            np.savez('b.npz', time=t, q=arrays['q'], dq=arrays['dq'])
+            words = ['m.safetensors', '--config', 'a.yaml', '--data', 'b.npz']
+            evaluate.main([*words, '--keys', 'time,q,dq'])
+            with refused(HnnViRosError):
+                evaluate.main([*words, '--held-out'])
         return
     with refused(HnnViRosError):
         main(words)
