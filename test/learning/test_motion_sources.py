@@ -11,7 +11,8 @@ from hnn_vi_ros.learning import ArraysData, read_motions, source_of, steps_betwe
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import (
     even_motions, Motion, MotionData, of_positions, part_of, Recording)
-from hnn_vi_ros.learning.data.sampling import increasing_samples, unexplained_share, unwrap_turns
+from hnn_vi_ros.learning.data.sampling import (
+    increasing_samples, interleaved, is_noise, unexplained_share, unwrap_turns)
 from hnn_vi_ros.learning.data.sources import configuration_of
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -349,6 +350,16 @@ def test_most_samples_are_kept_whose_times_increase():
     assert increasing_samples(np.array([1.0, 2.0, 9.0, 3.0, 3.0, 4.0])).tolist()[-1] == 5
     assert len(increasing_samples(np.array([1.0, 2.0, 9.0, 3.0, 3.0, 4.0]))) == 4
     assert len(increasing_samples(np.zeros(5))) == 1 and not len(increasing_samples(np.empty(0)))
+
+
+def test_noise_and_two_bodies_in_turn_are_told_from_motions_of_few_samples_a_period():
+    k, noise = np.arange(200), np.random.default_rng(5).normal(size=200)
+    assert is_noise(noise) and not interleaved(noise)
+    # Each by itself is smooth: their third differences are at most 0.1^3 of their size.
+    assert interleaved(np.where(k % 2, np.sin(0.05 * k), np.cos(0.03 * k)) + 1e-3 * noise)
+    for period in (2.6, 3.0, 4.0, 10.0, 100.0):
+        x = np.sin(2.0 * np.pi / period * k) + 0.1 * noise
+        assert not is_noise(x) and not interleaved(x)
 
 
 @pytest.mark.parametrize('at', [100, 300])

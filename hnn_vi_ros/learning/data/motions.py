@@ -322,9 +322,9 @@ def _check_motions(cut: Sequence[Pieces]) -> None:
             for one in cut for rows in one.rows]
     for motion, q in runs:
         for label, x in zip(motion.labels, q.T, strict=False):
-            if count := interleaved(x):
-                raise DataError(f'{motion.where}: {label} goes to and fro between {count} '
-                                'motions, as of bodies in one column; give each a log of its own')
+            if interleaved(x):
+                raise DataError(f'{motion.where}: {label} goes to and fro between two motions, as '
+                                'of two bodies in one column; give each a log of its own')
     if all(is_noise(x) for _, q in runs for x in q.T):
         raise DataError(f'{motion.where}: no sample of {listed(motion.labels[:q.shape[1]])} is '
                         'related to those before it: it is noise, at rest, or sampled less than '
