@@ -101,8 +101,8 @@ def _of_chain(mechanical: MechanicalCard, prior: PriorCard, names: list[str]) ->
     for i, j in np.argwhere(np.tril(terms.stiffness)):
         pair = f'{names[i]}^2 / 2' if i == j else f'{names[j]} {names[i]}'
         energy[pair] = float(terms.stiffness[i, j])
-    for power, i in (np.argwhere(terms.powers) + (3, 0)).tolist():
-        energy[f'{names[i]}^{power} / {power}'] = float(terms.powers[power - 3, i])
+    for row, i in np.argwhere(terms.powers).tolist():
+        energy[f'{names[i]}^{row + 3} / {row + 3}'] = float(terms.powers[row, i])
     yield f'V = {sum_text(energy)}'
 
 
