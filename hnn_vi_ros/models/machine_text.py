@@ -65,7 +65,8 @@ def parameters_text(card: ModelCard, open_scale: str) -> str:
                 for name, one in estimates.items()]
         said = ('The intervals hold if the noise of the sensors is the only error; where '
                 'residuals exceed it, they are as many times wider, which may not suffice. '
-                'Friction and springs without a row are not in the data.')
+                'Friction and springs without a row are not in the data; a width without a row '
+                'cannot be told from them, and is taken as 2 % of the usual speed.')
     else:
         rows = [(name, one.value, one.unit, '-') for name, one in
                 mechanical.prior.parameters.items()]

@@ -279,6 +279,22 @@ def test_intervals_are_wider_where_residuals_exceed_the_noise():
     assert stages and sizes[1] == pytest.approx(3.0 * sizes[0], rel=1e-9)
 
 
+def test_width_that_a_log_does_not_tell_is_a_usual_one():
+    """Dry friction as wide as all speeds made viscous friction four times as uncertain."""
+    t = 0.05 * np.arange(480)
+    z = solve_ivp(lambda time, z: [z[1], -9.81 * np.sin(z[0]) - 0.05 * z[1] - 0.02 * np.tanh(
+        100.0 * z[1])], (0.0, t[-1]), [0.9, 0.0], t_eval=t, rtol=1e-9, atol=1e-9).y.T
+    q = z[:, :1] + 5e-3 * np.random.default_rng(0).normal(size=(len(t), 1))
+    config = machine_config('a', prior='planar_chain', residual=False)
+    rigid = fit_machine(config, [smoothed('swing', t, q, None, 0.0 * q, 8.0)])
+    found = rigid.estimates(config.coordinates, q)
+    assert not [name for name in found if 'width' in name]
+    for name, truth in (('viscous friction of a', 0.05), ('dry friction of a', 0.02)):
+        # Four standard errors.
+        value, high = found[name].value, found[name].interval[1]
+        assert abs(value - truth) < 4.0 * (high - value) / 1.96 < 0.02
+
+
 def test_steps_are_as_small_as_sharp_friction_needs():
     """A carriage that reverses within a step: the numbers of coarse steps were 9 errors off."""
     t, rng = 0.01 * np.arange(800), np.random.default_rng(4)
@@ -300,8 +316,8 @@ def test_steps_are_as_small_as_sharp_friction_needs():
     for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
                         ('dry friction of x', 1.0), ('width of dry friction of x', 0.004)):
         # Four standard errors.
-        low, high = found[name].interval
-        assert abs(found[name].value - truth) < 2.0 * (high - low) / 1.96
+        value, high = found[name].value, found[name].interval[1]
+        assert abs(value - truth) < 4.0 * (high - value) / 1.96
 
 
 @pytest.mark.parametrize('magnet', [0.0, 12.0])

@@ -52,11 +52,13 @@ _OVERLAP = 20
 # Share by which residuals without idle numbers may grow beyond what the criterion allows; more
 # shows a false minimum.
 _NO_WORSE = 1.02
+# Size of a width in standard errors from which the data tell it.
+_TOLD = 1.96
 # Relative tolerance of the fit to positions: errors of the numbers are far larger.
 _TOLERANCE = 1e-5
 # Cost of an initial guess, relative to the least, from which other angles are not tried.
 _HOPELESS = 100.0
-# Change of a number at half the step that matters: in standard errors, and relative to it, for logs
+# Change of a number at half the step that matters: in standard errors, and relative to it for logs
 # without noise; most halvings; singular values of normalised columns that are rounding errors.
 _MOVED, _EXACT, _HALVED, _OPEN = 0.2, 1e-5, 5, 1e-6
 
@@ -64,7 +66,7 @@ _MOVED, _EXACT, _HALVED, _OPEN = 0.2, 1e-5, 5, 1e-6
 def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
                    motions: Sequence[EvenMotion]) -> FittedRigidBody | None:
     """
-    Fit prior and friction of the best of some networks; the friction widths stay fixed.
+    Fit prior and friction of the best of some networks; widths of friction only to positions.
 
     Parameters
     ----------
@@ -110,9 +112,9 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
         models.append(min(((cost_at_start(model, thin), model) for model in begun),
                           key=lambda one: one[0]))
     least = min(cost for cost, _ in models)
-    fitted = _without_idle_numbers(_with_finer_steps(fit_numbers(
+    fitted = _without_idle_numbers(_with_finer_steps(_with_usual_widths(fit_numbers(
         [model for cost, model in models if not cost > _HOPELESS * least], thin, None, True,
-        tolerance=_TOLERANCE)))
+        tolerance=_TOLERANCE))))
     model = fitted.problem.model
     assert isinstance(model, RigidModel)
     return FittedRigidBody(model.network_at(fitted.solution.values), {
@@ -126,6 +128,26 @@ def _with_one_width(network: MechanicalNetwork) -> MechanicalNetwork:
     return network if 'coulomb' in friction.model_fields_set else MechanicalNetwork(
         replace(network.structure, friction=friction.model_copy(update={'coulomb': 1})), [1],
         network.scales, 0)
+
+
+def _with_usual_widths(fitted: FittedNumbers) -> FittedNumbers:
+    """
+    Return the fit with usual widths of friction where its data do not tell them from 0.
+
+    Dry friction as wide as all speeds is viscous: neither of the two would be certain.
+    """
+    solution, model = fitted.solution, fitted.problem.model
+    assert isinstance(model, RigidModel)
+    errors = np.sqrt(np.diag(covariance_of(fitted)))
+    open_ = [k for k in model.useless_widths(range(len(errors)))
+             if solution.values[k] < _TOLD * errors[k]]
+    if not open_:
+        return fitted
+    found = refitted(fitted, model.without(open_), np.delete(solution.values, open_), _TOLERANCE)
+    length, before = fitted.stages[-1]
+    now = excess_of(found.solution, found.problem, found.sensor)
+    return fitted if now > _NO_WORSE * before else found._replace(
+        stages=[*fitted.stages[:-1], (length, now)])
 
 
 def _with_finer_steps(fitted: FittedNumbers) -> FittedNumbers:
@@ -172,6 +194,8 @@ def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
     units = units_of(solution)
     slopes = np.sqrt(weights)[..., None] * projected(solution, weights)[0] / units
     n = len(units)
+    # At fixed widths: a force that may have any width is less certain than that there is one.
+    slopes[..., model.useless_widths(range(n))] = 0.0
     _, R = np.linalg.qr(slopes.reshape(-1, n))
     C = np.linalg.pinv(R.T @ R, hermitian=True) / np.outer(units, units)
     B = np.outer(units, units) * covariances(slopes, sensors_of(fitted))[0]

@@ -24,6 +24,8 @@ import torch
 
 # Smallest inertia and friction, relative to the usual ones, and smallest initial distance from it.
 LEAST, ABOVE = 1e-7, 1e-3
+# Width of friction that the data do not tell, relative to the usual speed.
+_SHARP = 0.02
 # Bounds of the Stribeck speed: this share of the usual speed, and one minus this share.
 _SHARE = 0.01
 # Method of the windows of positions, so accurate that the parameters are those of the machine.
@@ -90,11 +92,14 @@ class RigidModel:
         return [k for k, number in enumerate(self.numbers) if first <= int(number.name) < last]
 
     def without(self, idle: Sequence[int]) -> 'RigidModel':
-        """Return the model with some numbers fixed at their least value, or 0."""
+        """Return the model with some numbers fixed at their least value or 0; widths are usual."""
         other = copy(self)
         other._base = self._base.copy()
+        first = sum(self.unknowns.sizes[:7])
         for k in idle:
-            other._base[int(self.numbers[k].name)] = max(self.numbers[k].low, 0.0)
+            place = int(self.numbers[k].name)
+            other._base[place] = max(self.numbers[k].low, 0.0) if place < first else \
+                _SHARP * self.unknowns.scale[place]
         other.numbers = [number for k, number in enumerate(self.numbers) if k not in idle]
         return other
 
