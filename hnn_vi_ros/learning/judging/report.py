@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.files import dump_yaml, write_text
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.learning.fit.loop import LossHistory
-from hnn_vi_ros.learning.judging.evaluation import TrajectoryBundle
 from hnn_vi_ros.learning.fit.shooting import Solution
+from hnn_vi_ros.learning.judging.evaluation import TrajectoryBundle
 from hnn_vi_ros.models import Checkpoint, interval_text, ModelCard, ratio_unit
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import Scene

@@ -18,9 +18,9 @@ from hnn_vi_ros.learning.fit.config import FieldConfig
 from hnn_vi_ros.learning.fit.field import fit_field, FittedField, LOSSES
 from hnn_vi_ros.learning.fit.loop import Train, trained
 from hnn_vi_ros.learning.fit.model_files import described
+from hnn_vi_ros.learning.judging.energy import friction_work, integrated
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped, calibrated, ensemble_text, field_calibration, held_out)
-from hnn_vi_ros.learning.judging.energy import friction_work, integrated
 from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
 from hnn_vi_ros.learning.tasks import TrainingTask
 from hnn_vi_ros.models import (

@@ -26,9 +26,9 @@ from hnn_vi_ros.learning.fit.model_files import (
     describe_machine, drafted, machine_scene, with_prior)
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts
+from hnn_vi_ros.learning.judging.energy import balance
 from hnn_vi_ros.learning.judging.ensemble import (
     bootstrapped_blocks, calibrated, ensemble_text, kept_and_held, machine_calibration)
-from hnn_vi_ros.learning.judging.energy import balance
 from hnn_vi_ros.learning.judging.evaluation import judge as judged_scores
 from hnn_vi_ros.learning.judging.evaluation import Judging, numbers, outside, table, verdict
 from hnn_vi_ros.learning.judging.missing import missing_force
