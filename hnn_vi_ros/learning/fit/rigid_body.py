@@ -200,7 +200,7 @@ def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
     C = np.linalg.pinv(R.T @ R, hermitian=True) / np.outer(units, units)
     B = np.outer(units, units) * covariances(slopes, sensors_of(fitted))[0]
     x, price, idle = solution.values.copy(), math.log(solution.freedom), list[int]()
-    low = np.array([number.low for number in model.numbers])
+    low, high = np.array([(number.low, number.high) for number in model.numbers]).T
     least = np.maximum(low, 0.0)
     while left := [k for k in model.optional if k not in idle and C[k, k] > 0.0]:
         spread = np.einsum('ki,ij,kj->k', C, B, C)
@@ -217,7 +217,7 @@ def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
     # By the criterion residuals grow by no more than this.
     limit = _NO_WORSE * math.sqrt(1.0 + len(idle) * price / solution.freedom)
     return _refitted_without(
-        fitted, model.without(idle), np.delete(np.maximum(x, low), idle), limit)
+        fitted, model.without(idle), np.delete(np.clip(x, low, high), idle), limit)
 
 
 def _refitted_without(fitted: FittedNumbers, model: RigidModel, values: np.ndarray, limit: float

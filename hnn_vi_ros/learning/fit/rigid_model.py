@@ -106,11 +106,12 @@ class RigidModel:
     def useless_widths(self, idle: Sequence[int]) -> list[int]:
         """Return the numbers of widths of friction that would be without force."""
         sizes, friction = self.unknowns.sizes, self.unknowns.network.friction
+        d = self.unknowns.network.d
         acts, first = np.zeros(sum(sizes), bool), sum(sizes[:2])
         acts[[int(number.name) for k, number in enumerate(self.numbers) if k not in idle]] = True
-        forces = acts[first:first + sizes[2]].reshape(-1, self.unknowns.network.d)
+        forces = acts[first:first + sizes[2]].reshape(-1, d)
         n, sides = friction.choice.coulomb, 1 + friction.choice.directed
-        used = np.concatenate([forces[:sides * n].reshape(n, sides, -1).any(axis=1),
+        used = np.concatenate([forces[:sides * n].reshape(n, sides, d).any(axis=1),
                                forces[sides * n:]]).ravel()
         first = sum(sizes[:7])
         return [k for k, number in enumerate(self.numbers)
