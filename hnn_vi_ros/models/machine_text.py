@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameters and the equation of a machine's model, as text for reports."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard, PriorCard
@@ -128,11 +129,13 @@ def _friction(friction: FrictionCard, i: int, back: bool) -> dict[str, float]:
     """Return the friction at a coordinate, at positive or at negative velocities."""
     def at(forward: list[float], backward: list[float] | None) -> float:
         return -(forward if backward is None or not back else backward)[i]
-    found = {'v': at(friction.viscous, friction.viscous_back)}
+    # The members of a mean may have terms of the same width.
+    found = defaultdict[str, float](float)
+    found['v'] = at(friction.viscous, friction.viscous_back)
     for dry in friction.coulomb:
-        found[f'tanh(v / {dry.width[i]:.4g})'] = at(dry.force, dry.back)
+        found[f'tanh(v / {dry.width[i]:.4g})'] += at(dry.force, dry.back)
     for term in friction.stribeck:
-        found[f'tanh(v / {term.width[i]:.4g}) exp(-(v / {term.speed[i]:.4g})^2)'] = \
+        found[f'tanh(v / {term.width[i]:.4g}) exp(-(v / {term.speed[i]:.4g})^2)'] += \
             at(term.force, None)
     if friction.load is not None and friction.switch is not None:
         found[f'abs(motor force) tanh(v / {friction.switch[i]:.4g})'] = at(friction.load, None)

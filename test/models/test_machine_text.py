@@ -79,6 +79,14 @@ def test_written_forces_are_those_of_friction_and_motors():
             'where v < 0') in lines.splitlines()
 
 
+def test_friction_of_the_members_of_a_mean_is_added():
+    kinds, angles, parameters = CHAINS[0]
+    half = CoulombTerm(force=[0.2, 0.1], width=[0.02, 0.02])
+    mean = FrictionCard(viscous=[0.3, 0.0], coulomb=[half, half])
+    assert 'force on a = u1 - 0.3 v - 0.4 tanh(v / 0.02)\n' in equation_text(
+        described(kinds, angles, parameters, friction=mean))
+
+
 def test_without_forces_only_ratios_are_printed():
     kinds, angles, parameters = CHAINS[0]
     card = described(kinds, angles, parameters, estimates={
