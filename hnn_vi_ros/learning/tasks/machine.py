@@ -210,7 +210,7 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
     hamiltonian, effects = _parts_of(checkpoint)
     parts = ModelParts(hamiltonian, ImplicitMidpoint(), effects, math.inf)
-    names, open_scale = [one.name for one in config.coordinates], _open_scale(config, data.train)
+    names, open_scale = [one.name for one in config.coordinates], _scale_unit(config, data.train)
     said, known, residuals, longest = '', {}, dict[str, list[float]](), None
     if positions_alone(test):
         noise = first_noise(test) if fitted.noise is None else fitted.noise
@@ -314,7 +314,7 @@ def _opens_scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> bool:
     return not own_scale and not any(motion.tau.any() for motion in motions)
 
 
-def _open_scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
+def _scale_unit(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
     """Return the unit of what is 1 by convention, '' if the data fix the scale of forces."""
     if config.family.input_map == 'learned':
         return 'input map'
