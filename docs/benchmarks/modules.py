@@ -47,18 +47,18 @@ def _residual(f: _Library, z: Any, w: Weights) -> Any:
     z = f.softplus(_linear(z, w, 0))
     for k in (1, 2):
         z = z + f.softplus(_linear(z, w, k))
-    return _linear(z, w, 3).sum()
+    return _linear(z, w, 3)[..., 0]
 
 
 def _tanh(f: _Library, z: Any, w: Weights) -> Any:
-    return _linear(f.tanh(_linear(f.tanh(_linear(z, w, 0)), w, 1)), w, 2).sum()
+    return _linear(f.tanh(_linear(f.tanh(_linear(z, w, 0)), w, 1)), w, 2)[..., 0]
 
 
 def _attention(f: _Library, z: Any, w: Weights) -> Any:
-    bodies = _linear(f.stack([z[:3], z[3:]]), w, 0)
+    bodies = _linear(f.stack([z[..., :3], z[..., 3:]]), w, 0)
     query, key, value = (_linear(bodies, w, k) for k in (1, 2, 3))
-    seen = f.softmax(query @ key.T / 4.0) @ value
-    return _linear(f.tanh(bodies + seen), w, 4).sum()
+    seen = f.softmax(query @ key.mT / 4.0) @ value
+    return _linear(f.tanh(bodies + seen), w, 4).sum((-2, -1))
 
 
 class _Case(NamedTuple):
@@ -88,8 +88,8 @@ class _Module(torch.nn.Module):
             self.w[f'b{k}'] = torch.tensor(0.1 * rng.normal(size=outputs))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return H of one row, shape (1,)."""
-        return self.energy(_TORCH, x[0], self.w)[None]
+        """Return H of each row, shape (n,)."""
+        return self.energy(_TORCH, x, self.w)
 
 
 def rows(settings: Settings) -> Iterator[Row]:
