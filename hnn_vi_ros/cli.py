@@ -119,6 +119,8 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     harden_streams()
     # Otherwise the viewer's library would write to standard error.
     os.environ.setdefault('RUST_LOG', 'off')
+    # Threads of numpy's library wait for each other much longer than its small matrices take.
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     try:
         _choose_cache()
     except OSError as problem:

@@ -63,6 +63,22 @@ print(sorted(sys.modules.keys() & {{'numba', 'llvmlite', 'scipy', 'torch'}}), fi
     assert (result.returncode, result.stderr) == (0, '[]\n')
 
 
+@pytest.mark.parametrize('given, threads', [({}, '1'), ({'OPENBLAS_NUM_THREADS': '3'}, '3')])
+def test_linear_algebra_has_one_thread_unless_the_environment_says_more(given, threads):
+    # The library reads it when numpy is imported.
+    code = f"""import os, sys
+os.environ.pop('OPENBLAS_NUM_THREADS')
+os.environ |= {given}
+from hnn_vi_ros import cli
+assert 'numpy' not in sys.modules
+sys.argv[1:] = ['list', 'scenes']
+try:
+    cli.main()
+except SystemExit:
+    print(os.environ['OPENBLAS_NUM_THREADS'], file=sys.stderr)"""
+    assert run_code(code).stderr == f'{threads}\n'
+
+
 @pytest.mark.parametrize('old, new', [
     ('step_size', 'stepsize'), ('1e-2', '-0.1'), ('1e-2', '1 ms'), ('1e-2', '0'),
     ('p: [0]', 'p: [0]\neffects: [{kind: servo, coordinates: [x], stiffness: high}]'),

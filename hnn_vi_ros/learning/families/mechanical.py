@@ -286,11 +286,14 @@ class MechanicalNetwork(torch.nn.Module):
 
     def with_parameters(self, parameters: Mapping[str, torch.Tensor]) -> 'MechanicalNetwork':
         """Return a copy with other values of some parameters, by name."""
-        other = deepcopy(self)
+        return deepcopy(self).take_parameters(parameters)
+
+    def take_parameters(self, parameters: Mapping[str, torch.Tensor]) -> 'MechanicalNetwork':
+        """Set values of some parameters, by name, and return this network."""
         with torch.no_grad():
             for name, values in parameters.items():
-                other.get_parameter(name).copy_(values)
-        return other
+                self.get_parameter(name).copy_(values)
+        return self
 
     def random_states(self, count: int, generator: torch.Generator, reach: float = 1.0
                       ) -> torch.Tensor:

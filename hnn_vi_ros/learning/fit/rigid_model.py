@@ -4,7 +4,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from copy import copy
+from copy import copy, deepcopy
 from functools import cached_property
 from typing import Any
 
@@ -74,6 +74,7 @@ class RigidModel:
         start = np.minimum(np.maximum(start, least + room), most - room)
         self.numbers = [Number(str(k), '', '', *map(float, one)) for k, one in enumerate(zip(
             start, least, most, unknowns.scale, strict=True))]
+        self._own = deepcopy(unknowns.network)
         # Parameters that are left out stay at these values.
         self._base = np.zeros(len(start))
 
@@ -125,16 +126,22 @@ class RigidModel:
 
     def network_at(self, values: np.ndarray) -> MechanicalNetwork:
         """Return the network at values of the numbers."""
-        parameters = self._base.copy()
-        parameters[[int(number.name) for number in self.numbers]] = values
-        return self.unknowns.network_at(parameters)
+        return self.unknowns.network_at(self._parameters(values))
 
     def parts_at(self, values: np.ndarray) -> ModelParts:
         """Return the parts at values of the numbers; see ParametricModel."""
-        network = self.network_at(values)
-        if not all(bool(part.isfinite().all()) for part in network.parameters()):
+        raw = self.unknowns.raw(torch.tensor(self._parameters(values)))
+        if not all(bool(part.isfinite().all()) for part in raw.values()):
             raise ModelError('the mass matrix is not positive definite')
-        return parts_of_card(network.card(), self.step_size, self._driven)
+        # Copies of a network take longer than a simulation.
+        return parts_of_card(
+            self._own.take_parameters(raw).card(), self.step_size, self._driven)
+
+    def _parameters(self, values: np.ndarray) -> np.ndarray:
+        """Return all parameters at values of the numbers."""
+        parameters = self._base.copy()
+        parameters[[int(number.name) for number in self.numbers]] = values
+        return parameters
 
 
 def parts_of_card(card: MechanicalCard, step_size: float, driven: bool) -> ModelParts:
