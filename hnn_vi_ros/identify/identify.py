@@ -13,7 +13,7 @@ import shlex
 import tempfile
 from typing import NamedTuple
 
-from hnn_vi_ros.effects import ExternalForce
+from hnn_vi_ros.effects import Effect, ExternalForce
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, UnsupportedSystem
 from hnn_vi_ros.files import elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
@@ -25,6 +25,7 @@ from hnn_vi_ros.learning import (
     ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FitProblem,
     FittedNumbers, input_courses, InputCourses, keys_of, LogSimulation, MeasuredColumns,
     MotionSource, read_motions, search, Solution, source_of, split_runs, steps_between, Windows)
+from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build, DifferentiableRun, resolve
@@ -186,7 +187,7 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
     if finer is not None:
         solution, problem, free = finer
         estimates = estimates_of(solution, problem, free, *states)
-    notes += note
+    notes += note + _missing_forces(effects, hamiltonian, driven, options.data[0])
     profiles = {name: profile(solution, problem, free, one) for one in estimates.estimates
                 if (name := one.name) in options.profile}
     estimates = replace(estimates, estimates=[
@@ -199,6 +200,20 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
             lambda other: [replace(motion, idle=idle) for motion in log.with_inputs(other)])
     return Identified(free, solution, estimates, stages, hamiltonian, log.description, inputs,
                       notes)
+
+
+def _missing_forces(effects: Sequence[Effect], hamiltonian: Hamiltonian, driven: bool, data: str
+                    ) -> list[str]:
+    """Return a note on the force that an effect takes from the data and that they lack."""
+    names = [name for effect in effects if isinstance(effect, ExternalForce)
+             for name in effect.names]
+    if driven or not names:
+        return []
+    units = ', '.join(f'{one.name}_force [{force_unit(one.p_unit)}]'
+                      for one in hamiltonian.coordinates if one.name in names)
+    return [f'{data} has no column of a force, or only zeros, so external_force on '
+            f'{", ".join(names)} was taken as 0. If a force acted, add its column '
+            f'({units}; in arrays: tau), or name it in data.tau of --config']
 
 
 class _Log(NamedTuple):

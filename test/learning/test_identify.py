@@ -425,9 +425,17 @@ def identified(folder: Path, log: EvenMotion, capsys: pytest.CaptureFixture, *op
         'effects: [{kind: external_force, coordinates: [angle]}, {kind: damping, rate: 0.2}]\n'
         'initial_state: {q: [0.5], p: [0.0]}\n')
     path = folder / f'{len(options)}.json'
-    main([str(folder / 'scene.yaml'), '--data', str(folder / 'log.npz'), '--free', 'input_delay',
-          'damping.rate', '--json', str(path), *options])
+    main([str(folder / 'scene.yaml'), '--data', str(folder / 'log.npz'), '--free',
+          *(['input_delay'] if log.tau.any() else []), 'damping.rate', '--json', str(path),
+          *options])
     return capsys.readouterr().out, json.loads(path.read_text())
+
+
+@pytest.mark.parametrize('missing', [True, False])
+def test_log_without_the_force_that_an_effect_takes_says_so(missing, held_log, tmp_path, capsys):
+    log = replace(held_log, tau=0.0 * held_log.tau) if missing else held_log
+    said, _ = identified(tmp_path, log, capsys)
+    assert ('no column of a force' in said and 'angle_force' in said) is missing
 
 
 def test_way_of_forces_between_samples_is_told_and_tested(held_log, tmp_path, capsys):
