@@ -10,7 +10,7 @@ from hnn_vi_ros.learning.data.motions import EvenMotion, part_of
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.fit.growing import FittedNumbers
 from hnn_vi_ros.learning.fit.input_courses import (
-    EVIDENCE, evidence_of, input_courses, InputCourses, misfit_with)
+    EVIDENCE, evidence_at, evidence_of, input_courses, InputCourses, misfit_with)
 from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import samples_of
 from hnn_vi_ros.learning.fit.noise import covariances, Process
@@ -78,6 +78,12 @@ class FittedRigidBody(Fitted):
         assert self.numbers is not None
         return misfit_with(self.numbers.solution, self.numbers.problem,
                            downsampled(motions, loss.step_size)[0])
+
+    def is_hint(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> bool:
+        """Return True if a change towards other forces promises evidence, to first order."""
+        assert self.numbers is not None
+        return evidence_at(self.numbers.solution, self.numbers.problem,
+                           downsampled(motions, loss.step_size)[0]) > EVIDENCE
 
     def gain_with(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss) -> float:
         """Return the share by which other forces reduce the residuals."""

@@ -10,7 +10,9 @@ from typing import NamedTuple
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.learning.arguments import Course, INPUTS
 from hnn_vi_ros.learning.data.motions import EvenMotion
-from hnn_vi_ros.learning.fit.shooting import FitProblem, search, Solution
+from hnn_vi_ros.learning.fit.following import LogSimulation
+from hnn_vi_ros.learning.fit.shooting import FitProblem, made_up, search, Solution
+import numpy as np
 
 # Reduction of the sum of squares that counts as evidence for another fit: three sigma.
 EVIDENCE = 9.0
@@ -102,3 +104,23 @@ def misfit_with(solution: Solution, problem: FitProblem, motions: Sequence[EvenM
         return other.misfit(search(other, solution.values, _TOLERANCE, _TRIED))
     except HnnViRosError:
         return math.inf
+
+
+def evidence_at(solution: Solution, problem: FitProblem, motions: Sequence[EvenMotion]) -> float:
+    """
+    Return the evidence that forces change towards others, from one simulation with these.
+
+    It is that of the best share of their change to first order (a score test): a refit with the
+    others shows less, unless it is far away.
+    """
+    log = LogSimulation(problem.model.parts_at(solution.values), replace(
+        solution.windows, motions=motions))
+    now = problem.scaled(solution.windows.measured) + solution.residuals
+    change = np.where(solution.windows.there[..., None],
+                      problem.scaled(log.predict(solution.starts)) - now, 0.0)
+    if not np.isfinite(change).all():
+        return math.inf
+    weights = problem.weights(solution.residuals)
+    rest = made_up(solution, weights, change)[1]
+    slope, size = (float((weights * rest * one).sum()) for one in (solution.residuals, rest))
+    return slope**2 / max(size, 1e-300) / problem.misfit(solution)**2 if slope < 0.0 else 0.0

@@ -27,7 +27,7 @@ from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.noise import covariances
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, parts_of_card, PriorUnknowns, RigidModel
-from hnn_vi_ros.learning.fit.shooting import projected, units_of
+from hnn_vi_ros.learning.fit.shooting import made_up, projected, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows
 from hnn_vi_ros.models import chain_angles, PLANAR_CHAIN
@@ -59,8 +59,8 @@ _TOLERANCE = 1e-5
 # Cost of an initial guess, relative to the least, from which other angles are not tried.
 _HOPELESS = 100.0
 # Change of a number at half the step that matters: in standard errors, and relative to it for logs
-# without noise; most halvings; singular values of normalised columns that are rounding errors.
-_MOVED, _EXACT, _HALVED, _OPEN = 0.2, 1e-5, 5, 1e-6
+# without noise; most halvings.
+_MOVED, _EXACT, _HALVED = 0.2, 1e-5, 5
 
 
 def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
@@ -158,9 +158,7 @@ def _with_finer_steps(fitted: FittedNumbers) -> FittedNumbers:
     """
     solution, problem, begun = fitted.solution, fitted.problem, fitted.problem.model
     assert isinstance(begun, RigidModel)
-    weights, windows, units = problem.weights(solution.residuals), solution.windows, units_of(
-        solution)
-    slopes = (projected(solution, weights)[0] / units).reshape(-1, len(units))
+    weights, windows = problem.weights(solution.residuals), solution.windows
     # Of the noise alone: errors of the steps are a part of the excess.
     errors = np.sqrt(np.diag(covariance_of(fitted))) / max(1.0, fitted.stages[-1][1])
     model, now = begun, LogSimulation(begun.parts_at(solution.values), windows).predict(
@@ -169,8 +167,7 @@ def _with_finer_steps(fitted: FittedNumbers) -> FittedNumbers:
         fine = model.at_step(0.5 * model.step_size)
         after = LogSimulation(fine.parts_at(solution.values), windows).predict(solution.starts)
         change = np.where(windows.there[..., None], (after - now) / solution.noise, 0.0)
-        rest = projected(replace(solution, parameter_jacobian=change[..., None]), weights)[0]
-        moved = np.linalg.lstsq(slopes, rest.ravel(), rcond=_OPEN)[0] / units
+        moved, _ = made_up(solution, weights, change)
         if (np.abs(moved) <= _MOVED * errors + _EXACT * np.abs(solution.values)).all():
             break
         model, now = fine, after

@@ -259,6 +259,25 @@ def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.n
     return rest.reshape(w, t, c, -1), back
 
 
+def made_up(solution: Solution, weights: np.ndarray, change: np.ndarray
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return how numbers make up for a change of the residuals, to first order.
+
+    Returns
+    -------
+    np.ndarray, shape (n,), and np.ndarray, shape (W, T, C)
+        Minus the change of the numbers, and the part of the residuals' change that is left.
+
+    """
+    units, root = units_of(solution), np.sqrt(weights)
+    both = replace(solution, parameter_jacobian=np.concatenate(
+        [solution.parameter_jacobian / units, change[..., None]], axis=-1))
+    rows = (root[..., None] * projected(both, weights)[0]).reshape(-1, 1 + len(units))
+    moved = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=_RANK)[0]
+    return moved / units, (rows[:, -1] - rows[:, :-1] @ moved).reshape(change.shape) / root
+
+
 def units_of(solution: Solution) -> np.ndarray:
     """Return the effect of each number on the residuals, the norm of its derivatives, (n,)."""
     return column_norms(solution.parameter_jacobian[solution.windows.there].reshape(

@@ -31,6 +31,8 @@ from scipy.optimize import minimize_scalar
 
 # A delay closer than this to the end of its search [samples] is not found by it.
 _EDGE = 0.1
+# Change of the delay whose first-order effect shows whether another one is searched [samples].
+_BESIDE = 0.25
 # Most rounds in which the delay and the course of forces are found.
 _ROUNDS = 4
 # Number of pieces into which motions are cut, and their maximum duration [s].
@@ -351,6 +353,11 @@ def _with_forces(first: Candidate) -> list[Candidate]:
         last, config = found[0], found[0].config
         rigid = last.rigid
         if rigid is None or not rigid.is_driven(base.kept):
+            break
+        beside = [now._replace(delay=now.delay + side) for side in (_BESIDE, -_BESIDE) if free]
+        if not any(rigid.is_hint(base.with_forces(one).kept, config.windows) for one in [
+                *beside, *(one for course in courses if course != now.course
+                           for one in now.like(course, free))]):
             break
         misfit = cache(partial(_misfit, rigid, base, config))
         near = _best_delay(misfit, now) if free else now
