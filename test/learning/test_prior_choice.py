@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 from functools import cache
+import math
 from pathlib import Path
 
 from helpers import alarm_of
@@ -11,9 +12,12 @@ from hnn_vi_ros.learning.data.motions import EvenMotion, of_positions, smoothed
 from hnn_vi_ros.learning.families.choices import AUTO, Structure
 from hnn_vi_ros.learning.fit import rigid_body
 from hnn_vi_ros.learning.fit.config import guess_config, MachineConfig
+from hnn_vi_ros.learning.fit.fitted_rigid_body import covariance_of, rounding_of
+from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import Fading
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
+from hnn_vi_ros.learning.fit.prediction import Prediction
 from hnn_vi_ros.learning.tasks import selection
 from hnn_vi_ros.learning.tasks.machine import as_selected, MACHINE
 from hnn_vi_ros.learning.tasks.selection import (
@@ -268,6 +272,61 @@ def test_width_of_friction_is_a_number_of_the_fit():
         low, high = found[name].interval
         assert low < truth < high
     assert not [name for name in found if name.startswith('dry friction ') and name[-1] != 'x']
+
+
+@pytest.fixture(scope='module')
+def rounded():
+    run = of_positions([carriage(1, 1.0)])[0]
+    return fit_machine(sliding(prior='planar_chain', residual=False), [replace(
+        run, tau=0.05 * np.rint(run.tau / 0.05))])
+
+
+def test_prediction_is_differentiated_by_the_force_of_each_sample(rounded):
+    solution, model = rounded.numbers.solution, rounded.numbers.problem.model
+    weights = np.random.default_rng(0).normal(size=(*solution.residuals.shape, 2))
+    found = Prediction(model, solution.values, solution.windows).by_forces(
+        solution.starts, weights)[0, :, 0]
+    motion, = solution.windows.motions
+    for sample in (0, 3, 250, 498):
+        sums = []
+        for change in (1e-4, -1e-4):
+            tau = motion.tau + change * (np.arange(len(motion.tau)) == sample)[:, None]
+            log = LogSimulation(model.parts_at(solution.values), replace(
+                solution.windows, motions=[replace(motion, tau=tau)]))
+            sums.append((weights * log.predict(solution.starts)[..., None]).sum(axis=(0, 1, 2)))
+        # Differences of 2e-4 N have errors of 1e-8 by bends, and of 1e-9 by the solver.
+        assert found[sample] == pytest.approx((sums[0] - sums[1]) / 2e-4, rel=1e-4, abs=1e-7)
+
+
+def test_intervals_contain_the_rounding_of_forces(rounded):
+    numbers, (motion,) = rounded.numbers, rounded.numbers.solution.windows.motions
+    # Steps have the means of two forces, whose common step is half of theirs.
+    assert rounding_of(motion.tau) == pytest.approx([0.025 / math.sqrt(12.0)])
+    exact = replace(motion, tau=motion.tau + 1e-7 * np.random.default_rng(0).normal(
+        size=motion.tau.shape))
+    alone = covariance_of(numbers._replace(fits=[(length, replace(
+        solution, windows=replace(solution.windows, motions=[exact])), problem)
+        for length, solution, problem in numbers.fits]))
+    assert (np.diag(covariance_of(numbers)) > 1.05 * np.diag(alone)).all()
+    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
+                        ('dry friction of x', 1.0)):
+        # Four standard errors.
+        value, high = (number := rounded.estimates(sliding().coordinates, None)[name]
+                       ).value, number.interval[1]
+        assert abs(value - truth) < 4.0 * (high - value) / 1.96
+
+
+@pytest.mark.parametrize(('column', 'rounding'), [
+    (np.round(np.sin(np.arange(500.0)), 3), 1e-3), (np.sin(np.arange(500.0)), 0.0),
+    (0.00981 * np.round(1e3 * np.sin(np.arange(500.0))), 0.00981),
+    # Levels of a command, which are exact.
+    (np.arange(500.0) % 7.0, 0.0), (np.zeros(500), 0.0)])
+def test_rounding_of_a_column_is_that_of_its_common_step(column: np.ndarray, rounding: float):
+    assert rounding_of(column[:, None]) == pytest.approx([rounding / math.sqrt(12.0)])
+
+
+def test_weight_that_positions_do_not_show_is_left_out(rounded):
+    assert 'gravity1' not in rounded.estimates(sliding().coordinates, None)
 
 
 def test_intervals_are_wider_where_residuals_exceed_the_noise():

@@ -13,7 +13,8 @@ from hnn_vi_ros.learning.fit.input_courses import (
     EVIDENCE, evidence_at, evidence_of, input_courses, InputCourses, misfit_with)
 from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import samples_of
-from hnn_vi_ros.learning.fit.noise import covariances, Process
+from hnn_vi_ros.learning.fit.noise import covariances
+from hnn_vi_ros.learning.fit.prediction import Prediction
 from hnn_vi_ros.learning.fit.rigid_model import RigidModel
 from hnn_vi_ros.learning.fit.shooting import least_squares_factors, projected, units_of
 from hnn_vi_ros.learning.fit.step_forces import constant_forces
@@ -26,6 +27,9 @@ _QUANTILE = 1.96
 # Residuals in units of the noise that show that a body lacks something, and the least share of
 # them that is evidence for other forces.
 _POOR, _MOST = 5.0, 0.5
+# Differences of the values of a column, relative to its range, that are rounding errors of
+# conversions; distance from a multiple of their common step; and least number of levels.
+_ROUNDED, _MULTIPLE, _LEVELS = 1e-9, 0.01, 100
 
 
 @dataclass(frozen=True)
@@ -167,11 +171,43 @@ def covariance_of(fitted: FittedNumbers) -> np.ndarray:
     slopes, _ = projected(solution, fitted.problem.weights(solution.residuals))
     taken, factors, _ = least_squares_factors(
         slopes.reshape(-1, slopes.shape[3]), units_of(solution))
-    found = covariances((taken @ factors).reshape(slopes.shape), sensors_of(fitted))[0]
+    found = covariance_of_sums(fitted, (taken @ factors).reshape(slopes.shape))
     return (excess / fitted.problem.bend(solution))**2 * found
 
 
-def sensors_of(fitted: FittedNumbers) -> list[list[Process]]:
-    """Return the noise of the sensors in units of that of the fit."""
-    return [[one._replace(variance=one.variance / scale**2)]
-            for one, scale in zip(fitted.sensor, fitted.solution.noise, strict=True)]
+def covariance_of_sums(fitted: FittedNumbers, weights: np.ndarray) -> np.ndarray:
+    """
+    Return the covariance of weighted sums of the residuals, of weights (W, T, C, n).
+
+    It is that of the noise of the sensors, and of the rounding of forces, which moves a motion
+    without friction ever further from that of the model.
+    """
+    solution, sensors = fitted.solution, [
+        [one._replace(variance=one.variance / scale**2)]
+        for one, scale in zip(fitted.sensor, fitted.solution.noise, strict=True)]
+    found = covariances(weights, sensors)[0]
+    rounding = rounding_of(np.concatenate([motion.tau for motion in solution.windows.motions]))
+    if rounding.any():
+        moved = rounding[:, None] * Prediction(
+            fitted.problem.model, solution.values, solution.windows).by_forces(
+                solution.starts, weights / solution.noise[:, None])
+        found = found + np.einsum('wtmi,wtmj->ij', moved, moved)
+    return found
+
+
+def rounding_of(values: np.ndarray) -> np.ndarray:
+    """
+    Return the standard deviation of the rounding errors of columns (N, m), shape (m,).
+
+    A column is rounded if its values are multiples of one number, and so many that they are
+    those of a measurement rather than levels of a command.
+    """
+    found = np.zeros(values.shape[1])
+    for k, column in enumerate(values.T):
+        gaps = np.diff(np.unique(column))
+        gaps = gaps[gaps > _ROUNDED * np.ptp(column)]
+        if len(gaps) >= _LEVELS:
+            share = column / gaps.min()
+            found[k] = gaps.min() / math.sqrt(12.0) * (
+                np.abs(share - np.rint(share)).max() < _MULTIPLE)
+    return found

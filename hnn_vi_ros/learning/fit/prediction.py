@@ -101,6 +101,43 @@ class Prediction:
                 slopes[..., k] = self._difference(starts, k)
         return slopes
 
+    def by_forces(self, starts: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """
+        Return the derivatives of weighted sums of the prediction by the force of each sample.
+
+        Parameters
+        ----------
+        starts : np.ndarray, shape (W, 2 d)
+            Initial states of the windows.
+        weights : np.ndarray, shape (W, T, C, n)
+            Weights of n sums over all coordinates; velocities have none.
+
+        Returns
+        -------
+        np.ndarray, shape (W, T - 1, m, n)
+            For m forces; 0 where no exact derivatives are available.
+
+        """
+        forces, every = self.log.forces, self.log.per_sample
+        found = np.zeros((*weights.shape[:1], forces.shape[1] // every, forces.shape[2],
+                          weights.shape[3]))
+        if self._run is None:
+            return found
+        for first in range(0, len(starts), _TOGETHER):
+            rows = slice(first, first + _TOGETHER)
+            own = np.ascontiguousarray(forces[rows].swapaxes(0, 1))
+            self._run.record(np.ascontiguousarray(starts[rows]), len(own), 1, own,
+                             self.log.first[rows])
+            for k in range(weights.shape[3]):
+                cotangents = np.zeros((len(own) + 1, own.shape[1], starts.shape[1]))
+                cotangents[::every, :, self.log.windows.columns] = weights[rows, ..., k].swapaxes(
+                    0, 1)
+                slopes = np.zeros_like(own)
+                self._run.pull_back(cotangents, by_commands=slopes)
+                found[rows, ..., k] = slopes.reshape(
+                    -1, every, *own.shape[1:]).sum(axis=1).swapaxes(0, 1)
+        return found
+
     def _difference(self, starts: np.ndarray, k: int) -> np.ndarray:
         """Return the finite difference with respect to one number, within its bounds."""
         total = np.zeros(self.log.windows.measured.shape)

@@ -19,13 +19,12 @@ from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import Structure, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.fitted_rigid_body import (
-    covariance_of, downsampled, FittedRigidBody, positions_alone, sensors_of)
+    covariance_of, covariance_of_sums, downsampled, FittedRigidBody, positions_alone)
 from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.growing import (
     cost_at_start, excess_of, fit_numbers, FittedNumbers, refitted)
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
-from hnn_vi_ros.learning.fit.noise import covariances
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, parts_of_card, PriorUnknowns, RigidModel
 from hnn_vi_ros.learning.fit.shooting import made_up, projected, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
@@ -195,7 +194,7 @@ def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
     slopes[..., model.useless_widths(range(n))] = 0.0
     _, R = np.linalg.qr(slopes.reshape(-1, n))
     C = np.linalg.pinv(R.T @ R, hermitian=True) / np.outer(units, units)
-    B = np.outer(units, units) * covariances(slopes, sensors_of(fitted))[0]
+    B = np.outer(units, units) * covariance_of_sums(fitted, slopes)
     x, price, idle = solution.values.copy(), math.log(solution.freedom), list[int]()
     low, high = np.array([(number.low, number.high) for number in model.numbers]).T
     least = np.maximum(low, 0.0)
