@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fits in windows that grow, the noise that their residuals show, and the states along them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 import math
 from typing import NamedTuple
@@ -120,7 +120,8 @@ class FittedNumbers(NamedTuple):
 
 def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion],
                 horizon: float | None, robust: bool, seen: MeasuredColumns | None = None,
-                tolerance: float = TOLERANCE) -> FittedNumbers:
+                tolerance: float = TOLERANCE,
+                finer: Callable[[FittedNumbers], ParametricModel] | None = None) -> FittedNumbers:
     """
     Fit the free numbers in growing windows: short ones first, because they have no false minima.
 
@@ -140,6 +141,8 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
         The measured coordinates; by default all.
     tolerance : float, optional
         Relative tolerance of the last search.
+    finer : callable, optional
+        Returns the model of a fit with the steps that it needs, for the next length.
 
     Raises
     ------
@@ -187,9 +190,8 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
         if length >= wanted:
             return best
         # Starts that lead to the same optimum have the same misfit.
-        alive = [(best.problem.model, best), *(
-            (one.problem.model, _judged(one)) for one, _ in found
-            if _SAME < one.size / best.size < _AS_GOOD)]
+        alive = [(one.problem.model if finer is None else finer(one), one) for one in [
+            best, *(_judged(one) for one, _ in found if _SAME < one.size / best.size < _AS_GOOD)]]
         length = min(_LONGER * length, wanted)
 
 

@@ -113,7 +113,7 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
     least = min(cost for cost, _ in models)
     fitted = _without_idle_numbers(_with_finer_steps(_with_usual_widths(fit_numbers(
         [model for cost, model in models if not cost > _HOPELESS * least], thin, None, True,
-        tolerance=_TOLERANCE))))
+        tolerance=_TOLERANCE, finer=_finer_model))))
     model = fitted.problem.model
     assert isinstance(model, RigidModel)
     return FittedRigidBody(model.network_at(fitted.solution.values), {
@@ -150,8 +150,18 @@ def _with_usual_widths(fitted: FittedNumbers) -> FittedNumbers:
 
 
 def _with_finer_steps(fitted: FittedNumbers) -> FittedNumbers:
+    """Return the fit with steps that are small enough."""
+    model = _finer_model(fitted)
+    if model is fitted.problem.model:
+        return fitted
+    found = refitted(fitted, model, fitted.solution.values, _TOLERANCE)
+    return found._replace(stages=[*fitted.stages[:-1], (fitted.stages[-1][0], excess_of(
+        found.solution, found.problem, found.sensor))])
+
+
+def _finer_model(fitted: FittedNumbers) -> RigidModel:
     """
-    Return the fit with steps so small that half of them moves no number, to first order.
+    Return the model with steps so small that half of them moves no number, to first order.
 
     Sharp friction jumps within a step where a joint reverses.
     """
@@ -170,11 +180,7 @@ def _with_finer_steps(fitted: FittedNumbers) -> FittedNumbers:
         if (np.abs(moved) <= _MOVED * errors + _EXACT * np.abs(solution.values)).all():
             break
         model, now = fine, after
-    if model is begun:
-        return fitted
-    found = refitted(fitted, model, solution.values, _TOLERANCE)
-    return found._replace(stages=[*fitted.stages[:-1], (fitted.stages[-1][0], excess_of(
-        found.solution, found.problem, found.sensor))])
+    return model
 
 
 def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
