@@ -181,8 +181,8 @@ def _own_errors(results: _Results) -> Iterator[list[str]]:
         best, other = _cheapest_pair(rows, error)
         if best is not None and other is not None:
             yield [name, f'{horizon:g}', f'{error:.2g}{"" if _has_paths(rows) else " J"}',
-                   f'`{best.method}`, {best.step_size:g} s', _microseconds(best),
-                   f'{_ratio(best, other):.2f} ({other.method.partition(" tolerance=")[0]})']
+                   f'`{best.family}`, {best.setting("{:g} s")}', _microseconds(best),
+                   f'{_ratio(best, other):.2f} ({other.family})']
 
 
 def _cheapest_text(rows: list[StudyRow], error: float) -> str:
@@ -190,7 +190,7 @@ def _cheapest_text(rows: list[StudyRow], error: float) -> str:
     best, other = _cheapest_pair(rows, error)
     if best is None:
         return 'none'
-    text = f'{best.method} h={best.step_size:.3g}: {_microseconds(best)}'
+    text = f'{best.family} {best.setting("h={:.3g}")}: {_microseconds(best)}'
     return f'{text} ({_ratio(best, other):.2g})' if other else text
 
 

@@ -8,7 +8,7 @@ import math
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.simulation import InitialValueProblem, measure_costs
+from hnn_vi_ros.simulation import InitialValueProblem, measure_costs, MethodCost
 from hnn_vi_ros.simulation.accuracy.path_reference import PathReference
 import numpy as np
 
@@ -33,9 +33,9 @@ class StudyRow:
     Parameters
     ----------
     method : str
-        The label of a method, a variant of one, or a peer with its tolerance.
+        The label of a method, a variant of one, or a peer, with its tolerance if it is adaptive.
     step_size : float
-        h [s]; NaN for a peer that chooses its own.
+        h [s]; NaN for an adaptive method.
     horizon : float
         T, how long was simulated [s].
     path_error : float
@@ -74,7 +74,18 @@ class StudyRow:
     @property
     def is_peer(self) -> bool:
         """Return whether it is a peer's, not one of ours, whose names have no spaces."""
-        return ' ' in self.method
+        return ' ' in self.family
+
+    @property
+    def family(self) -> str:
+        """Return the label without the tolerance."""
+        return self.method.partition(' tolerance=')[0]
+
+    def setting(self, form: str = '{:.2g} s') -> str:
+        """Return the tolerance, or the step size in a format."""
+        if math.isnan(self.step_size):
+            return 'tol ' + self.method.partition(' tolerance=')[2]
+        return form.format(self.step_size)
 
     @property
     def is_ours(self) -> bool:
@@ -127,7 +138,7 @@ def measure_rows(problem: InitialValueProblem, peers: Sequence[Peer], horizon: f
     """
     study = measure_costs(problem, horizon, seconds, show=show)
     reference, status = study.reference, ENERGY_ONLY if study.no_path else OK
-    rows = [StudyRow(cost.method.kind, cost.step_size, reference.horizon, cost.path_error,
+    rows = [StudyRow(*_label(cost), reference.horizon, cost.path_error,
                      cost.energy_error * study.known.energy_scale, cost.seconds, math.nan,
                      cost.gradients, cost.failure or status) for cost in study.costs]
     # Each step of a peer divides the time between two of its looks.
@@ -140,6 +151,13 @@ def measure_rows(problem: InitialValueProblem, peers: Sequence[Peer], horizon: f
             if rows[-1].seconds_per_simulated_second * reference.horizon > _LONGEST_RUN:
                 break
     return rows, reference
+
+
+def _label(cost: MethodCost) -> tuple[str, float]:
+    """Return the label of one of our methods, and its step size."""
+    tolerance = cost.method.tolerance
+    return (cost.method.kind, cost.step_size) if tolerance is None else (
+        f'{cost.method.kind} tolerance={tolerance:g}', math.nan)
 
 
 def peer_row(peer: Peer, setting: float, problem: InitialValueProblem, reference: PathReference

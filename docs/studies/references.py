@@ -12,7 +12,7 @@ from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.models import EnergyError, NeuralHamiltonian
 from hnn_vi_ros.simulation import InitialValueProblem
 from hnn_vi_ros.simulation.accuracy.path_reference import best_reference, PathReference
-from hnn_vi_ros.simulation.accuracy.trials import EVERY_SURVEYOR, survey
+from hnn_vi_ros.simulation.accuracy.trials import survey
 import numpy as np
 
 
@@ -85,7 +85,7 @@ def make_reference(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray, hor
                    ) -> PathReference:
     """Return the path from an initial state up to a horizon [s], without a time limit."""
     problem = InitialValueProblem(hamiltonian, (), q0, p0)
-    known = survey(problem, horizon, horizon, EVERY_SURVEYOR)
+    known = survey(problem, horizon, horizon)
     return best_reference(problem, horizon, horizon, known, math.inf)
 
 

@@ -121,18 +121,14 @@ def invariants(case: Case, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
 def best_rows(rows: Sequence[StudyRow]) -> list[StudyRow]:
     """Return the cheapest row of each method within 1e-8, or else its most accurate."""
     best = []
-    for name in dict.fromkeys(_name(row) for row in rows):
-        own = [row for row in rows if row.finished and _name(row) == name]
+    for name in dict.fromkeys(row.family for row in rows):
+        own = [row for row in rows if row.finished and row.family == name]
         good = [row for row in own if row.path_error <= GOOD]
         if own:
             best.append(min(good, key=lambda row: row.seconds_per_simulated_second) if good
                         else min(own, key=lambda row: row.path_error))
     return sorted(best, key=lambda row: (
         row.path_error > GOOD, row.seconds_per_simulated_second))
-
-
-def _name(row: StudyRow) -> str:
-    return row.method.partition(' tolerance=')[0]
 
 
 def _shown(name: str) -> str:
@@ -144,17 +140,17 @@ def section(scene: str, results: Results) -> dict[str, Any]:
     """Return the template's values of a scene."""
     best = best_rows(results.rows)
     ours, theirs = (next((row for row in best if row.path_error <= GOOD
-                          and (' ' in row.method) == is_peer), None) for is_peer in (False, True))
+                          and row.is_peer == is_peer), None) for is_peer in (False, True))
     (horizon, floor), = results.floors.items()
-    cells = [[_shown(_name(row)),
+    cells = [[_shown(row.family),
               row.method.partition('=')[2] if np.isnan(row.step_size)
               else f'{row.step_size:g} s', f'{row.path_error:.1e}', f'{row.energy_band:.1e}',
               f'{1e3 * row.horizon * row.seconds_per_simulated_second:.3g}']
              for row in best if row.path_error <= GOOD]
     return {'scene': scene, 'horizon': horizon, 'floor': floor, 'rows': cells,
-            'others': [_shown(_name(row)) for row in best if row.path_error > GOOD],
+            'others': [_shown(row.family) for row in best if row.path_error > GOOD],
             'faster': None if ours is None or theirs is None else {
-                'ours': ours.method, 'theirs': _name(theirs),
+                'ours': ours.method, 'theirs': theirs.family,
                 'share': ours.seconds_per_simulated_second / theirs.seconds_per_simulated_second}}
 
 

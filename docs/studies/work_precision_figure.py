@@ -82,7 +82,7 @@ def series_of(rows: Iterable[StudyRow]) -> dict[str, list[StudyRow]]:
     """Return the rows that make a line each; the tolerances of a peer are one line."""
     series: dict[str, list[StudyRow]] = {}
     for row in rows:
-        series.setdefault(row.method.partition(' tolerance=')[0], []).append(row)
+        series.setdefault(row.family, []).append(row)
     return series
 
 
@@ -190,7 +190,7 @@ def draw_fronts(path: Path, rows: Sequence[StudyRow], answers: Iterable[StudyRow
         front = _front([row for row in rows if belongs(row)])
         ax.plot(*np.array(front).reshape(-1, 2).T, label=label, markersize=5.0, **style)
     for best in answers:
-        ax.annotate(f'{best.method}, {best.step_size:.3g} s',
+        ax.annotate(f'{best.family}, {best.setting("{:.3g} s")}',
                     (best.us_per_simulated_second, best.path_error), xytext=(-6, -4),
                     textcoords='offset points', ha='right', va='top', fontsize=9.0, color=INK)
     ax.set(xscale='log', yscale='log', xlabel=panel.x_label,
@@ -281,7 +281,7 @@ def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]], group
         ax.plot(np.clip(lost, *ax.get_xlim()), [high] * len(lost), color=style['color'],
                 marker='x', markersize=8.0, markeredgewidth=2.0, linestyle='', clip_on=False,
                 zorder=5)
-        labels += [Label(_step_text(row), style['color'], point)
+        labels += [Label(row.setting(), style['color'], point)
                    for point, (*_, row) in zip(points, good, strict=True)]
     label_front(ax, labels)
 
@@ -298,12 +298,6 @@ def _points(panel: Panel, rows: Sequence[StudyRow], low: float, high: float
             # No error at all has no place on a logarithmic axis.
             good.append((x, max(y, low), row))
     return good, [x for x in lost if not math.isnan(x)]
-
-
-def _step_text(row: StudyRow) -> str:
-    if math.isnan(row.step_size):
-        return 'tol ' + row.method.partition('tolerance=')[2]
-    return f'{row.step_size:.2g} s'
 
 
 def _handles(series: dict[str, list[StudyRow]], group: str) -> list[Line2D]:

@@ -114,9 +114,9 @@ def cost() -> Parser:
             'hnn cost my_scene.yaml --duration 60 --rate 100 --csv costs.csv'], (
         'The error is the largest deviation of a coordinate or momentum from a reference, in SI '
         'units. If no\nreference is known for so long, as in chaos, it is the energy error '
-        'relative to the energy scale.\nTimes are processor times. `integrator: auto` counts '
-        'gradients and steps instead, so that its choice\nis reproducible, and considers only '
-        'methods whose energy does not drift. Exit status: 0; 1 if no\nmethod reaches --error.'))
+        'relative to the energy scale.\nTimes are processor times. The recommendation is the '
+        'choice of `integrator: auto`, which counts gradients\nand steps instead, so that it is '
+        'reproducible. Exit status: 0; 1 if no method reaches --error.'))
     _add_run(parser)
     parser.add_argument('--error', type=float, metavar='E', help=(
         'recommend a method and step size for this error'))

@@ -7,14 +7,14 @@ import csv
 from functools import partial
 import math
 from pathlib import Path
-import sys
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.run import check_outputs, write_outputs
-from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.errors import CalibrationError, ParameterError
 from hnn_vi_ros.files import dump_yaml, ProgressLine
 from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
-from hnn_vi_ros.simulation import build, CostStudy, measure_costs, Method, MethodCost, problem_of
+from hnn_vi_ros.simulation import (
+    build, Choice, choose, CostStudy, measure_costs, Method, MethodCost, problem_of, Tolerance)
 import numpy as np
 
 # Candidate errors for the columns of the table, and its maximum number of columns.
@@ -39,17 +39,29 @@ def main(argv: list[str]) -> int:
     scene = load_scene(options.scene)
     duration = scene.duration if options.duration is None else options.duration
     base = None if options.rate is None else 1.0 / options.rate
-    study = _measure(scene, duration, options.seconds, options.error, base)
+    study = _measure(scene, duration, options.seconds, base)
     for line in _lines(scene, study, options.error):
         print(line)
+    chosen, problem = None, None
+    if options.error is not None:
+        kind = 'energy_error' if study.no_path else 'path_error'
+        try:
+            # The same question has the same answer from `integrator: auto`.
+            _, chosen = choose(scene.changed({'step_size': None, 'integrator': {
+                'kind': 'auto', kind: options.error, 'horizon': study.reference.horizon}}), base)
+        except CalibrationError as refusal:
+            problem = refusal
     write_outputs(paths, {'--csv': partial(_write_csv, study)} | (
-        {'--plot': lambda path: draw(path, scene.name, study, options.error)}
+        {'--plot': lambda path: draw(path, scene.name, study, chosen)}
         if options.plot is not None else {}))
-    return 0 if options.error is None else _recommend(study, options.error)
+    if problem is not None:
+        raise problem
+    if chosen is not None:
+        _recommend(*chosen)
+    return 0
 
 
-def _measure(scene: Scene, duration: float, seconds: float, error: float | None,
-             base: float | None) -> CostStudy:
+def _measure(scene: Scene, duration: float, seconds: float, base: float | None) -> CostStudy:
     own, problem = None, problem_of(scene)
     if not isinstance(scene.integrator, AutoChoice):
         # Errors in the scene itself are reported with their place in the file.
@@ -58,7 +70,7 @@ def _measure(scene: Scene, duration: float, seconds: float, error: float | None,
         own = Method(scene.integrator.kind, given)
     line = ProgressLine()
     try:
-        return measure_costs(problem, duration, seconds, own, error, base, line.show)
+        return measure_costs(problem, duration, seconds, own, base, line.show)
     finally:
         line.close()
 
@@ -99,7 +111,7 @@ def _errors_of_model(study: CostStudy) -> Iterator[str]:
 
 
 def _table(study: CostStudy, wanted: float | None) -> Iterator[str]:
-    names = list(dict.fromkeys(str(cost.method) for cost in study.costs))
+    names = list(dict.fromkeys(cost.method.family for cost in study.costs))
     reached = min((study.error(cost) for cost in study.costs), default=math.inf)
     errors = [error for error in _CANDIDATE_ERRORS if reached <= error <= study.lost]
     if len(errors) > _MAX_COLUMNS:
@@ -118,33 +130,26 @@ def _table(study: CostStudy, wanted: float | None) -> Iterator[str]:
         cells = (_cell(study.cheapest(error, name), best[error]) for error in errors)
         yield f'{name:{width}}' + ''.join(f'{cell:>{_CELL_WIDTH}}' for cell in cells)
     yield ('us: processor time [us per simulated second]; *: fastest; -: no measured step reaches '
-           'it')
+           'it; tol: the tolerance of an adaptive method, whose steps of the clock are of '
+           f'{study.reference.instants.base:.3g} s')
 
 
 def _cell(cost: MethodCost | None, best: MethodCost | None) -> str:
     if cost is None:
         return '- '
-    time = 1e6 * cost.seconds
-    return f'{cost.step_size:.3g}  {time:{".0f" if time >= 100.0 else ".3g"}}' + (
+    time, tolerance = 1e6 * cost.seconds, cost.method.tolerance
+    setting = f'{cost.step_size:.3g}' if tolerance is None else f'tol {tolerance:.0e}'
+    return f'{setting}  {time:{".0f" if time >= 100.0 else ".3g"}}' + (
         '*' if cost is best else ' ')
 
 
-def _recommend(study: CostStudy, error: float) -> int:
-    """Print the recommendation for an error; return 1 if no method reaches it."""
-    best = study.recommended(error)
-    if best is None:
-        nearest = min(study.costs, key=study.error)
-        print(f'hnn cost: --error {error:g}: no measured method reaches it; the nearest '
-              f'is {nearest.method} with h = {nearest.step_size:.3g} s and error '
-              f'{study.error(nearest):.2g} (the reference is accurate to {study.floor:.1e}); '
-              'allow a larger error, a shorter --duration or more --seconds', file=sys.stderr)
-        return 1
-    print(f'\nRecommended for error {error:g} up to {study.reference.horizon:g} s (measured error '
-          f'{study.error(best):.2g}, energy error {best.energy_error:.1e}, '
-          f'{1e6 * best.seconds:.3g} us per simulated second):\n')
-    chosen = {'kind': best.method.kind, **best.method.arguments}
-    print(dump_yaml({'integrator': chosen, 'step_size': best.step_size}), end='')
-    return 0
+def _recommend(tolerance: Tolerance, choice: Choice) -> None:
+    """Print the choice of `integrator: auto` for an error."""
+    time = 1e6 * choice.seconds_per_simulated_second
+    print(f'\nRecommended for {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s '
+          f'(measured error {choice.error:.2g}, {time:.3g} us per simulated second):\n')
+    print(dump_yaml({'integrator': {'kind': choice.method, **choice.arguments},
+                     'step_size': choice.step_size}), end='')
 
 
 def _write_csv(study: CostStudy, path: Path) -> None:

@@ -12,7 +12,7 @@ from textwrap import fill
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import CostStudy, MethodCost
+from hnn_vi_ros.simulation import Chosen, CostStudy, Method, MethodCost
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import hsv_to_rgb, to_hex
@@ -91,7 +91,7 @@ INK, FAINT = '#222222', '#8a8a8a'
 _SIZE, _DPI = (10.4, 6.4), 150
 
 
-def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
+def draw(path: Path, name: str, study: CostStudy, chosen: Chosen | None) -> None:
     """
     Plot error against time, and mark the cheapest methods.
 
@@ -103,8 +103,8 @@ def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
         Name of the scene.
     study : CostStudy
         Measured costs.
-    error : float or None
-        Error whose recommended method is circled.
+    chosen : Chosen or None
+        A requested error, and the recommended method, which is circled.
 
     """
     figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor='white')
@@ -116,16 +116,20 @@ def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
     lines = [_draw_line(ax, study, _front(
         study, [cost for cost in good if cost.method.kind == kind])) for kind in kinds]
     _format_axes(ax, study, good)
-    handles = [*lines, *_draw_levels(ax, study, error)]
+    handles = [*lines, *_draw_levels(ax, study, chosen)]
     figure.text(0.08, 0.955, f'{name}: cost of accuracy over {study.reference.horizon:g} s',
                 fontsize=14, color=INK, va='center', parse_math=False)
     subtitle = study.no_path if study.no_path else f'reference: {study.reference.how}'
     figure.text(0.08, 0.918, subtitle[:120], fontsize=8.5, color=FAINT, va='center')
     figure.legend(handles=handles, loc='upper left', bbox_to_anchor=(0.735, 0.855), fontsize=8.5,
                   frameon=False, labelspacing=0.55, handlelength=2.2)
-    label_front(ax, [Label(f'{cost.step_size:.2g} s', STYLES[cost.method.kind][0], _point(
-        study, cost)) for cost in good])
+    label_front(ax, [Label(_setting(cost.method, cost.step_size), STYLES[cost.method.kind][0],
+                           _point(study, cost)) for cost in good])
     figure.savefig(path)
+
+
+def _setting(method: Method, step_size: float) -> str:
+    return f'h = {step_size:.2g} s' if method.tolerance is None else f'{method.tolerance:.0e}'
 
 
 def _point(study: CostStudy, cost: MethodCost) -> np.ndarray:
@@ -136,7 +140,7 @@ def _draw_line(ax: Axes, study: CostStudy, costs: list[MethodCost]) -> Line2D:
     color, marker = STYLES[costs[0].method.kind]
     points = np.array([_point(study, cost) for cost in costs])
     line, = ax.plot(*points.T, color=color, marker=marker, markersize=5.0, linewidth=1.2,
-                    label=fill(str(costs[0].method), 34, subsequent_indent='    '), zorder=3)
+                    label=fill(costs[0].method.family, 34, subsequent_indent='    '), zorder=3)
     return line
 
 
@@ -170,23 +174,23 @@ def _inverse(x: ArrayLike) -> np.ndarray:
         return 1e6 / np.asarray(x)
 
 
-def _draw_levels(ax: Axes, study: CostStudy, error: float | None) -> list[Line2D | Patch]:
+def _draw_levels(ax: Axes, study: CostStudy, chosen: Chosen | None) -> list[Line2D | Patch]:
     """Draw the accuracy limit and the requested error; return the entries of the legend."""
     handles: list[Line2D | Patch] = []
     if study.floor > 0.0:
         ax.axhspan(ax.get_ylim()[0], study.floor, color='#ececec', zorder=0.5)
         handles.append(Patch(
             color='#ececec', label=f'accuracy of the reference: {study.floor:.0e}'))
-    if error is not None:
+    if chosen is not None:
+        error, choice = chosen.tolerance.error, chosen.choice
         handles.append(ax.axhline(error, color=INK, linewidth=1.0, linestyle=(0, (6, 3)), zorder=2,
                                   label=f'requested: {error:g}'))
-        best = study.recommended(error)
-        if best is not None:
-            point = _point(study, best)
-            mark, = ax.plot(*point, marker='o', markersize=13.0, markerfacecolor='none',
-                            markeredgecolor=INK, markeredgewidth=1.6, linestyle='', zorder=5,
-                            label=f'recommended: {best.method.kind}, h = {best.step_size:.3g} s')
-            handles.append(mark)
+        method = Method(choice.method, choice.arguments)
+        mark, = ax.plot(1e6 * choice.seconds_per_simulated_second, choice.error, marker='o',
+                        markersize=13.0, markerfacecolor='none', markeredgecolor=INK,
+                        markeredgewidth=1.6, linestyle='', zorder=5, label=(
+                            f'recommended: {method.kind}, {_setting(method, choice.step_size)}'))
+        handles.append(mark)
     return handles
 
 

@@ -253,8 +253,10 @@ class Integrator(ABC):
         Requirements on a system, and conservation properties.
     explicit : bool
         True if a step solves no equation.
-    adaptive : bool
-        True if a step consists of internal steps that satisfy a tolerance.
+    tolerances : tuple of str
+        Arguments that are tolerances of internal steps; () for a method without them.
+    useful_tolerances : tuple of float
+        Smallest and largest useful tolerance.
     keeps_gradient : bool
         True if a step leaves the gradient at the new state at no extra cost.
     halves : tuple of callable or None
@@ -279,7 +281,8 @@ class Integrator(ABC):
     order: int
     explicit: bool
     requirements: Requirements
-    adaptive: ClassVar[bool] = False
+    tolerances: ClassVar[tuple[str, ...]] = ()
+    useful_tolerances: ClassVar[tuple[float, float]] = (0.0, 0.0)
     keeps_gradient: ClassVar[bool] = False
     compiled: bool = True
     no_solution: str = ''
@@ -318,7 +321,7 @@ class Integrator(ABC):
         The values were measured on one machine and are constants, so that choices based on them do
         not depend on the load of the machine.
         """
-        return (2e-8, 0.0) if self.explicit else (1.5e-7, 2e-8)
+        return (4e-8, 0.0) if self.explicit else (1.5e-7, 2e-8)
 
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """

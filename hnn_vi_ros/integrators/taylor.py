@@ -415,11 +415,12 @@ class Taylor(Integrator):
 
     """
 
-    explicit, adaptive, compiled = True, True, False
+    explicit, compiled, tolerances = True, False, ('tolerance',)
+    useful_tolerances = 1e-16, 1e-3
     requirements = Requirements(symmetric=False, symplectic=False, forces='held')
 
     def __init__(self, tolerance: float = 1e-12):
-        check_between(1e-16, 1e-3, tolerance=tolerance)
+        check_between(*self.useful_tolerances, tolerance=tolerance)
         self._tolerance = float(tolerance)
         self.order = math.ceil(1.0 - 0.5 * math.log(tolerance))
 

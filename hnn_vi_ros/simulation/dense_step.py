@@ -80,7 +80,7 @@ class DenseStep:
         # The paths of adaptive methods can be evaluated anywhere in the step; that of a pair
         # contains forces as well.
         pair = isinstance(simulation.integrator, Dop853) and not simulation.system.layered
-        self._series = (simulation.integrator.adaptive and (plain or pair)
+        self._series = (bool(simulation.integrator.tolerances) and (plain or pair)
                         and simulation.rescued == rescued and self._start.q.ndim == 1)
         if (plain and isinstance(simulation.integrator, Gauss) and stages >= _MIN_STAGES
                 and simulation.rescued == rescued):

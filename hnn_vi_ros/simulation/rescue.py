@@ -346,7 +346,7 @@ def stability_limit(integrator: Integrator) -> float:
         unstable for all h.
 
     """
-    if integrator.adaptive or not integrator.explicit:
+    if integrator.tolerances or not integrator.explicit:
         return math.inf
 
     def grows(frequency: float) -> bool:

@@ -11,12 +11,14 @@ import re
 import sys
 
 from hnn_vi_ros.commands import cost, cost_figure
-from hnn_vi_ros.errors import HnnViRosError, ParameterError
+from hnn_vi_ros.errors import CalibrationError, HnnViRosError, ParameterError
 from hnn_vi_ros.files import parse_yaml, standard_streams
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import InitialValueProblem, Method
+from hnn_vi_ros.simulation import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.simulation.accuracy import cost as core
+from hnn_vi_ros.simulation.accuracy.automatic_choice import calibrate
+from hnn_vi_ros.simulation.accuracy.trials import CalibrationTask
 from messages import refused
 import numpy as np
 from PIL import Image
@@ -99,6 +101,21 @@ def test_what_is_recommended_can_be_pasted_and_holds(study):
     assert np.abs(np.hstack([q, p]) - exact).max() <= 1e-6
 
 
+def test_recommendation_is_the_choice_of_auto_for_the_same_question(capsys):
+    scene = load_scene('exact_pendulum')
+    assert cost.main(['exact_pendulum', '--error', '1e-5', '--duration', '4', '--rate', '20',
+                      '--seconds', '1']) == 0
+    text = capsys.readouterr().out.partition('Recommended for ')[2].partition('\n\n')[2]
+    chosen = parse_yaml(text, 'what was printed', HnnViRosError)[0]
+    problem = InitialValueProblem(scene.create_hamiltonian(), (), *map(
+        np.array, (scene.initial_state.q, scene.initial_state.p)))
+    choice = calibrate(CalibrationTask(problem, Tolerance('path_error', 1e-5, 4.0), 0.05))
+    assert chosen == {'integrator': {'kind': choice.method, **choice.arguments},
+                      'step_size': choice.step_size}
+    parts = 0.05 / choice.step_size
+    assert parts == pytest.approx(round(parts), rel=1e-12)
+
+
 def test_steps_for_a_rate_divide_its_interval(tmp_path):
     rows = tmp_path / 'rows.csv'
     assert cost.main(['exact_pendulum', '--duration', '1', '--rate', '30', '--seconds', '5',
@@ -109,11 +126,11 @@ def test_steps_for_a_rate_divide_its_interval(tmp_path):
     assert min(parts) >= 1.0 - 1e-12
 
 
-def test_error_that_nothing_holds_is_one_line_with_the_nearest(capsys):
-    assert cost.main(['exact_pendulum', '--error', '1e-15', '--duration', '1']) == 1
-    out, err = capsys.readouterr()
-    assert 'gauss8' in out and err.count('\n') == 1
-    assert '--error 1e-15: no measured method reaches it; the nearest is ' in err
+def test_error_that_nothing_holds_is_refused_after_the_table_and_the_files(capsys, tmp_path):
+    rows = tmp_path / 'rows.csv'
+    with pytest.raises(CalibrationError, match='path_error 1e-15 up to 1 s: .* round-off'):
+        cost.main(['exact_pendulum', '--error', '1e-15', '--duration', '1', '--csv', str(rows)])
+    assert 'gauss8' in capsys.readouterr().out and 'gauss8' in rows.read_text()
 
 
 def test_first_method_has_results_however_little_time_there_is(capsys):

@@ -51,7 +51,7 @@ def test_forget_takes_every_count_to_zero_and_nothing_else(run):
 
 @pytest.mark.parametrize('name', [
     # Adaptive methods keep the path ahead of the clock.
-    name for name, method in INTEGRATORS.items() if method.explicit and not method.adaptive])
+    name for name, method in INTEGRATORS.items() if method.explicit and not method.tolerances])
 def test_explicit_method_allocates_nothing_for_equations(name):
     """At most four numbers a coordinate: a stage and a sum."""
     method, n = INTEGRATORS[name](), 100

@@ -231,7 +231,7 @@ METHODS = [
 ]
 # Methods whose steps run in any arithmetic: the compiled ones, whose step sizes are given.
 GENERIC = [method for method in METHODS
-           if method.integrator.compiled and not method.integrator.adaptive]
+           if method.integrator.compiled and not method.integrator.tolerances]
 # One method of each kind, for `make test`; `make test-long` runs all of them.
 KINDS = ('variational_euler', 'symplectic_euler_adjoint', 'generalized_leapfrog', 'stormer_verlet',
          'implicit_midpoint', 'gauss4', 'yoshida4', 'rk4')

@@ -17,31 +17,34 @@ from hnn_vi_ros.errors import CalibrationError
 from hnn_vi_ros.files import own_cache, write_text
 from hnn_vi_ros.scene import AutoChoice, Scene
 from hnn_vi_ros.simulation.accuracy.cost import (
-    CostStudy, fastest, ladder, measure, MethodCost, refusal, TOO_EXPENSIVE, try_between)
+    coarser, CostStudy, fastest, ladder, measure, MethodCost, refusal, TOO_EXPENSIVE, try_between)
 from hnn_vi_ros.simulation.accuracy.path_reference import find_reference, Instants, PathReference
 from hnn_vi_ros.simulation.accuracy.trials import (
-    CalibrationTask, InitialValueProblem, Method, parts_between, PathSurvey, survey, Tolerance)
+    CalibrationTask, InitialValueProblem, Method, PathSurvey, survey, Tolerance)
 from hnn_vi_ros.version import __version__
 import numba
 import numpy as np
 from pydantic import ValidationError
 
 # Candidates in the order in which they are tried. All have a bounded energy error, so results
-# of a limited run extrapolate to a longer one. All Gauss methods share one compiled kernel.
+# of a limited run extrapolate to a longer one. All Gauss methods share one compiled kernel. The
+# last but one conserves the energy of coordinates that are not canonical.
 CANDIDATES = (*(f'gauss{order}' for order in range(16, 2, -2)), 'stormer_verlet',
-              'generalized_leapfrog', 'variational_euler', 'time_transformed')
+              'generalized_leapfrog', 'variational_euler', 'lie_stormer_verlet', 'lie_leapfrog',
+              *(f'lie_gauss{order}' for order in range(16, 2, -2)), 'variational_midpoint',
+              'time_transformed')
+# Candidates for path errors, whose energy drifts.
+PATH_CANDIDATES = 'dop853', 'taylor', 'rk4'
 # time_transformed is tried first if the ratio of strongest to median force is at least this, with
 # each of these bases and thresholds of its argument `force`, in units of the median force.
 _MIN_FORCE_RATIO, _BASES, _FORCES = 6.0, ('gauss8', 'gauss6', 'gauss4'), (1.0, 0.25)
 # Once a method has reached its round-off floor above the tolerance, others are tried up to this
 # multiple of its cost.
 _MAX_COST_BEYOND_FLOOR = 10.0
-# Share of a run used to measure the reported computing time.
-_TIMED_SHARE = 0.01
+# Share of a run used to measure the reported computing time, and its minimum number of steps.
+_TIMED_SHARE, _MIN_TIMED_STEPS = 0.01, 10
 # Format version of cached choices; changing it invalidates the cache.
-_FORMAT = 5
-# Tolerances tried for the integrator taylor, as shares of the path error.
-_TAYLOR_TOLERANCES = 10.0 ** -np.arange(0.0, 8.0)
+_FORMAT = 6
 
 
 @dataclass(frozen=True)
@@ -129,7 +132,7 @@ def calibrate(task: CalibrationTask) -> Choice:
         raise CalibrationError(_refusal(study, task.tolerance))
     simulation = problem.simulation(best.method, best.step_size)
     simulation.advance(1)
-    steps = math.ceil(_TIMED_SHARE * best.checked / best.step_size)
+    steps = max(_MIN_TIMED_STEPS, math.ceil(_TIMED_SHARE * best.checked / best.step_size))
     return Choice(best.method.kind, best.step_size, study.error(best), best.checked,
                   fastest(problem, simulation, steps) / (steps * best.step_size), best.work,
                   dict(best.method.arguments), study.known.energy_scale,
@@ -137,7 +140,7 @@ def calibrate(task: CalibrationTask) -> Choice:
 
 
 def held_costs(task: CalibrationTask) -> CostStudy:
-    """Measure the candidates, each with decreasing step sizes until it meets the tolerance."""
+    """Measure the candidates, each with finer settings until it meets the tolerance."""
     problem, tolerance, base = task.problem, task.tolerance, task.base
     known, by_path = survey(problem, tolerance.horizon, base), tolerance.kind == 'path_error'
     reference = find_reference(task, known) if by_path else PathReference(
@@ -154,14 +157,14 @@ def held_costs(task: CalibrationTask) -> CostStudy:
             last[0].failure != '' or last[0].work >= bound
             or study.holds(last[1], tolerance.error))
 
-    for method in _candidates(known):
+    for method in _candidates(known, by_path):
         if not refusal(study, method):
             costs = ladder(study, method, bound, enough)
             # Longer steps are tried as well if the longest of the ladder is not too long.
             while (costs[0].failure == TOO_EXPENSIVE
                    or study.holds(costs[0], tolerance.error)) and (
-                    longer := parts_between(0, round(base / costs[0].step_size))):
-                costs.insert(0, measure(study, method, longer[-1], bound))
+                    longer := coarser(study, costs[0])) is not None:
+                costs.insert(0, measure(study, *longer, bound))
             study.costs += costs
             best = study.recommended(tolerance.error)
             if best is not None:
@@ -170,30 +173,18 @@ def held_costs(task: CalibrationTask) -> CostStudy:
                 # The round-off floors of different methods are similar.
                 bound = min([bound, *(_MAX_COST_BEYOND_FLOOR * cost.work for cost in costs
                                       if not cost.failure)])
-    if by_path:
-        _measure_series(study, tolerance.error, bound)
     try_between(study, tolerance.error)
     return study
 
 
-def _candidates(known: PathSurvey) -> Iterator[Method]:
+def _candidates(known: PathSurvey, by_path: bool) -> Iterator[Method]:
     if known.strongest >= _MIN_FORCE_RATIO * known.force > 0.0:
         for base in _BASES:
             for share in _FORCES:
                 yield Method('time_transformed',
                              {'base': base, 'force': float(f'{share * known.force:.3g}')})
     yield from map(Method, CANDIDATES[:-1])
-
-
-def _measure_series(study: CostStudy, error: float, bound: float) -> None:
-    """Add Taylor series, loosest first, until one meets a path error or costs too much."""
-    for share in np.clip(_TAYLOR_TOLERANCES * error, 1e-16, 1e-3):
-        method = Method('taylor', {'tolerance': float(f'{share:.3g}')})
-        if refusal(study, method):
-            return
-        study.costs.append(measure(study, method, 1, bound))
-        if study.holds(study.costs[-1], error) or study.costs[-1].work >= bound:
-            return
+    yield from map(Method, PATH_CANDIDATES if by_path else ())
 
 
 def _refusal(study: CostStudy, tolerance: Tolerance) -> str:

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 import math
 import time
@@ -16,7 +16,7 @@ from hnn_vi_ros.integrators import (
     Composition, GAUSS_METHODS, INTEGRATORS, LIE_GAUSS_METHODS, method_name)
 from hnn_vi_ros.simulation.accuracy.path_reference import best_reference, PathReference, PATIENCE
 from hnn_vi_ros.simulation.accuracy.trials import (
-    carried, EVERY_SURVEYOR, InitialValueProblem, Method, parts_between, parts_for, PathSurvey,
+    BASE_SHARE, carried, InitialValueProblem, Method, parts_between, parts_for, PathSurvey,
     survey, Tolerance, work)
 from hnn_vi_ros.simulation.dense_step import record_at
 from hnn_vi_ros.simulation.simulation import Simulation
@@ -25,7 +25,7 @@ import numpy as np
 # Order of measurement, in case the time does not suffice for all: the baselines, the scene's own
 # method, then explicit methods and all Gauss methods, which are compiled once.
 _YARDSTICKS = ('gauss8', 'lie_gauss8')
-_NEXT = ('stormer_verlet', 'generalized_leapfrog', 'lie_stormer_verlet', 'lie_leapfrog',
+_NEXT = ('dop853', 'stormer_verlet', 'generalized_leapfrog', 'lie_stormer_verlet', 'lie_leapfrog',
          *GAUSS_METHODS, *LIE_GAUSS_METHODS, 'kahan_li8', 'rk4', 'variational_euler')
 # Compositions use the first of these that the problem supports: explicit ones cost less.
 _BASES = ('stormer_verlet', 'lie_stormer_verlet', 'generalized_leapfrog', 'lie_leapfrog',
@@ -43,6 +43,9 @@ _CHECKS_BETWEEN = 200
 # order, since a run that diverges at once is cheap. Strides through the list of subdivisions,
 # by upper bound of the order: smaller for higher orders, whose error falls faster.
 _FIRST_STEP_RATIO, _STRIDES = 2.0, ((4, 3), (8, 2), (math.inf, 1))
+# Ratio of successive tolerances of adaptive methods, ratios tried near an error, and exponent with
+# which their cost falls as the tolerance grows.
+_TOLERANCE_RATIO, _RATIOS_BETWEEN, _COST_EXPONENT = 0.1, 10.0 ** np.array([0.25, 0.5, 0.75]), 0.125
 # A method this many times as expensive as another one at the same error is abandoned.
 _MAX_COST_RATIO = 100.0
 # Minimum number of step sizes measured per method, even beyond its share of the time.
@@ -125,6 +128,11 @@ class MethodCost:
     work: float = math.inf
     checked: float = 0.0
 
+    @property
+    def coarseness(self) -> float:
+        """Return the tolerance of an adaptive method, the step size [s] of others."""
+        return self.method.tolerance or self.step_size
+
 
 @dataclass
 class CostStudy:
@@ -188,10 +196,10 @@ class CostStudy:
         """Return the quantity to minimise: the time, or the work if there is a tolerance."""
         return cost.seconds if self.tolerance is None else cost.work
 
-    def cheapest(self, error: float, method: str | None = None) -> MethodCost | None:
-        """Return the cheapest cost with at most this error, of all methods or of one."""
+    def cheapest(self, error: float, family: str | None = None) -> MethodCost | None:
+        """Return the cheapest cost with at most this error, of all methods or of one family."""
         good = [cost for cost in self.costs
-                if method in (None, str(cost.method)) and self.error(cost) <= error]
+                if family in (None, cost.method.family) and self.error(cost) <= error]
         return min(good, key=self.price, default=None)
 
     def holds(self, cost: MethodCost, error: float) -> bool:
@@ -200,19 +208,18 @@ class CostStudy:
         safety = _SAFETY if seen else _EXTRAPOLATION_SAFETY
         return self.error(cost) <= safety * error - self.floor
 
-    def recommended(self, error: float, method: str | None = None) -> MethodCost | None:
-        """Return the cheapest cost that meets an error with margin, of all methods or of one."""
+    def recommended(self, error: float, family: str | None = None) -> MethodCost | None:
+        """Return the cheapest cost that meets an error with margin, of all methods or a family."""
         good = [cost for cost in self.costs
-                if method in (None, str(cost.method)) and self.holds(cost, error)]
+                if family in (None, cost.method.family) and self.holds(cost, error)]
         return min(good, key=self.price, default=None)
 
 
 def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
-                  own: Method | None = None, error: float | None = None,
-                  base: float | None = None,
+                  own: Method | None = None, base: float | None = None,
                   show: Callable[[float, str], None] = lambda share, what: None) -> CostStudy:
     """
-    Run the methods that support a problem, with decreasing step sizes.
+    Run the methods that support a problem, with decreasing step sizes or tolerances.
 
     Parameters
     ----------
@@ -225,10 +232,9 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
         and measuring together take no longer.
     own : Method, optional
         Method of the scene, with its arguments; measured right after the baselines.
-    error : float, optional
-        Error near which additional step sizes are tried.
     base : float, optional
-        Time that step sizes divide [s], such as a sampling interval; by default the horizon.
+        Time that step sizes divide [s], such as a sampling interval; by default a tenth of the
+        horizon. Adaptive methods take steps of this size.
     show : callable, optional
         Progress callback; takes the share done and a description of the current task.
 
@@ -244,10 +250,10 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
         # Each simulation of an H in plain Python emits a warning.
         warnings.simplefilter('ignore')
         show(0.0, 'the reference')
-        known = survey(problem, horizon, base or horizon, EVERY_SURVEYOR)
+        base = base or BASE_SHARE * horizon
+        known = survey(problem, horizon, base)
         end = time.process_time() + seconds  # the survey has compiled the method of the reference
-        reference = best_reference(
-            problem, horizon, base or horizon, known, PATIENCE * problem.gradients)
+        reference = best_reference(problem, horizon, base, known, PATIENCE * problem.gradients)
         why = _why_no_path(problem, reference, known.method)
         study = CostStudy(problem, known, reference, why)
         methods, compiling = list(_fitting(study, own)), 0.0
@@ -263,14 +269,6 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
             # The first method gets results whatever the budget.
             last = end + compiling if k > 0 else math.inf
             _measure_for(study, method, (left + compiling) / (len(methods) - k), last)
-        if error is not None:
-            show(1.0, f'more step sizes near error {error:g}')
-            try_between(study, error)
-            while not why and (best := study.recommended(error)) is not None:
-                between = error_between(study, problem.simulation(best.method, best.step_size))
-                if between <= best.path_error:
-                    break
-                study.costs[study.costs.index(best)] = replace(best, path_error=between)
     return study
 
 
@@ -383,7 +381,7 @@ def _variants(kind: str, known: PathSurvey) -> list[Method]:
 def ladder(study: CostStudy, method: Method, bound: float,
            enough: Callable[[list[MethodCost]], bool]) -> list[MethodCost]:
     """
-    Return the costs at decreasing step sizes, until round-off or the stopping criterion.
+    Return the costs at decreasing step sizes or tolerances, until round-off or a criterion.
 
     Parameters
     ----------
@@ -397,7 +395,37 @@ def ladder(study: CostStudy, method: Method, bound: float,
         Stopping criterion; takes the costs so far.
 
     """
-    order = method.create().order
+    costs, flat, resolved, last = list[MethodCost](), 0, False, None
+    # The error of an adaptive method is proportional to its tolerance.
+    order = 1 if method.useful_tolerances[1] else method.create().order
+    for finer, parts in _settings(study, method):
+        costs.append(measure(study, finer, parts, bound))
+        coarseness, error = costs[-1].coarseness, study.error(costs[-1])
+        if error <= study.lost:
+            if last is not None:
+                slope = math.log(max(last[1], 1e-300) / max(error, 1e-300)) / math.log(
+                    last[0] / coarseness)
+                flat = flat + 1 if slope < _MAX_FLAT_SLOPE * order else 0
+                resolved = resolved or slope >= _MIN_RESOLVED_SLOPE * order
+            last, resolved = (coarseness, error), resolved or error <= _RESOLVED_ERROR
+        if resolved and flat >= _MIN_FLAT_STEP_SIZES:
+            study.at_floor.append(method)
+            break
+        if enough(costs):
+            break
+    return costs
+
+
+def _settings(study: CostStudy, method: Method) -> Iterator[tuple[Method, int]]:
+    """Yield finer and finer settings of a method: itself, and its number of steps per base."""
+    least, loosest = method.useful_tolerances
+    if loosest:
+        tolerance = min(loosest, study.tolerance.error if study.tolerance else loosest)
+        while tolerance >= least:
+            yield method.within(float(f'{tolerance:.3g}')), 1
+            tolerance *= _TOLERANCE_RATIO
+        return
+    order, base = method.create().order, study.reference.instants.base
     stride = next(stride for below, stride in _STRIDES if order < below)
     longest = max(_FIRST_STEP_RATIO, order) * study.known.step_size
     if study.tolerance is not None:
@@ -405,26 +433,19 @@ def ladder(study: CostStudy, method: Method, bound: float,
         stride, longest = max(stride, 2), order ** 0.5 * study.known.step_size
     if method.kind == _CLOSE_ENCOUNTERS:
         longest *= (study.known.strongest / method.arguments.get('force', 1.0)) ** 0.75
-    base, costs, flat, resolved = study.reference.instants.base, list[MethodCost](), 0, False
-    shorter = parts_between(parts_for(base / min(longest, base)) - 1,
-                            PATIENCE * study.problem.gradients)[::stride]
-    last = None
-    for parts in shorter:
-        costs.append(measure(study, method, parts, bound))
-        error = study.error(costs[-1])
-        if error <= study.lost:
-            if last is not None:
-                slope = math.log(max(last[1], 1e-300) / max(error, 1e-300)) / math.log(
-                    parts / last[0])
-                flat = flat + 1 if slope < _MAX_FLAT_SLOPE * order else 0
-                resolved = resolved or slope >= _MIN_RESOLVED_SLOPE * order
-            last, resolved = (parts, error), resolved or error <= _RESOLVED_ERROR
-        if resolved and flat >= _MIN_FLAT_STEP_SIZES:
-            study.at_floor.append(method)
-            break
-        if enough(costs):
-            break
-    return costs
+    for parts in parts_between(parts_for(base / min(longest, base)) - 1,
+                               PATIENCE * study.problem.gradients)[::stride]:
+        yield method, parts
+
+
+def coarser(study: CostStudy, cost: MethodCost) -> tuple[Method, int] | None:
+    """Return the next coarser setting than that of a cost; None if there is none."""
+    tolerance = cost.method.tolerance
+    if tolerance is not None:
+        longer = min(tolerance / _TOLERANCE_RATIO, cost.method.useful_tolerances[1])
+        return (cost.method.within(float(f'{longer:.3g}')), 1) if longer > tolerance else None
+    parts = parts_between(0, round(study.reference.instants.base / cost.step_size))
+    return (cost.method, parts[-1]) if parts else None
 
 
 def _measure_for(study: CostStudy, method: Method, seconds: float, last: float) -> None:
@@ -493,10 +514,13 @@ def _timed(study: CostStudy, method: Method, simulation: Simulation) -> MethodCo
     """Return the errors and the computing time of a run."""
     start = time.process_time()
     errors = run_errors(simulation, study.reference, study.lost)
-    first, extent = time.process_time() - start, simulation.time
-    lost = 'the path error is too large' if errors.path > study.lost else ''
+    first, extent, path = time.process_time() - start, simulation.time, errors.path
+    lost = 'the path error is too large' if path > study.lost else ''
     seconds = first if lost else fastest(study.problem, simulation, simulation.steps, first)
-    return MethodCost(method, simulation.step_size, max(errors.path, study.floor),
+    if method.tolerance and not lost and not study.no_path:
+        # A step of the clock is long.
+        path = max(path, error_between(study, simulation))
+    return MethodCost(method, simulation.step_size, max(path, study.floor),
                       errors.energy / study.known.energy_scale, seconds / extent,
                       errors.gradients / extent, lost)
 
@@ -566,17 +590,30 @@ def error_between(study: CostStudy, simulation: Simulation) -> float:
 
 
 def try_between(study: CostStudy, error: float) -> None:
-    """Measure additional step sizes near an error if they may beat the cheapest known cost."""
-    base = study.reference.instants.base
-    order = list(dict.fromkeys(str(cost.method) for cost in study.costs))
-    for name in order:
-        good, best = study.recommended(error, name), study.recommended(error)
+    """Measure additional settings near an error if they may beat the cheapest known cost."""
+    order = list(dict.fromkeys(cost.method.family for cost in study.costs))
+    for family in order:
+        good, best = study.recommended(error, family), study.recommended(error)
         if good is None or best is None:
             continue
-        parts = round(base / good.step_size)
-        longer = max((other for cost in study.costs if str(cost.method) == name
-                      and (other := round(base / cost.step_size)) < parts), default=parts)
-        study.costs += [measure(study, good.method, other)
-                        for other in parts_between(longer, parts)
-                        if study.price(good) * other / parts < study.price(best)]
-    study.costs.sort(key=lambda cost: (order.index(str(cost.method)), -cost.step_size))
+        coarser = min((cost.coarseness for cost in study.costs if cost.method.family == family
+                       and cost.coarseness > good.coarseness), default=good.coarseness)
+        study.costs += [measure(study, method, parts)
+                        for method, parts, share in _between(study, good, coarser)
+                        if study.price(good) * share < study.price(best)]
+    study.costs.sort(key=lambda cost: (order.index(cost.method.family), -cost.coarseness))
+
+
+def _between(study: CostStudy, cost: MethodCost, coarser: float
+             ) -> Iterator[tuple[Method, int, float]]:
+    """Yield coarser settings than that of a cost, and their approximate share of its price."""
+    base, tolerance = study.reference.instants.base, cost.method.tolerance
+    if tolerance is None:
+        parts = round(base / cost.step_size)
+        for other in parts_between(round(base / coarser), parts):
+            yield cost.method, other, other / parts
+        return
+    for ratio in _RATIOS_BETWEEN:
+        if ratio * tolerance < coarser:
+            yield (cost.method.within(float(f'{ratio * tolerance:.3g}')), 1,
+                   ratio ** -_COST_EXPONENT)

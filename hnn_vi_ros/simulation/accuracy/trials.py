@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Initial value problem of trials, the work of methods, and the survey of the path."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 import math
 from typing import Any
 
@@ -16,6 +16,8 @@ from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
+# Time that step sizes divide, as a share of the horizon, without a sampling interval.
+BASE_SHARE = 0.1
 # Allowed numbers of steps per base, with ratios of 5 / 4, 6 / 5 and 4 / 3 from 4 on.
 _PARTS = sorted({k * 2 ** e for e in range(40) for k in (4, 5, 6)} | {1, 2, 3})
 
@@ -65,6 +67,29 @@ class Method:
     def create(self) -> Integrator:
         """Return the integrator."""
         return INTEGRATORS[self.kind](**self.arguments)
+
+    @property
+    def tolerance(self) -> float | None:
+        """Return the tolerance of an adaptive method; None for others."""
+        names = INTEGRATORS[self.kind].tolerances
+        return self.arguments.get(names[0]) if names else None
+
+    @property
+    def useful_tolerances(self) -> tuple[float, float]:
+        """Return the smallest and the largest useful tolerance; zeros if it takes none."""
+        return INTEGRATORS[self.kind].useful_tolerances
+
+    def within(self, tolerance: float) -> 'Method':
+        """Return the adaptive method with all its tolerances replaced."""
+        names = INTEGRATORS[self.kind].tolerances
+        return replace(self, arguments={**self.arguments, **dict.fromkeys(names, tolerance)})
+
+    @property
+    def family(self) -> str:
+        """Return the name with the arguments other than tolerances."""
+        names = INTEGRATORS[self.kind].tolerances
+        return str(replace(self, arguments={
+            key: value for key, value in self.arguments.items() if key not in names}))
 
     def __str__(self) -> str:
         inside = ', '.join(f'{key} {value:.3g}' if isinstance(value, float) else f'{key} {value}'
@@ -132,7 +157,7 @@ class CalibrationTask:
     @property
     def base(self) -> float:
         """Return the time that step sizes divide [s]: by default a tenth of the horizon."""
-        return self.largest_step or 0.1 * self.tolerance.horizon
+        return self.largest_step or BASE_SHARE * self.tolerance.horizon
 
 
 def _numbers(kernel: Kernel) -> int:
@@ -202,10 +227,10 @@ def carried(errors: list[float], t: float, horizon: float, least: float) -> floa
     return worst * (horizon / t) ** max(math.log2(growth), least)
 
 
-# Methods that survey a path; the first that supports H and the effects is used. Calibration uses
-# SURVEYORS; the others are for rotations and for non-canonical coordinates.
-SURVEYORS = ('gauss16', 'gauss4', 'generalized_leapfrog', 'stormer_verlet', 'variational_euler')
-EVERY_SURVEYOR = (*SURVEYORS, 'lie_gauss16', 'lie_leapfrog', 'rk4')
+# Methods that survey a path; the first that supports H and the effects is used. The last three are
+# for rotations and for non-canonical coordinates.
+SURVEYORS = ('gauss16', 'gauss4', 'generalized_leapfrog', 'stormer_verlet', 'variational_euler',
+             'lie_gauss16', 'lie_leapfrog', 'rk4')
 # A path is resolved if halving the step changes each figure by at most this share and, for
 # conserved energy, if the energy error is at most this share of its scale.
 _MAX_DISAGREEMENT = 0.1
@@ -242,8 +267,7 @@ class PathSurvey:
     strongest: float
 
 
-def survey(problem: InitialValueProblem, horizon: float, base: float,
-           surveyors: Sequence[str] = SURVEYORS) -> PathSurvey:
+def survey(problem: InitialValueProblem, horizon: float, base: float) -> PathSurvey:
     """
     Simulate a path with decreasing step sizes until its characteristic figures converge.
 
@@ -255,8 +279,6 @@ def survey(problem: InitialValueProblem, horizon: float, base: float,
         End of the path, if the limit of gradients allows [s].
     base : float
         Time that step sizes divide [s].
-    surveyors : sequence of str, optional
-        Methods; the first that supports the problem is used.
 
     Raises
     ------
@@ -266,7 +288,7 @@ def survey(problem: InitialValueProblem, horizon: float, base: float,
         No method supports the effects.
 
     """
-    method = _surveyor(problem, base, surveyors)
+    method = _surveyor(problem, base)
     parts = parts_for(base / min(base, time_scale(problem)))
     before, failure = None, None
     for _ in range(_MAX_HALVINGS):
@@ -282,9 +304,9 @@ def survey(problem: InitialValueProblem, horizon: float, base: float,
                            f'the path: {reason}')
 
 
-def _surveyor(problem: InitialValueProblem, base: float, surveyors: Sequence[str]) -> str:
+def _surveyor(problem: InitialValueProblem, base: float) -> str:
     refusal = None
-    for method in surveyors:
+    for method in SURVEYORS:
         try:
             problem.simulation(method, base)
         except UnsupportedSystem as problem_of_method:

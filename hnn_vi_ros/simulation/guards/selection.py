@@ -37,6 +37,6 @@ def make_guards(run: RunFacts, kinds: tuple[type[Guard], ...] = (Guard,)) -> Ite
     for kind in GUARDS:
         if issubclass(kind, kinds):
             for guard in kind.of_run(run):
-                if run.simulation.integrator.adaptive:
+                if run.simulation.integrator.tolerances:
                     guard.smaller = 'smaller tolerances'
                 yield guard

@@ -82,7 +82,7 @@ class StiffnessGuard(LimitGuard):
         simulation = run.simulation
         fastest = simulation.system.fastest_rate(np.atleast_2d(simulation.q)[0])
         # Adaptive methods resolve what moves.
-        if fastest and not simulation.integrator.adaptive:
+        if fastest and not simulation.integrator.tolerances:
             yield cls(simulation.step_size * fastest)
 
     def value(self, sample: Observed) -> float:
@@ -153,7 +153,7 @@ class DriveGuard(LimitGuard):
     @classmethod
     def of_run(cls, run: RunFacts) -> Iterator[Guard]:
         frequency = max((effect.frequency for effect in run.simulation.effects), default=0.0)
-        if frequency and not run.simulation.integrator.adaptive:
+        if frequency and not run.simulation.integrator.tolerances:
             yield cls(run.simulation.step_size * frequency, run.order)
 
     def value(self, sample: Observed) -> float:

@@ -55,7 +55,7 @@ def name_step(alarms: Sequence[Alarm], simulation: Simulation,
     """
     named = list(alarms)
     for k, alarm in enumerate(alarms):
-        if alarm.kind == ResolutionGuard.kind and not simulation.integrator.adaptive:
+        if alarm.kind == ResolutionGuard.kind and not simulation.integrator.tolerances:
             step = _resolving_step(simulation, repeat)
             if step is not None:
                 named[k] = alarm._replace(

@@ -9,10 +9,12 @@ from types import SimpleNamespace
 from helpers import exact_orbit, problem_of
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import CostStudy, measure_costs, Method, MethodCost
-from hnn_vi_ros.simulation.accuracy import cost
+from hnn_vi_ros.simulation import CostStudy, measure_costs, Method, MethodCost, Tolerance
+from hnn_vi_ros.simulation.accuracy import automatic_choice, cost
+from hnn_vi_ros.simulation.accuracy.automatic_choice import calibrate, held_costs
 from hnn_vi_ros.simulation.accuracy.cost import error_between, fastest, run_errors
 from hnn_vi_ros.simulation.accuracy.path_reference import exact_path, Instants
+from hnn_vi_ros.simulation.accuracy.trials import CalibrationTask
 from hnn_vi_ros.simulation.dense_step import record_at
 import numpy as np
 import pytest
@@ -33,7 +35,7 @@ def kepler_study() -> CostStudy:
         patch.setattr(cost, 'INTEGRATORS', {kind: INTEGRATORS[kind] for kind in (
             'symplectic_euler', 'stormer_verlet', 'rk4', 'gauss8', 'lie_leapfrog', 'dop853',
             'discrete_euler_lagrange', 'time_transformed', 'variational_midpoint')})
-        return measure_costs(problem_of('kepler'), 10.0, 60.0, error=1e-6)
+        return measure_costs(problem_of('kepler'), 10.0, 60.0)
 
 
 @pytest.mark.parametrize('kind, order', [
@@ -77,18 +79,16 @@ def test_methods_that_do_not_fit_are_left_out_once_with_the_reason():
 
 def test_recommendation_holds_its_error_in_an_independent_run():
     """Against Kepler's equation in 40 digits, at instants that were not compared."""
-    best = kepler_study().recommended(1e-6)
-    assert best is not None and best.path_error <= 0.95e-6
-    simulation = problem_of('kepler').simulation(best.method, best.step_size)
-    worst, turn = 0.0, np.array([[-0.6, 0.8], [-0.8, -0.6]])
-    steps = round(10.0 / best.step_size)
-    every = next(k for k in (7, 11, 13, 1) if steps > 5 * k)
-    while simulation.steps + every <= steps:
-        simulation.advance(every)
-        orbit = exact_orbit(0.6, simulation.time)
+    best = calibrate(CalibrationTask(problem_of('kepler'), Tolerance('path_error', 1e-6, 10.0)))
+    assert best.error <= 0.95e-6
+    simulation = problem_of('kepler').simulation(
+        Method(best.method, best.arguments), best.step_size)
+    worst, turn, times = 0.0, np.array([[-0.6, 0.8], [-0.8, -0.6]]), np.linspace(0.07, 9.97, 97)
+    for time, state in zip(times, np.hstack(record_at(simulation, times)), strict=True):
+        orbit = exact_orbit(0.6, time)
         # The scene's apocentre is on (0.6, 0.8), that of exact_orbit on (-1, 0).
         exact = np.array([*turn @ orbit[:2], *turn @ orbit[2:]])
-        worst = max(worst, np.abs(np.concatenate([simulation.q, simulation.p]) - exact).max())
+        worst = max(worst, np.abs(state - exact).max())
     assert 0.0 < worst <= 1e-6
 
 
@@ -97,13 +97,35 @@ def test_recommendation_is_the_cheapest_and_none_below_what_is_known():
     best = study.recommended(1e-6)
     assert all(row.seconds >= best.seconds for row in study.costs
                if study.error(row) <= 0.95e-6 - study.floor)
-    # More steps were tried near the error: the next longer one of the method does not hold it.
-    tried = [row for row in study.costs if row.method.kind == best.method.kind]
-    held = max(row.step_size for row in tried if study.error(row) <= 0.95e-6 - study.floor)
-    # The error of an adaptive method does not depend on the step size.
-    assert INTEGRATORS[best.method.kind].adaptive or any(
-        held < row.step_size <= 1.3 * held for row in tried)
     assert study.recommended(0.5 * study.floor) is None
+
+
+@pytest.mark.parametrize('kind', ['gauss8', 'dop853'])
+def test_more_settings_are_tried_near_a_requested_error(kind, monkeypatch):
+    """Next to the cheapest setting that holds the error is one that does not."""
+    monkeypatch.setattr(automatic_choice, 'CANDIDATES', (kind, 'time_transformed'))
+    monkeypatch.setattr(automatic_choice, 'PATH_CANDIDATES', ())
+    tolerance = Tolerance('path_error', 1e-6, 10.0)
+    study = held_costs(CalibrationTask(problem_of('exact_pendulum'), tolerance))
+    tried = [row for row in study.costs if row.method.kind == kind]
+    held = max(row.coarseness for row in tried if study.holds(row, 1e-6))
+    # Steps have ratios of at most 4 / 3, tolerances of 10^(1/4).
+    assert any(held < row.coarseness <= 1.8 * held for row in tried)
+
+
+def test_errors_of_adaptive_methods_fall_with_their_tolerance_at_one_step_of_the_clock():
+    study = kepler_study()
+    own = [row for row in study.costs if row.method.kind == 'dop853']
+    good = [row for row in own if 100.0 * study.floor < row.path_error < 1e-2]
+    assert len(good) >= 6 and {row.step_size for row in own} == {1.0}
+    tolerances = [row.method.tolerance for row in good]
+    assert tolerances == sorted(tolerances, reverse=True)
+    slope = np.polyfit(np.log(tolerances), np.log([row.path_error for row in good]), 1)[0]
+    # Proportional, on a path whose errors differ by chance from one tolerance to the next.
+    assert 0.8 < slope < 1.3
+    # One row of the table, whatever the tolerance.
+    assert {row.method.family for row in own} == {'dop853'}
+    assert study.cheapest(1e-6, 'dop853').path_error <= 1e-6
 
 
 def test_errors_of_a_run_are_those_of_the_states_it_comes_by():
@@ -199,16 +221,18 @@ def test_time_to_compile_a_method_takes_none_from_its_rows(few, monkeypatch):
     assert len(rows[0]) > 3 and rows[0] == rows[1]
 
 
-@pytest.mark.parametrize('kind', ['gauss8', 'taylor'])
-def test_error_between_steps_is_that_of_dense_output_where_the_path_is_fastest(few, kind):
+@pytest.mark.parametrize('kind', ['gauss8', 'taylor', 'dop853'])
+def test_error_between_steps_is_that_of_dense_output_where_the_path_is_fastest(
+        kind, monkeypatch):
     """A path in steps of several orbits, of which the ends alone are near the exact one."""
     if kind == 'taylor':
         pytest.importorskip('heyoka', reason='heyoka, which computes the series, is not installed')
-    few(kind)
+    monkeypatch.setattr(automatic_choice, 'CANDIDATES', ('gauss8', 'time_transformed'))
+    monkeypatch.setattr(automatic_choice, 'PATH_CANDIDATES', (kind,))
     problem = problem_of('kepler')
-    study = measure_costs(problem, 100.0, 20.0, error=1e-6)
-    best = study.recommended(1e-6)
-    assert best is not None
+    study = held_costs(CalibrationTask(problem, Tolerance('path_error', 1e-6, 100.0)))
+    best = study.recommended(1e-6, study.costs[-1].method.family)
+    assert best is not None and best.method.kind == kind
     simulation = problem.simulation(best.method, best.step_size)
     t = np.linspace(0.01, 100.0, 4001)
     exact = problem.hamiltonian.exact_motion(problem.q, problem.p, t).path

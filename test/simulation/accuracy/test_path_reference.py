@@ -12,7 +12,7 @@ from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
 from hnn_vi_ros.simulation.accuracy.path_reference import best_reference, PathReference
-from hnn_vi_ros.simulation.accuracy.trials import EVERY_SURVEYOR, InitialValueProblem, survey
+from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, survey
 import numpy as np
 import pytest
 
@@ -22,7 +22,7 @@ def reference_of(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, horizon
     """Return the best reference of a motion."""
     problem = InitialValueProblem(hamiltonian, effects, q, p)
     return best_reference(
-        problem, horizon, horizon, survey(problem, horizon, horizon, EVERY_SURVEYOR), limit)
+        problem, horizon, horizon, survey(problem, horizon, horizon), limit)
 
 
 @pytest.mark.parametrize('q0, p0', [(2.5, 0.0), (0.3, -1.0), (1.0, 9.0), (-3.0, 0.5)])
@@ -77,7 +77,7 @@ def test_random_motion_has_no_reference():
 def test_reference_that_gradients_limit_keeps_the_whole_path(monkeypatch):
     """Of a method of order 2, which could be refined for ever, at the price of the path's end."""
     monkeypatch.setattr(Kepler, 'exact_motion', lambda *arguments: None)
-    monkeypatch.setattr('test_path_reference.EVERY_SURVEYOR', ('stormer_verlet',))
+    monkeypatch.setattr('hnn_vi_ros.simulation.accuracy.trials.SURVEYORS', ('stormer_verlet',))
     start = np.array([1.0, 0.0]), np.array([0.0, 1.0])
     rough, fine = (reference_of(Kepler(), *start, 10.0, limit=limit) for limit in (3e4, 1e6))
     assert len(rough.states) == len(fine.states) == rough.instants.count
