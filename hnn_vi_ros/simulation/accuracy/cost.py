@@ -593,14 +593,20 @@ def try_between(study: CostStudy, error: float) -> None:
     """Measure additional settings near an error if they may beat the cheapest known cost."""
     order = list(dict.fromkeys(cost.method.family for cost in study.costs))
     for family in order:
-        good, best = study.recommended(error, family), study.recommended(error)
-        if good is None or best is None:
+        rows = [cost for cost in study.costs if cost.method.family == family]
+        best, fine = study.recommended(error), study.recommended(error, family) or max(
+            (cost for cost in rows if cost.failure == TOO_EXPENSIVE),
+            key=lambda cost: cost.coarseness, default=None)
+        coarse = min((cost for cost in rows if fine and cost.coarseness > fine.coarseness),
+                     key=lambda cost: cost.coarseness, default=None)
+        if best is None or fine is None or coarse is None:
             continue
-        coarser = min((cost.coarseness for cost in study.costs if cost.method.family == family
-                       and cost.coarseness > good.coarseness), default=good.coarseness)
+        # The price of a run that was abandoned is not known.
+        price = study.price(fine) if not fine.failure else (
+            study.price(coarse) * coarse.coarseness / fine.coarseness)
         study.costs += [measure(study, method, parts)
-                        for method, parts, share in _between(study, good, coarser)
-                        if study.price(good) * share < study.price(best)]
+                        for method, parts, share in _between(study, fine, coarse.coarseness)
+                        if price * share < study.price(best)]
     study.costs.sort(key=lambda cost: (order.index(cost.method.family), -cost.coarseness))
 
 
