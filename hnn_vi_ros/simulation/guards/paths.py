@@ -16,6 +16,8 @@ import numpy as np
 
 # Maximum number of turns and of steps of a trial; minimum number of steps.
 _MAX_TURNS, _MAX_STEPS, _MIN_STEPS = 3, 128, 8
+# Number of steps of a trial of `taylor`, whose steps are long, and are taken in Python.
+_SERIES_STEPS = 16
 # A derivative of H beyond this multiple of its maximum so far triggers another trial.
 _MIN_RATE_RATIO = 2.0
 # Coordinates whose range is less than this share of the largest range are ignored.
@@ -209,12 +211,14 @@ class PathGuard(BlockGuard):
     def _try(self, step: int, q: np.ndarray, p: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the path error over the path length, and the largest derivatives of H."""
         simulation, h, start = self._simulation, self._simulation.path_step, np.append(q, p)
-        self._next = max(step + _MAX_STEPS, _TIMES_APART * step)
+        method = simulation.integrator
+        steps = _MAX_STEPS if method.compiled or not method.tolerances else _SERIES_STEPS
+        self._next = max(step + steps, _TIMES_APART * step)
         try:
             row, = simulation.rows(start[None])
             path, better = (np.vstack([start, np.hstack([
-                part.reshape(_MAX_STEPS, -1) for part in simulation.trial(
-                    row, h / parts, _MAX_STEPS, parts)])]) for parts in (1, 2))
+                part.reshape(steps, -1) for part in simulation.trial(
+                    row, h / parts, steps, parts)])]) for parts in (1, 2))
         except (StepFailure, RescuePending):
             # A failing step is reported by the run itself.
             return 0.0, np.zeros(start.size)
@@ -225,7 +229,7 @@ class PathGuard(BlockGuard):
                             for half in np.split(ranges, [q.size], axis=1)])
         turned = ((lengths > 2.0 * _MAX_TURNS * ranges) & counts).any(axis=1)
         turned[:_MIN_STEPS] = False
-        end = int(turned.argmax()) if turned.any() else _MAX_STEPS
+        end = int(turned.argmax()) if turned.any() else steps
         part, counted = np.s_[:end + 1], counts[end]
         order, begin = simulation.integrator.order, 0
         errors = np.abs(path - better) / (1.0 - 0.5 ** order)
