@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pair DOP853: orders, tolerances, the clock, events, snapshots, stiffness."""
 
+import warnings
+
 from helpers import dop853_path, effect, kepler_orbit, plain_run, python_kernel, Uncompiled
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import AlarmWarning, StepFailure, UnsupportedSystem
@@ -226,17 +228,19 @@ def test_dop853_refuses_internal_forces_by_name(kind: str):
 
 @pytest.mark.parametrize('tolerance', [1e-3, 1e-6, 1e-9])
 def test_dop853_limited_by_stability_raises_an_alarm_that_names_an_implicit_method(tolerance):
-    """A slow swing beside a spring of 1000 rad/s at rest, and one with a damping of 1000 / s."""
+    """Springs of 1000 rad/s at rest, damping of 1000 / s, and a servo of 1e4 N m/rad."""
     hamiltonian = Uncompiled(Formula(
         ['x', 'y'], 'p_x^2/2 + p_y^2/2 + 9.81*(1 - cos(x)) + 1e6*y^2/2'))
     for system, start, effects, stiff in (
             (hamiltonian, [[1.5, 1e-12], [0.0, 0.0]], [], True),
             ('pendulum', [[1.5], [0.0]], [effect('damping', [1000.0])], True),
             ('pendulum', [[1.5], [0.0]], [effect('damping', [1.0])], False),
+            ('pendulum', [[0.4], [0.0]], [effect('servo', ['angle'], 1e4, 200.0, 100.0, [0.5])],
+             True),
             ('kepler', [[0.4, 0.0], [0.0, 2.0]], [], False)):
         simulation = plain_run(system, Dop853(tolerance, tolerance), 0.1, *start, *effects)
         watch = Watch(RunFacts(simulation), (StabilityGuard,))
-        simulation.advance(20)
+        simulation.advance(50)
         watch.update(look(simulation))
         assert [alarm.kind for alarm in watch.alarms] == ['stiff'] * stiff
         assert all('gauss4' in alarm.message for alarm in watch.alarms)
@@ -248,6 +252,27 @@ def test_energy_drift_of_dop853_is_named_as_that_of_a_method_that_is_not_symplec
     with pytest.warns(AlarmWarning, match='dop853 is not symplectic, and its energy drifts by'):
         found = simulate(scene, duration=300.0)
     assert all('step_size' not in alarm.message for alarm in found.alarms)
+
+
+@pytest.mark.parametrize('name, tolerance, duration', [
+    ('exact_harmonic_oscillator', 1e-3, 1000.0), ('exact_pendulum', 1e-3, 60.0),
+    ('exact_pendulum', 1e-6, 60.0), ('kepler', 1e-3, 60.0), ('kepler', 1e-8, 200.0),
+    ('learned_kepler', 1e-4, 60.0)])
+def test_phase_that_the_drift_of_the_energy_of_dop853_shifts_raises_an_alarm(
+        name, tolerance, duration):
+    """A run that is off by a tenth of its amplitude is alarmed, one by a fortieth is not."""
+    scene, runs = load_scene(name), []
+    for size in (tolerance, 1e-12):
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', AlarmWarning)
+            runs.append(simulate(scene.changed({'integrator': {
+                'kind': 'dop853', 'relative_tolerance': size, 'absolute_tolerance': size}}),
+                duration))
+    loose, exact = runs
+    off = np.abs(loose.q - exact.q).max() / (0.5 * np.ptp(exact.q, axis=0).max())
+    assert off < 0.025 or off > 0.1
+    assert ('phase not resolved' in [alarm.kind for alarm in loose.alarms]) == (off > 0.1)
+    assert not exact.alarms
 
 
 @pytest.mark.parametrize('tolerance', [1e-2, 1e-5])

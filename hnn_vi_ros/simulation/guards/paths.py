@@ -7,10 +7,12 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.integrators import Dop853
 from hnn_vi_ros.phase_space import column_units
 from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard, StateGuard
 from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.samples import Observed, SampleBlock
+from hnn_vi_ros.simulation.guards.scale import Scale
 from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
 import numpy as np
 
@@ -40,6 +42,9 @@ _FIRST_LOOK = 4
 _DISPLACED = 4
 # Steps over which errors add up where no contraction limits it: about a hundred turns.
 _MEMORY = 1e4
+# Minimum energy error over the energy scale, times the number of internal steps, that is examined
+# for its shift of the phase; size of the neighbour's displacement, relative to the motion.
+_MIN_DRIFT, _ENERGY_STEP = 0.02, 1e-3
 # Ranges below this share of a coordinate are rounding errors.
 _MIN_RELATIVE_RANGE = 1e-9
 
@@ -258,11 +263,102 @@ class PathGuard(BlockGuard):
 
 
 def _estimate_alarm(step: int, value: float, smaller: str) -> Alarm:
-    size = f'by about {100.0 * value:.2g} % of' if value < 1.0 else 'by more than'
     return Alarm(PathGuard.kind, step, value, _MAX_ESTIMATE,
                  f'a repetition of some steps with half the step size shows that the path is off '
-                 f'{size} its amplitude; use {smaller}, or a method of higher order',
+                 f'{_share(value)} its amplitude; use {smaller}, or a method of higher order',
                  '1')
+
+
+def _share(value: float) -> str:
+    return f'by about {100.0 * value:.2g} % of' if value < 1.0 else 'by more than'
+
+
+class PhaseGuard(BlockGuard):
+    """
+    Phase of conservative runs of `dop853`: the drift of the energy shifts it by 6 % at most.
+
+    Where the period depends on the energy, motions of other energies part in proportion to time.
+    An energy error that grows as t then shifts the motion, relative to the amplitude, by
+
+        E(t) = s abs(H - H0) t / 2,
+
+    with s the rate at which two motions part, per difference of their energies [1/(J s)]. It is
+    measured once the energy error may matter, over at most 128 internal steps. In chaos, where
+    motions part faster than in proportion to time, E is too small.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Simulation of one trajectory.
+    scale : callable
+        Returns the energy scale at each sample of a block [J]; see SampledScale.
+
+    """
+
+    kind = 'phase not resolved'
+    remedy = 'use smaller tolerances, or a symplectic method'
+
+    def __init__(self, simulation: Simulation, scale: Scale):
+        self._simulation, self._scale, self._raised = simulation, scale, False
+        self._first, self._rate, self._shift = math.nan, math.nan, 0.0
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        if (isinstance(run.simulation.integrator, Dop853) and run.conservative
+                and not run.hamiltonian.rotations
+                and run.simulation.q.size == run.hamiltonian.dimension):
+            yield cls(run.simulation, run.scale)
+
+    def take(self, block: SampleBlock) -> list[Alarm]:
+        scales, time = self._scale(block), block.step * self._simulation.step_size
+        if math.isnan(self._first):
+            self._first = float(block.energy[0])
+        errors = np.abs(block.energy - self._first)
+        relevant = np.flatnonzero(self._simulation.internal_steps[0] * errors
+                                  > _MIN_DRIFT * scales)
+        if self._raised or not relevant.size:
+            return []
+        if math.isnan(self._rate):
+            self._rate = self._parting(np.append(block.q[relevant[0]], block.p[relevant[0]]))
+        shifts = 0.5 * self._rate * errors * time
+        self._shift = max(self._shift, float(shifts.max()))
+        beyond = np.flatnonzero(shifts > _MAX_ESTIMATE)
+        self._raised = beyond.size > 0
+        return [self._alarm(int(block.step[beyond[0]]))] if self._raised else []
+
+    def _parting(self, start: np.ndarray) -> float:
+        """Return the rate at which motions of other energies part [1/(J s)]."""
+        simulation, d = self._simulation, start.size // 2
+        hamiltonian, taken = simulation.hamiltonian, int(simulation.internal_steps[0])
+        h, steps = simulation.time / taken, max(_MIN_STEPS, min(taken, _MAX_STEPS))
+        try:
+            path = self._path(start, h, steps)
+            sizes = 0.5 * np.ptp(path, axis=0)
+            slopes = np.concatenate(hamiltonian.gradient(start[:d], start[d:]))
+            other = start + _ENERGY_STEP * sizes * np.sign(slopes)
+            apart = self._path(other, h, steps) - path
+        except (StepFailure, RescuePending):
+            # A failing step is reported by the run itself.
+            return 0.0
+        energies = hamiltonian.energy(*np.split(np.array([start, other]), 2, axis=1))
+        kept = np.concatenate([half > _MIN_RANGE_SHARE * half.max()
+                               for half in np.split(sizes, [d])])
+        # This distance is constant in an oscillator, whose phase no energy shifts.
+        distance = np.linalg.norm(apart[:, kept] / sizes[kept], axis=1)
+        early, late = (float(half.mean()) for half in np.array_split(distance, 2))
+        return max(late - early, 0.0) / (0.5 * steps * h * abs(energies[1] - energies[0]))
+
+    def _path(self, start: np.ndarray, h: float, steps: int) -> np.ndarray:
+        row, = self._simulation.rows(start[None])
+        return np.hstack(self._simulation.trial(row, 0.25 * h, steps, 4))
+
+    def renew(self, sample: Observed) -> Alarm | None:
+        return self._alarm(sample.step)
+
+    def _alarm(self, step: int) -> Alarm:
+        return Alarm(self.kind, step, self._shift, _MAX_ESTIMATE, (
+            'the drift of the energy has shifted the phase: the path is off '
+            f'{_share(self._shift)} its amplitude; {self.remedy}'), '1')
 
 
 class ForcedPathGuard(StateGuard):

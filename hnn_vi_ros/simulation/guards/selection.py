@@ -10,7 +10,7 @@ from hnn_vi_ros.simulation.guards.base import Guard
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.loops import ClosureGuard, SingularGuard
-from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard
+from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard, PhaseGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.steps import (
     CostGuard, DriveGuard, RescueGuard, SolutionGuard, StabilityGuard, StiffnessGuard)
@@ -18,7 +18,7 @@ from hnn_vi_ros.simulation.guards.steps import (
 # Alarms of the same step are reported in this order.
 GUARDS: tuple[type[Guard], ...] = (
     BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, StiffnessGuard, StabilityGuard, DriveGuard,
-    InvariantGuard, BarrierGuard, ForcedPathGuard, PathGuard, PoleGuard, ClosureGuard,
+    InvariantGuard, BarrierGuard, ForcedPathGuard, PathGuard, PhaseGuard, PoleGuard, ClosureGuard,
     SingularGuard, SolutionGuard, RescueGuard)
 
 
