@@ -203,9 +203,10 @@ class _Many:
     def _held(self, commands: Any, c: int, samples: int) -> Iterator[np.ndarray]:
         """Yield, for each interval between samples, the commands of its steps, (m, every, c)."""
         for sample in range(samples):
-            yield np.stack([
+            # Compiled code reads them in C order, which stack does not keep for one row of all.
+            yield np.ascontiguousarray(np.stack([
                 _numbers(commands, k * self.step_size, sample, (self.count, c))
-                for k in range(sample * self._every, (sample + 1) * self._every)], axis=1)
+                for k in range(sample * self._every, (sample + 1) * self._every)], axis=1))
 
     def step_on(self, device: str, threads: int | None) -> None:
         """Take the steps in torch, or raise ValueError."""

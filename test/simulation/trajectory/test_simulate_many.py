@@ -299,6 +299,16 @@ def test_commanded_rows_are_those_of_simulate_bit_by_bit(method, threads):
     assert np.array_equal(many.q, by_time.q) and np.array_equal(many.p, by_time.p)
 
 
+def test_one_row_of_a_function_commands_every_trajectory_with_all_of_its_numbers():
+    scene = load_scene('exact_double_pendulum').with_overrides(0.02, 'rk4', effects=[
+        FORCE | {'coordinates': ['angle1', 'angle2'], 'timeout': 1.0}])
+    many = simulate_many(scene, np.zeros((3, 2)), np.zeros((3, 2)), 0.2,
+                         commands=lambda t: [1.0, -0.5])
+    alone = simulate(scene, 0.2, initial_state=([0.0] * 2, [0.0] * 2),
+                     commands=lambda t: [1.0, -0.5])
+    assert np.array_equal(many.q[-1], np.tile(alone.q[-1], (3, 1)))
+
+
 @pytest.mark.filterwarnings('ignore')
 def test_a_commanded_step_that_fails_is_taken_as_simulate_takes_it():
     # Its equation has no solution where the arm is so fast, and steps are taken in parts.
