@@ -93,6 +93,16 @@ def write_run(path: Path, name: str, duration: float) -> None:
     simulate(load_scene(name), duration=duration).plot().savefig(path, dpi=90)
 
 
+def write_energy(path: Path) -> None:
+    """Draw the energy by cause of the scene on its page."""
+    page = path.with_suffix('.md').read_text(encoding='utf-8')
+    with TemporaryDirectory() as folder:
+        scene = Path(folder) / 'motor_pendulum.yaml'
+        scene.write_text(page.partition('```yaml\n')[2].partition('```')[0], encoding='utf-8')
+        run = simulate(scene, energy_by_cause=True)
+        run.plot_energy().savefig(path, dpi=100)
+
+
 def write_loop_forces(path: Path) -> None:
     """Draw the force in the hinge that closes the four-bar linkage."""
     run = simulate('four_bar', duration=3.0)
@@ -355,7 +365,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     'how-to/linkages.png': partial(write_strip, names=LINKAGES, columns=4),
     'how-to/loop-forces.png': write_loop_forces, 'how-to/machines.png': write_machines,
     'how-to/sensitivity.png': write_sensitivity, 'how-to/sweep.png': write_sweep,
-    'how-to/uncertainty.png': write_bands,
+    'how-to/uncertainty.png': write_bands, 'how-to/where-energy-goes.png': write_energy,
     'tutorials/csv.png': write_learned, 'tutorials/hover.png': write_hover,
     'tutorials/oscillator.png': partial(write_run, name='harmonic_oscillator', duration=20.0),
     'tutorials/swing-up.png': write_swing_up,

@@ -43,6 +43,8 @@ def run() -> Parser:
     _add_files(parser, {
         '--plot': 'plot coordinates, momenta and energy against time: .png, .svg or .pdf',
         '--portrait': 'plot the phase portraits: .png, .svg or .pdf',
+        '--plot-energy': 'plot the energy that each cause stored, took and gave: .png, .svg or '
+                         '.pdf',
         '--rerun': 'write a recording for the rerun viewer: .rrd',
         '--csv': 'write the samples as CSV: a column each for t, coordinates, momenta and H; - '
                  'is standard output'})

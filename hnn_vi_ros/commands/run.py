@@ -18,7 +18,8 @@ from hnn_vi_ros.simulation import is_wrong, simulate, Trajectory
 _UNRELIABLE_STATUS = 3
 # Suffixes by option; options without an entry accept any suffix.
 _PICTURES = ('.png', '.svg', '.pdf')
-SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--rerun': ('.rrd',)}
+SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--plot-energy': _PICTURES,
+            '--rerun': ('.rrd',)}
 
 
 def check_outputs(paths: Mapping[str, Path | None], force: bool) -> None:
@@ -104,7 +105,7 @@ def main(argv: list[str]) -> int:
 
     """
     options = arguments.run().parse_args(argv)
-    paths = {option: getattr(options, option[2:]) for option in _WRITERS}
+    paths = {option: getattr(options, option[2:].replace('-', '_')) for option in _WRITERS}
     to_output = options.csv == Path('-')
     shown = sys.stderr if to_output else sys.stdout
     check_outputs(paths | {'--csv': None} if to_output else paths, options.force)
@@ -112,7 +113,8 @@ def main(argv: list[str]) -> int:
         with elapsed('compiling or simulating'):
             trajectory = simulate(
                 options.scene, options.duration, step_size=options.step_size,
-                integrator=options.integrator, every=options.every)
+                integrator=options.integrator, every=options.every,
+                energy_by_cause=options.plot_energy is not None)
     except ValueError as problem:
         raise ParameterError(str(problem)) from problem
     print(trajectory, file=shown)
@@ -151,5 +153,6 @@ _WRITERS: dict[str, Callable[[Trajectory, Path], object]] = {
     '--csv': Trajectory.to_csv,
     '--plot': lambda run, path: run.plot().savefig(path, dpi=150),
     '--portrait': lambda run, path: run.phase_portrait().savefig(path, dpi=150),
+    '--plot-energy': lambda run, path: run.plot_energy().savefig(path, dpi=150),
     '--rerun': _write_rerun,
 }

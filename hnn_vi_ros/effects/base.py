@@ -148,6 +148,10 @@ class Effect(ABC):
         True if it can act on systems with rotations.
     random : bool
         True if it draws random numbers.
+    corrects_command : bool
+        True if its work is a part of that of the effect that applies the command.
+    passive : bool
+        True if it only takes energy from the system; what it does not store is heat.
     limits : bool
         True if its parameters are stops at joint limits, which commands must respect.
     stops : bool
@@ -179,6 +183,8 @@ class Effect(ABC):
     batched: ClassVar[bool] = True
     turns: ClassVar[bool] = False
     random: ClassVar[bool] = False
+    corrects_command: ClassVar[bool] = False
+    passive: bool = False
     limits: ClassVar[bool] = False
     stops: ClassVar[bool] = False
     by_motors: bool | None = None
@@ -220,6 +226,22 @@ class Effect(ABC):
             A name or a length does not match the coordinates; the message lists the valid ones.
 
         """
+
+    def stored_energy(self, parameters: Any, q: np.ndarray, x: float) -> dict[str, float]:
+        """
+        Return the energies that it stores [J], by joint, or by '' if there is only one.
+
+        Parameters
+        ----------
+        parameters : tuple
+            The result of ``resolve``.
+        q : np.ndarray, shape (d,)
+            Coordinates.
+        x : float
+            Its internal variable; see EffectState.
+
+        """
+        return {}
 
     def check_beside(self, others: Sequence['Effect']) -> None:  # noqa: B027
         """Raise ValueError if it does not fit the effects of its scene, itself included."""
@@ -334,6 +356,10 @@ class Potential(Joined):
                 add_hessian_vector(own, q[a:a + d], v_q[a:a + d], product_q[a:a + d])
         return energy, gradient, hessian_vector
 
+    def stored_energy(self, parameters: Any, q: np.ndarray, x: float) -> dict[str, float]:
+        """Return V [J]."""
+        return {'': self.formulas(parameters).energy(parameters, q)}  # type: ignore[attr-defined]
+
 
 class Force(Effect):
     """
@@ -372,6 +398,10 @@ class Force(Effect):
     def rounding(self) -> tuple[float, float]:
         """Return the rounding errors of f_q and f_p, in the units of Kernel.gradient_scale."""
         return 0.0, 0.0
+
+    def joints(self, parameters: Any) -> np.ndarray | None:
+        """Return the columns of its joints if each has a work of its own, else None."""
+        return None
 
     def accepts(self, integrator: Integrator) -> bool:
         """Return True if the method supports this force at its nodes."""

@@ -46,7 +46,7 @@ class Damping(Force, StepEffect):
 
     """
 
-    depends_on_momentum = turns = drawn = True
+    depends_on_momentum = turns = drawn = passive = True
 
     def __init__(self, rate: float | list[float] | None = None, model: str | None = None):
         if (rate is None) == (model is None):

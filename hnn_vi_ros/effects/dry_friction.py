@@ -49,7 +49,7 @@ class DryFriction(Force):
 
     """
 
-    depends_on_momentum = drawn = True
+    depends_on_momentum = drawn = passive = True
 
     def __init__(self, coordinate: str, force: float, speed: float = 0.01):
         check_positive(force=force, speed=speed)

@@ -59,6 +59,11 @@ class ElasticGears(_Gears, Potential):
         inverse = np.einsum('ni,ij,nj->n', twists, inverse_mass, twists)
         return float(max(np.sqrt(own.stiffness * inverse).max(), (own.damping * inverse).max()))
 
+    def stored_energy(self, parameters: GearParameters, q: np.ndarray, x: float
+                      ) -> dict[str, float]:
+        """Return U of each gear [J]."""
+        return {joint: _twist_energy(parameters, i, q)[0] for i, joint in enumerate(self._drives)}
+
     @staticmethod
     @inlined
     def energy(own: GearParameters, q: np.ndarray) -> float:
@@ -91,7 +96,7 @@ class ElasticGears(_Gears, Potential):
 class GearDamping(_Gears, Force):
     """The torques c (theta' - q') in elastic gears; their work is never positive."""
 
-    depends_on_momentum, label = True, 'gear damping'
+    depends_on_momentum, passive, label = True, True, 'gear damping'
 
     @staticmethod
     @inlined

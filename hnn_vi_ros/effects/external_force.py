@@ -143,6 +143,11 @@ class ExternalForce(Force, Commanded):
                 f'number{"s" * (columns.size > 1)}{", for " * bool(self.names)}'
                 f'{", ".join(self.names)}, at most {LARGEST:g}')
 
+    def joints(self, parameters: 'InputParameters') -> np.ndarray | None:
+        """Return the columns of the joints; None for a map, and for forces on a body."""
+        from hnn_vi_ros.effects.input_map import Columns
+        return parameters.columns if isinstance(parameters.own, Columns) else None
+
     @staticmethod
     @inlined
     def add_force(parameters: 'InputParameters', t: float, q: np.ndarray, p: np.ndarray,

@@ -63,7 +63,7 @@ class JointFriction(Force):
 
     """
 
-    depends_on_momentum = True
+    depends_on_momentum = passive = True
 
     def __init__(self, from_: Literal['urdf'] | None = None,
                  damping: dict[str, float] | None = None,
@@ -92,6 +92,11 @@ class JointFriction(Force):
             motors[coordinate_index(coordinates, name)] = motor_index(coordinates, name)
         return JointFrictionParameters(
             damping, friction, load, motors, self.speed, state.command, state.clock)
+
+    def joints(self, parameters: JointFrictionParameters) -> np.ndarray:
+        """Return the columns of the joints with friction."""
+        own = parameters
+        return np.flatnonzero(own.damping + own.friction + own.load)
 
     @staticmethod
     @inlined

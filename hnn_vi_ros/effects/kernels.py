@@ -6,7 +6,7 @@ Kernels of a Hamiltonian with effects that are added to it, or with forces.
 They call the Hamiltonian by address, so that effects are compiled once for all Hamiltonians.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any, cast
 
@@ -30,8 +30,13 @@ def add_effect(kernel: Kernel, effect: Joined, parameters: Parameters) -> Kernel
                     (kernel.parameters, parameters, np.zeros((2, kernel.dimension))))
 
 
+class ByJoint:
+    """Mark, in names of compiled functions, of a force with a channel for each joint."""
+
+
 def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Parameters],
-               state: EffectState, indices: Sequence[int]) -> Kernel:
+               state: EffectState, indices: Sequence[int],
+               joints: Mapping[int, np.ndarray]) -> Kernel:
     """
     Return a kernel whose gradient is (H_q - f_p, H_p + f_q), extended by time and work.
 
@@ -40,18 +45,24 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
     method integrates both at its own nodes and to its own order, which a quadrature after the step
     would not. The first channels are those of internal variables x, one for each InternalForce:
     the coordinate, constant in a step, is added to x of EffectState.resting, whose indices are
-    given, and the momentum is the change of x. For rotations, f_p contains torques in the frame
-    of the body; they are converted to covectors of quaternions before they are subtracted from
-    H_q.
+    given, and the momentum is the change of x. ``joints`` has the columns, by index, of forces
+    with a channel for each joint; those after the first follow all other channels. For rotations,
+    f_p contains torques in the frame of the body; they are converted to covectors of quaternions
+    before they are subtracted from H_q.
     """
     kernel = by_address(kernel)
     d, internal = kernel.dimension, sum(force.internal for force in forces)
-    channels = internal + len(forces)
-    nested: Parameters = ()
+    channels = internal + len(forces) + sum(own.size - 1 for own in joints.values())
+    nested, first = cast(Parameters, ()), channels
     for force, own, i in reversed([*zip(forces, parameters, indices, strict=True)]):
+        if i in joints:
+            first -= joints[i].size - 1
+            own = own, joints[i], first
         nested = ((own, state.resting[i:i + 1], state.step) if force.internal else own, nested)
     kinds = tuple(type(force) for force in forces)
-    functions = _with_forces(*functions_of(kernel), kinds)
+    functions = _with_forces(*functions_of(kernel), kinds, tuple(i in joints for i in indices))
+    marks = tuple(kind for i, force in zip(indices, forces, strict=True) if i in joints
+                  for kind in (ByJoint, type(force)))
     rounding_q, rounding_p = (sum(parts) for parts in zip(
         kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True))
     space = np.zeros((12, max(d, channels)))
@@ -59,7 +70,7 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
         force.depends_on_state and not force.internal for force in forces))
     rotations = np.array(kernel.rotations, dtype=np.int64)
     return composed(
-        kernel, functions, kinds,
+        kernel, functions, (*kinds, *marks),
         (kernel.parameters, nested, state.clock, space, rotations, d, channels, differ)
     )._replace(dimension=d + channels, channels=channels, internal=internal,
                gradient_scale=(rounding_q, rounding_p))
@@ -67,11 +78,12 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
 
 @cache
 def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vector: HessianVector,
-                 kinds: tuple[type[Force], ...]) -> Functions:
+                 kinds: tuple[type[Force], ...], joints: tuple[bool, ...]) -> Functions:
     internal = sum(kind.internal for kind in kinds)
-    add_all = _chain(kinds, internal, 0, True)
+    add_all = _chain(kinds, internal, 0, True, joints)
     # Of forces with internal variables there are derivatives.
-    add_others, add_tangents = _chain(kinds, internal, 0, False), _tangents(kinds, internal, 0)
+    add_others, add_tangents = (
+        _chain(kinds, internal, 0, False, joints), _tangents(kinds, internal, 0))
 
     def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
         base, _, _, _, _, d, _, _ = parameters
@@ -130,19 +142,42 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
 
 
 @cache
-def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool) -> Callable[..., None]:
+def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool,
+           joints: tuple[bool, ...]) -> Callable[..., None]:
     """
     Return a function that adds the forces from channel k on, each with its power.
 
     The variables of forces with internal ones begin at channel j; without ``internal`` such
-    forces are left out.
+    forces are left out. ``joints`` says which of them have a channel for each joint.
     """
     if not kinds:
         return _add_none
     if issubclass(kinds[0], InternalForce):
-        return _internal_chain(kinds, k, j) if internal else _without_first(
-            _chain(kinds[1:], k + 1, j + 1, False))
-    add_force, rest = kinds[0].add_force, _chain(kinds[1:], k + 1, j, internal)
+        return _internal_chain(kinds, k, j, joints) if internal else _without_first(
+            _chain(kinds[1:], k + 1, j + 1, False, joints[1:]))
+    add_force, rest = kinds[0].add_force, _chain(kinds[1:], k + 1, j, internal, joints[1:])
+
+    @inlined
+    def add_by_joint(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
+                     p: np.ndarray, H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray,
+                     pace: np.ndarray, space: np.ndarray) -> None:
+        (own, columns, first), others = forces
+        f_q, f_p = space[0, :q.size], space[1, :q.size]
+        f_q[:] = 0.0
+        f_p[:] = 0.0
+        add_force(own, clock[0] + (clock[1] + times[k]), q, p, H_p, f_q, f_p)
+        for i in range(q.size):
+            space[2, i] += f_q[i]
+            space[3, i] += f_p[i]
+        for n in range(columns.size):
+            i, channel = columns[n], k if n == 0 else first + n - 1
+            minus_power[channel] = -(H_q[i] * f_q[i] + H_p[i] * f_p[i])
+            # The time is in the first of its channels.
+            pace[channel] = 1.0 if n == 0 else 0.0
+        rest(others, clock, times, q, p, H_q, H_p, minus_power, pace, space)
+
+    if joints[0]:
+        return add_by_joint
 
     @inlined
     def add_all(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
@@ -162,9 +197,10 @@ def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool) -> Ca
     return add_all
 
 
-def _internal_chain(kinds: tuple[type[Force], ...], k: int, j: int) -> Callable[..., None]:
+def _internal_chain(kinds: tuple[type[Force], ...], k: int, j: int, joints: tuple[bool, ...]
+                    ) -> Callable[..., None]:
     respond, rest = cast(type[InternalForce], kinds[0]).respond, _chain(
-        kinds[1:], k + 1, j + 1, True)
+        kinds[1:], k + 1, j + 1, True, joints[1:])
 
     @inlined
     def add_all(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,

@@ -77,6 +77,7 @@ class LearnedFriction(Force):
         card, self.model = checkpoint.card, checkpoint
         self.feels_command = card.mechanical is not None and \
             card.mechanical.friction.load is not None
+        self.passive = card.mechanical is None or not any(card.mechanical.friction.offset or ())
         if self.feels_command and card.mechanical is not None:
             self.by_motors = card.mechanical.input_map is not None
 

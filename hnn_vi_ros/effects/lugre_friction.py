@@ -78,7 +78,7 @@ class LugreFriction(InternalForce):
 
     """
 
-    stiff = True
+    stiff = passive = True
 
     def __init__(self, coordinate: str, stiffness: float, friction: float | None = None,
                  stribeck: float | None = None, speed: float | None = None,
@@ -116,6 +116,11 @@ class LugreFriction(InternalForce):
         own, inverse = parameters, inverse_mass[parameters.column, parameters.column]
         return max(math.sqrt(own.stiffness * inverse),
                    (own.bristle_damping + own.damping) * inverse)
+
+    def stored_energy(self, parameters: LugreParameters, q: np.ndarray, x: float
+                      ) -> dict[str, float]:
+        """Return sigma_0 z^2 / 2 of the bristles [J]."""
+        return {'': 0.5 * parameters.stiffness * x * x}
 
     @staticmethod
     @inlined

@@ -65,7 +65,7 @@ class Motor(InternalForce):
 
     """
 
-    feels_command, by_motors = True, False
+    feels_command, by_motors, corrects_command = True, False, True
 
     def __init__(self, coordinate: str, time_constant: float = 0.0,
                  torque_limit: float | None = None, no_load_speed: float | None = None,

@@ -45,7 +45,7 @@ class QuadraticDrag(Force):
 
     """
 
-    depends_on_momentum = turns = drawn = True
+    depends_on_momentum = turns = drawn = passive = True
 
     def __init__(self, coordinates: list[str], coefficient: float):
         check_positive(coefficient=coefficient)
@@ -56,6 +56,10 @@ class QuadraticDrag(Force):
         """Return the coordinates' columns and b."""
         return DragParameters(np.array([momentum_index(coordinates, name)
                                         for name in self.coordinates]), self.coefficient)
+
+    def joints(self, parameters: DragParameters) -> np.ndarray:
+        """Return the coordinates' columns."""
+        return parameters.columns
 
     @staticmethod
     @inlined

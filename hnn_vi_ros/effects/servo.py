@@ -123,6 +123,10 @@ class Servo(Force, Commanded):
         """Return the present targets of the joints."""
         return _target(parameters, self.names)
 
+    def joints(self, parameters: ServoParameters) -> np.ndarray:
+        """Return the columns of the joints."""
+        return parameters.columns
+
     @staticmethod
     @inlined
     def add_force(parameters: ServoParameters, t: float, q: np.ndarray, p: np.ndarray,

@@ -161,7 +161,7 @@ class RigidContact(StepEffect):
 
     """
 
-    acts, repeats, batched, stops = Place.OUTSIDE, True, False, True
+    acts, repeats, batched, stops, passive = Place.OUTSIDE, True, False, True, True
     excludes = {Place.MANIFOLD: 'because its impulses would violate the constraints'}
     beyond: ClassVar[str]
 

@@ -35,6 +35,8 @@ class Sample:
         Generalised forces due to commands [N] or [N m]; None without commands.
     spread : np.ndarray, shape (2 d,), or None
         Half-widths of an ensemble's bands around q, then p; None without members.
+    causes : np.ndarray, shape (C,), or None
+        Energy by cause [J]; None if it was not requested.
 
     """
 
@@ -50,3 +52,4 @@ class Sample:
     work: float = 0.0
     motors: np.ndarray | None = None
     spread: np.ndarray | None = None
+    causes: np.ndarray | None = None

@@ -236,6 +236,7 @@ class PictureOutput(Sink):
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
             effects=simulation.effects, step_size=simulation.step_size,
             conservative=simulation.conservative,
+            causes=simulation.ledger.names if simulation.ledger else (),
             modified=simulation.modified_energy is not None, pace=pace or None,
             band=scene.uncertainty is not None,
             begin=(sampler.stamp, simulation.steps),

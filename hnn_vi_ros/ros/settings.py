@@ -155,6 +155,9 @@ class Settings:
     publish_accuracy: bool = parameter(False, 'publish and record `~/accuracy`')
     publish_loop_forces: bool = parameter(
         False, 'publish and record `~/loop_forces`, in a scene with loops')
+    energy_by_cause: bool = parameter(
+        False, 'account for the energy by cause, and publish and record `~/energy_by_cause`, as '
+        '`energy_by_cause: true` of the scene does')
     stop_outside_box: bool = parameter(
         False, 'end the run with status 1 at the first sample outside the training box of the '
         'model; otherwise it is only reported', changes=ALWAYS)

@@ -128,5 +128,5 @@ class Sampler:
             dH_dq=simulation.dH_dq.copy(), dH_dp=simulation.dH_dp.copy(), energy=energy,
             modified_energy=math.nan if modified is None else modified,
             energy_error=balance / abs(self._energy0) if self._energy0 else balance,
-            work=work, motors=simulation.motors.forces(
+            work=work, causes=simulation.causes, motors=simulation.motors.forces(
                 simulation.time, simulation.q, simulation.p, simulation.dH_dp))

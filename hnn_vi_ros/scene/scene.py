@@ -76,6 +76,9 @@ class Scene(StrictModel):
         'run all members of an ensemble beside their mean, and report their spread'))
     measurements: MeasurementsChoice | None = Field(None, description=(
         'sensors whose readings are published in place of exact values'))
+    energy_by_cause: bool = Field(False, description=(
+        'account for the energy by cause: the work, the stored energy and the heat of each effect '
+        'and of its joints'))
     mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]
         None, description='mechanism to draw; without it only states are shown')
 
@@ -95,7 +98,8 @@ class Scene(StrictModel):
               invariants: Sequence[Mapping[str, Any]] = (),
               uncertainty: Mapping[str, Any] | None = None, on_failure: str = 'substep',
               measurements: Mapping[str, Any] | None = None, mechanism: str | None = None,
-              description: str = '', name: str = 'scene', duration: float = 10.0) -> 'Scene':
+              description: str = '', name: str = 'scene', duration: float = 10.0,
+              energy_by_cause: bool = False) -> 'Scene':
         """
         Return a scene created without a file, validated as a YAML file is.
 
@@ -127,6 +131,8 @@ class Scene(StrictModel):
             Name of the scene, used in the names of a run's files.
         duration : float, optional
             Simulated time of ``simulate`` without one [s].
+        energy_by_cause : bool, optional
+            Account for the energy by cause; see ``Trajectory.energy_by_cause``.
 
         Raises
         ------
@@ -151,7 +157,7 @@ class Scene(StrictModel):
             'integrator': integrator, 'step_size': step_size, 'initial_state': state,
             'on_failure': on_failure, 'events': events, 'invariants': invariants,
             'uncertainty': uncertainty, 'measurements': measurements, 'mechanism': mechanism,
-            'duration': duration})
+            'duration': duration, 'energy_by_cause': energy_by_cause})
         return _validated(data, f'Scene.build {name}')._placed_at(Origin(Path(name)))
 
     def _placed_at(self, origin: Origin) -> 'Scene':

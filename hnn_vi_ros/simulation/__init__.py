@@ -56,6 +56,6 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.trajectory.devices import batch_on, one_thread_each, record_on
     from hnn_vi_ros.simulation.trajectory.many import BLOCK, record_block, simulate_many
     from hnn_vi_ros.simulation.trajectory.simulate import changed_parts, record_one, simulate
-    from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
+    from hnn_vi_ros.simulation.trajectory.trajectory import EnergyByCause, Trajectory
 
 __getattr__, __dir__ = lazy_exports(__name__)

@@ -51,19 +51,20 @@ def build(scene: Scene | Parts) -> Simulation:
     warn_of_scheme(hamiltonian, scene.integrator.kind, scene.known_step_size)
     with scene.placed('initial_state'):
         return Simulation(hamiltonian, integrator, scene.known_step_size, state.q, state.p,
-                          effects, scene.on_failure)
+                          effects, scene.on_failure, scene.energy_by_cause)
 
 
 def build_at(parts: Parts, q: ArrayLike, p: ArrayLike) -> Simulation:
     """Return a simulation with its own copy of H, in one or several states; see Simulation."""
     scene, hamiltonian, integrator, effects = parts.copy()
     return Simulation(hamiltonian, integrator, scene.known_step_size, q, p, effects,
-                      scene.on_failure)
+                      scene.on_failure, scene.energy_by_cause)
 
 
 def compile_loop(parts: Parts) -> None:
     """Compile the loop over steps of a scene, or load it from disk, without its H."""
-    system = System(parts.hamiltonian, parts.effects, parts.integrator)
+    system = System(parts.hamiltonian, parts.effects, parts.integrator,
+                    by_joint=parts.scene.energy_by_cause)
     rescue = Rescue(system, parts.scene.on_failure)
     n = system.kernel.dimension
     Loop(advance, system.kernel, rescue.methods[0], provide=False).compile(

@@ -95,6 +95,8 @@ class RunSamples(NamedTuple):
     work : np.ndarray, shape (n,), or None
         Work done on the system since the start [J]: NaN between steps, and at some of more than
         MAX_OBSERVED samples. None if no effect does work.
+    causes : np.ndarray, shape (n, C), or None
+        Energy by cause [J], NaN where the work is; None if it was not requested. See Ledger.
 
     """
 
@@ -102,6 +104,7 @@ class RunSamples(NamedTuple):
     q: np.ndarray
     p: np.ndarray
     work: np.ndarray | None
+    causes: np.ndarray | None = None
 
 
 def check_memory(duration: float, interval: float, dimension: int) -> None:
@@ -154,9 +157,11 @@ def record(simulation: Simulation, schedule: Schedule, commands: Commands | None
     if commands is not None:
         simulation = CommandedSimulation(simulation, commands, schedule)
     # By number of steps.
-    works: dict[int, float] = {}
+    works, causes = dict[int, float](), dict[int, np.ndarray]()
 
     def note() -> None:
+        if (found := simulation.causes) is not None:
+            causes[simulation.steps] = found
         if not simulation.conservative:
             works[simulation.steps] = simulation.work
             observe()
@@ -170,11 +175,16 @@ def record(simulation: Simulation, schedule: Schedule, commands: Commands | None
         parts += [(stop.q, stop.p), (stop.event.q[None], stop.event.p[None])]
         t = np.append(t[:sum(len(q) for q, _ in parts) - 1], stop.event.t)
     q, p = (np.concatenate(halves) for halves in zip(*parts, strict=True))
-    if simulation.conservative:
+    ledger = simulation.ledger
+    if simulation.conservative and ledger is None:
         return RunSamples(t, q, p, None)
-    steps = [whole_steps(time, simulation.step_size) for time in t.tolist()]
-    return RunSamples(t, q, p, np.array(
-        [math.nan if share else works.get(step, math.nan) for step, share in steps]))
+    steps = [-1 if share else step for step, share in (
+        whole_steps(time, simulation.step_size) for time in t.tolist())]
+    return RunSamples(
+        t, q, p, None if simulation.conservative else np.array(
+            [works.get(step, math.nan) for step in steps]),
+        None if ledger is None else np.array(
+            [causes.get(step, np.full(len(ledger.names), math.nan)) for step in steps]))
 
 
 def _parts(simulation: Simulation, schedule: Schedule, note: Callable[[], None], at_each: bool
@@ -183,7 +193,8 @@ def _parts(simulation: Simulation, schedule: Schedule, note: Callable[[], None],
     note()
     samples, every, rest, _ = schedule
     most = 1 if at_each else max(
-        1, samples if simulation.conservative else samples // MAX_OBSERVED)
+        1, samples if simulation.conservative and simulation.ledger is None else
+        samples // MAX_OBSERVED)
     for first in range(0, samples, most):
         yield simulation.record(min(most, samples - first), every)
         note()

@@ -20,6 +20,7 @@ from hnn_vi_ros.integrators import (
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
+from hnn_vi_ros.simulation.energy_by_cause import Ledger
 from hnn_vi_ros.simulation.following import CommandLaw, follow_each
 from hnn_vi_ros.simulation.processors import check_interrupt
 from hnn_vi_ros.simulation.rescue import Rescue
@@ -67,6 +68,8 @@ class Simulation:
     on_failure : str
         Reaction to a failed step: ``'substep'``, ``'implicit'`` or ``'stop'``; see
         Rescue.
+    energy_by_cause : bool, optional
+        True to account for the energy by cause; see Ledger.
 
     Attributes
     ----------
@@ -82,6 +85,8 @@ class Simulation:
         Effects that take commands.
     system : System
         Compiled H with the effects and the method.
+    ledger : Ledger or None
+        Account of the energy by cause, if requested.
     steps : int
         Number of steps since the initial state.
     q, p : np.ndarray, shape (d,) or (m, d)
@@ -116,10 +121,10 @@ class Simulation:
 
     def __init__(self, hamiltonian: Hamiltonian, integrator: Integrator, step_size: float,
                  q: ArrayLike, p: ArrayLike, effects: Sequence[Effect] = (),
-                 on_failure: str = 'substep'):
+                 on_failure: str = 'substep', energy_by_cause: bool = False):
         if not (np.isfinite(step_size) and step_size > 0.0):
             raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
-        self.system = system = System(hamiltonian, effects, integrator)
+        self.system = system = System(hamiltonian, effects, integrator, by_joint=energy_by_cause)
         self._kernel, self.step_size = system.kernel, float(step_size)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
         self._rescue, self.rescue_ready = Rescue(system, on_failure), True
@@ -143,7 +148,10 @@ class Simulation:
             warnings.warn(
                 f'{type(hamiltonian).__name__} is not compiled: plain Python or autograd computes '
                 'its gradient in every step, which is slower', stacklevel=2)
+        self.ledger: Ledger | None = None
         self.restart(q, p)
+        if energy_by_cause:
+            self.ledger = Ledger(system, self.q.ravel())
 
     def __reduce__(self) -> NoReturn:
         """Raise TypeError: a simulation cannot be copied or pickled."""
@@ -186,6 +194,8 @@ class Simulation:
         if system is None:
             return False
         self.system, self.hamiltonian, self.motors = system, system.hamiltonian, system.motors
+        if self.ledger is not None:
+            self.ledger = Ledger(system, self.q.ravel())
         return True
 
     def check_state(self, q: ArrayLike, p: ArrayLike) -> None:
@@ -254,7 +264,8 @@ class Simulation:
     def works(self) -> dict[str, float]:
         """Return the work done on the system by each effect since the initial state [J]."""
         works = self.system.effect_state.work.sum(axis=1).tolist()
-        return dict(zip(self.system.labels, works, strict=True))
+        return {cause.label: sum(works[row] for row in cause.rows.values())
+                for cause in self.system.causes()}
 
     @property
     def work(self) -> float:
@@ -279,6 +290,12 @@ class Simulation:
     def energy_balance(self) -> float:
         """Return the energy error H - H0 - W [J], which is of the order of the method."""
         return self.energy - self._energy0 - self.work
+
+    @property
+    def causes(self) -> np.ndarray | None:
+        """Return the energy by cause [J], in the order of the ledger's names; None without."""
+        return None if self.ledger is None else self.ledger.values(
+            self.q.ravel(), self.energy, self.energy_balance)
 
     @property
     def energies(self) -> tuple[float, float | None]:

@@ -7,7 +7,7 @@ from copy import copy
 from functools import cached_property
 import math
 from operator import attrgetter
-from typing import Any, cast
+from typing import Any, cast, NamedTuple
 import warnings
 
 from hnn_vi_ros.effects import (
@@ -21,12 +21,38 @@ from hnn_vi_ros.integrators import (
     REDUNDANT)
 from hnn_vi_ros.kernels import Block, by_address, flat, Kernel, kind_of, original, provide, Target
 from hnn_vi_ros.phase_space import (
-    angle_columns, check_state, Coordinate, leaders, scalar_columns)
+    angle_columns, check_state, columns, Coordinate, leaders, scalar_columns)
 import numpy as np
 from numpy.typing import ArrayLike
 
 # Tolerance of limits for rounding, relative to the limit and to one unit.
 _LIMIT_TOLERANCE = 1e-9
+
+
+class Cause(NamedTuple):
+    """
+    An effect in an account of energy.
+
+    Parameters
+    ----------
+    label : str
+        Name of the effect in the scene.
+    effect : Effect
+        The effect.
+    parameters : tuple
+        The result of ``resolve``.
+    place : int
+        Index of its internal variable in EffectState.
+    rows : dict of str to int
+        Rows of its works in EffectState, by joint as in '/elbow', or by ''.
+
+    """
+
+    label: str
+    effect: Effect
+    parameters: Any
+    place: int
+    rows: dict[str, int]
 
 
 class Motors:
@@ -227,6 +253,8 @@ class System:
         Integration method.
     effect_state : EffectState, optional
         State of another system of the same effects, to be shared.
+    by_joint : bool, optional
+        True to account for the work of each joint; the last digits of states then may differ.
 
     Attributes
     ----------
@@ -251,6 +279,10 @@ class System:
         Effects that take commands.
     constraints : Manifold, LoopManifold or None
         Holonomic constraints, or loops.
+    joints : dict of int to np.ndarray
+        Columns of the joints of effects whose works are accounted for by joint, by index. The
+        first has the row of the effect in EffectState.work; those of the others follow all
+        effects.
 
     Raises
     ------
@@ -262,12 +294,14 @@ class System:
     """
 
     def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
-                 integrator: Integrator, effect_state: EffectState | None = None):
+                 integrator: Integrator, effect_state: EffectState | None = None,
+                 by_joint: bool = False):
         if hamiltonian.loops is not None:
             effects = [*effects, ClosedChains(hamiltonian.loops)]
-        self._effects, self.method = list(effects), integrator
+        self._effects, self.method, self._by_joint = list(effects), integrator, by_joint
         self.effect_state = effect_state or EffectState.empty(
-            len(effects), hamiltonian.dimension, sum(one.knots for one in effects))
+            len(effects) * (hamiltonian.dimension if by_joint else 1), hamiltonian.dimension,
+            sum(one.knots for one in effects))
         kinds = [effect_name(effect) for effect in effects]
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
                        for index, kind in enumerate(kinds)]
@@ -276,6 +310,9 @@ class System:
                           if not effect.batched]
         if not integrator.requirements.from_state:
             self.unbatched.append(method_name(integrator))
+        if by_joint:
+            # The works of trajectories that step together are only known in sum.
+            self.unbatched.append('energy_by_cause')
         self.batched = not self.unbatched
         if not hamiltonian.canonical or hamiltonian.rotations:
             self._check_coordinates(hamiltonian, integrator)
@@ -325,7 +362,7 @@ class System:
             return other
         # Reset the sum that magnetic fields add to.
         self.effect_state.gauge[...] = 0.0
-        other = System(hamiltonian, effects, self.method, self.effect_state)
+        other = System(hamiltonian, effects, self.method, self.effect_state, self._by_joint)
         for i, place in enumerate(self._places):
             if place > Place.NODES:
                 # Assign in place, since the method refers to these arrays.
@@ -518,10 +555,16 @@ class System:
     def _assemble(self, integrator: Integrator) -> None:
         """Build the kernel and the wrapped method."""
         self.kernel, self._taken = self.hamiltonian.kernel, self._in(Place.NODES)
-        if self._taken:
+        forces = {i: cast(Force, self._effects[i]) for i in self._taken}
+        self.joints: dict[int, np.ndarray] = {}
+        for i, force in forces.items() if self._by_joint else ():
+            columns = force.joints(self._parameters[i])
+            if columns is not None and columns.size > 1:
+                self.joints[i] = columns
+        if forces:
             self.kernel = add_forces(
-                self.kernel, [cast(Force, self._effects[i]) for i in self._taken],
-                [self._parameters[i] for i in self._taken], self.effect_state, self._taken)
+                self.kernel, list(forces.values()), [self._parameters[i] for i in forces],
+                self.effect_state, self._taken, self.joints)
         if integrator.requirements.coordinates != 'other':
             # Methods for other coordinates read the parameters of their own model family.
             self.kernel = by_address(self.kernel)
@@ -530,9 +573,9 @@ class System:
         if listed and isinstance(self._effects[-1], ClosedChains):
             self.constraints = LoopManifold(
                 self._effects[-1].loops, cast(LoopRows, self._parameters[-1]), self.kernel,
-                len(self._effects))
+                self.effect_state.pending.size)
         elif listed:
-            self.constraints = Manifold(listed, self.kernel, len(self._effects))
+            self.constraints = Manifold(listed, self.kernel, self.effect_state.pending.size)
         self.integrator = self._wrapped(integrator)
 
     def _wrapped(self, integrator: Integrator) -> Integrator:
@@ -548,10 +591,25 @@ class System:
             integrator = Wrapped(integrator, kind, (settings, self.effect_state, i))
         if self._taken or around:
             internal = [i for i in self._taken if self._effects[i].internal]
+            more = sum(own.size - 1 for own in self.joints.values())
+            rows = len(self._effects) + np.arange(more)
             integrator = Wrapped(integrator, Account, (
-                self.effect_state, np.array(internal + self._taken, dtype=np.int64),
+                self.effect_state, np.array([*internal, *self._taken, *rows], dtype=np.int64),
                 len(internal)))
         return integrator
+
+    def causes(self) -> list[Cause]:
+        """Return the causes of changes of H, one for each effect or each of its joints."""
+        names, more = columns(self.hamiltonian.coordinates)[1], len(self._effects)
+        found = []
+        for i, (effect, label) in enumerate(zip(self._effects, self.labels, strict=True)):
+            own = self.joints.get(i, np.zeros(1, dtype=int))
+            rows = [i, *range(more, more + own.size - 1)]
+            more += own.size - 1
+            found.append(Cause(label, effect, self._parameters[i], i, {
+                f'/{names[column]}' if i in self.joints else '': row
+                for column, row in zip(own.tolist(), rows, strict=True)}))
+        return found
 
 
 def _assign(old: Any, new: Any) -> bool:

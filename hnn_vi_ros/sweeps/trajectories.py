@@ -294,6 +294,9 @@ class CachedScene:
             part: value for part, value in values.items() if part[0] != 'initial_state'})
         self.parts = plan.made if scene is plan.scene else scene.parts()
         _, hamiltonian, integrator, effects = self.parts
+        if scene.energy_by_cause:
+            raise HnnViRosError(f'{scene.place("energy_by_cause")}: a sweep does not account for '
+                                'the energy by cause; remove it, or use simulate_many')
         with scene.placed('initial_state'):
             system = System(hamiltonian, effects, integrator)
         self.joined = system.hamiltonian
@@ -327,7 +330,7 @@ class CachedScene:
         q, p = self.states(rows)
         simulation = self._simulation('block', q, p)
         schedule = Schedule.until(self._plan.sweep.duration, self._every, simulation)
-        q_all, p_all, alarms_of = record_block(simulation, q, p, indices[0], schedule)
+        q_all, p_all, alarms_of, _ = record_block(simulation, q, p, indices[0], schedule)
         return self._several(schedule.times(simulation.step_size), q_all, p_all,
                              [[*alarms_of] for _ in rows])
 

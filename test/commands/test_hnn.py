@@ -111,7 +111,7 @@ def test_run_that_may_be_wrong_ends_with_that_line_and_strictly_with_status_3(st
 
 def test_run_writes_what_was_asked_for(tmp_path, capsys):
     files = {name: tmp_path / f'motion.{suffix}' for name, suffix in (
-        ('csv', 'csv'), ('plot', 'png'), ('portrait', 'svg'))}
+        ('csv', 'csv'), ('plot', 'png'), ('portrait', 'svg'), ('plot-energy', 'pdf'))}
     options = [word for name, path in files.items() for word in (f'--{name}', str(path))]
     assert run.main(['exact_harmonic_oscillator', '--duration', '0.5', *options]) == 0
     printed = capsys.readouterr()

@@ -13,8 +13,8 @@ from hnn_vi_ros.ros.recording import BagOutput, RecordingStart
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import INPUTS
-from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
-from hnn_vi_ros.ros.topics.outputs import OUTPUTS, SCENE, TICKS
+from hnn_vi_ros.ros.topics.messages import describe_topic, Encode, encode_causes
+from hnn_vi_ros.ros.topics.outputs import ENERGY_BY_CAUSE, OUTPUTS, SCENE, TICKS
 from hnn_vi_ros.run import RunFiles, Sampler, scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build
@@ -89,6 +89,9 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
         if simulation.steps % sampler.every == 0 and recording:
             sample = change(sampler.sample())
             sink.write(sample, encode(sample))
+            if sample.causes is not None:
+                sink.write_other(_topic(*ENERGY_BY_CAUSE[:2], qos), sample.stamp,
+                                 encode_causes(simulation)(sample)[0])
     sink.close() if close else sink.flush()
     return bag
 

@@ -14,11 +14,13 @@ from hnn_vi_ros.learning.data.bag_signals import SignalReader
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.mcap_file import MAGIC
 from hnn_vi_ros.ros.replay import replay_check
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
+from hnn_vi_ros.ros.replay.recorded_run import CAUSES, RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays, stamp_gaps, StampGap
 from hnn_vi_ros.ros.rerun_bridge import BridgePicture
+from hnn_vi_ros.ros.run.preparation import _load
+from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.run import restore_state, Sampler, STATE_FILE, state_file
-from hnn_vi_ros.simulation import build
+from hnn_vi_ros.simulation import build, simulate
 from mcap.opcode import Opcode
 from messages import assert_message, refused
 import numpy as np
@@ -41,6 +43,24 @@ def test_bag_agrees_bit_by_bit_with_its_run_simulated_again(tmp_path, name):
     bag = record_run(tmp_path / 'bag', load_scene(name), 100, rate=50.0)
     assert RecordedRun(bag).reader.metadata('hnn_vi_ros') == identity()
     assert_agrees(bag, 100)
+
+
+def test_energy_by_cause_in_a_bag_is_that_of_simulate_and_is_verified_bit_by_bit(tmp_path):
+    scene = load_scene('exact_damped_driven_pendulum').changed({'energy_by_cause': True})
+    bag = record_run(tmp_path / 'bag', scene, 50)
+    verdict = check_replay(bag)
+    assert verdict.good and 'the energy by cause, of 50 samples' in verdict.text, verdict.text
+    causes = simulate(scene, 0.5, every=round(0.01 / scene.step_size)).energy_by_cause
+    recorded = np.array([values[CAUSES] for _, values in RecordedRun(bag).reported()])
+    assert np.array_equal(recorded, causes.values[1:])
+    wrong = record_run(tmp_path / 'wrong', scene, 50, change=lambda sample: replace(
+        sample, causes=sample.causes + 0.1 * (sample.step > 20)))
+    verdict = check_replay(wrong)
+    assert not verdict.good and f'{CAUSES} of {causes.names[0]} differs' in verdict.text
+    # The run that it would go on from did not account for it.
+    plain = record_run(tmp_path / 'plain', load_scene('exact_pendulum'), 5)
+    with refused(ParameterError):
+        _load(Settings(resume=str(plain), energy_by_cause=True), False)
 
 
 # Implicit, with noise and a watchdog: four steps from sample to sample, 20 to a time-out.

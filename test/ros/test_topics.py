@@ -99,6 +99,7 @@ ALWAYS = {'/simulator/state', '/simulator/q', '/simulator/p', '/simulator/energy
 @pytest.mark.parametrize('text, accuracy, mechanism, published, heard', [
     (OSCILLATOR, False, None, set(), set()),
     (OSCILLATOR, True, None, {'/simulator/accuracy'}, set()),
+    (f'{OSCILLATOR}energy_by_cause: true\n', False, None, {'/simulator/energy_by_cause'}, set()),
     (OSCILLATOR, False, 'mass_spring', {'/simulator/markers'}, set()),
     (COMMANDED, False, None, set(), {'/simulator/commands', '/simulator/joint_commands'}),
     (SERVO, False, None, {'/simulator/joint_trajectory_state'},
@@ -108,7 +109,8 @@ ALWAYS = {'/simulator/state', '/simulator/q', '/simulator/p', '/simulator/energy
     (QUADROTOR.replace('body_fz', 'body_z'), False, None, {'/simulator/odometry'}, {
         '/simulator/commands', '/simulator/joint_commands'}),
     (ARM, False, None, {'/robot_description'}, set()),
-], ids=['bare', 'accuracy', 'mechanism', 'commands', 'servo', 'body', 'forces in space', 'robot'])
+], ids=['bare', 'accuracy', 'causes', 'mechanism', 'commands', 'servo', 'body', 'forces in space',
+        'robot'])
 def test_topics_that_are_not_called_for_do_not_exist(
         tmp_path, nodes, text, accuracy, mechanism, published, heard):
     node, _, _ = nodes

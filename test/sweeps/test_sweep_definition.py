@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a sweep cannot be is one line that says what, where, and what is valid."""
 
+from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.resources import share_folder, shipped_file, shipped_names
 from hnn_vi_ros.sweeps.plan import make_plan
@@ -48,6 +49,14 @@ def test_sweep_that_cannot_be_is_one_line(tmp_path, old, new):
     with refused(HnnViRosError):
         sweep(tmp_path / 'a.yaml', tmp_path / 'out')
     assert not (tmp_path / 'out').exists()
+
+
+def test_sweep_of_a_scene_with_energy_by_cause_is_refused(tmp_path):
+    scene = load_scene('exact_pendulum').changed({'energy_by_cause': True})
+    (tmp_path / 'scene.yaml').write_text(scene.to_yaml())
+    (tmp_path / 'a.yaml').write_text(TEXT.replace('exact_pendulum', 'scene.yaml'))
+    with refused(HnnViRosError):
+        sweep(tmp_path / 'a.yaml', tmp_path / 'out')
 
 
 @pytest.mark.parametrize('text', [

@@ -22,6 +22,9 @@ TIMING = {'/timing/microseconds_per_step': ['p50 [µs]', 'p99 [µs]'],
           '/timing/real_time_factor': ['real-time factor']}
 # Bands around coordinates and momenta.
 BANDS = '/state/q_band', '/state/p_band'
+# Energies by cause, with the start of their names and the title of their view.
+CAUSES = {'/energy_by_cause/stored': ('stored', 'Stored energy'),
+          '/energy_by_cause/work': ('work', 'Work'), '/energy_by_cause/heat': ('heat', 'Heat')}
 LOW, HIGH = np.array([38, 62, 104]), np.array([92, 138, 190])
 
 
@@ -36,8 +39,8 @@ def part_path(name: str) -> str:
 
 
 def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservative: bool,
-                  modified: bool, invariants: Sequence[str] = (), band: bool = False
-                  ) -> dict[str, list[str]]:
+                  modified: bool, invariants: Sequence[str] = (), band: bool = False,
+                  causes: Sequence[str] = ()) -> dict[str, list[str]]:
     """
     Return the names of each entity's series, with units.
 
@@ -55,6 +58,8 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
         Names of other invariants, with one series each.
     band : bool, optional
         True if there are bands around q and p: lower ends, then upper ends.
+    causes : sequence of str, optional
+        Names of the energies by cause, such as ``work/servo``; see CAUSES.
 
     """
     error = 'H - H0' if conservative else 'H - H0 - W'
@@ -74,7 +79,16 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
         **second,
         '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [J]'],
         **({'/invariants': list(invariants)} if invariants else {}),
+        **{path: [f'{causes[k].partition("/")[2]} [J]' for k in entries]
+           for path, entries in entries_of(causes).items()},
     }
+
+
+def entries_of(causes: Sequence[str]) -> dict[str, list[int]]:
+    """Return the indices of energies by cause by entity, without empty ones."""
+    found = {path: [k for k, name in enumerate(causes) if name.startswith(f'{kind}/')]
+             for path, (kind, _) in CAUSES.items()}
+    return {path: entries for path, entries in found.items() if entries}
 
 
 def without_unit(names: Sequence[str]) -> tuple[list[str], str]:
@@ -349,7 +363,11 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
         panes.append(_events_view())
         shares.append(_EVENTS_HEIGHT)
     motion = rrb.Vertical(*panes, row_shares=shares, name='Motion')
-    right = rrb.Tabs(motion, _timing_views(pace, extent))
+    by_cause = [(title, [path]) for path, (_, title) in CAUSES.items() if path in labels]
+    wide = max((legend_share(labels[path]) for _, (path,) in by_cause), default=0.0)
+    right = rrb.Tabs(motion, *[rrb.Vertical(
+        *(_series_view(title, paths, labels, extent, wide) for title, paths in by_cause),
+        name='Energy by cause')] * bool(by_cause), _timing_views(pace, extent))
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.42, 0.58])
         if left is not None else right,

@@ -81,6 +81,8 @@ class RerunSink:
         Requested real-time factor.
     begin : tuple of int
         Stamp [ns] and step of the initial state.
+    causes : sequence of str
+        Names of the energies by cause that samples have.
 
     Raises
     ------
@@ -94,7 +96,8 @@ class RerunSink:
                  mechanism: Mechanism | None = None, effects: Sequence[Effect] = (),
                  step_size: float = math.nan, conservative: bool = True,
                  modified: bool = True, band: bool = False, interval: int = 33_333_333,
-                 pace: float | None = None, begin: tuple[int, int] = (0, 0)):
+                 pace: float | None = None, begin: tuple[int, int] = (0, 0),
+                 causes: Sequence[str] = ()):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
         # For a rotating body, coordinates and momenta do not pair up in planes. A plane of more
         # than two coordinates shows little of the motion, and leaves a mechanism little room.
@@ -133,7 +136,8 @@ class RerunSink:
         relative = float(hamiltonian.energy(q0, p0)) != 0.0
         self._labels = layout.series_labels(
             self._coordinates, relative, conservative, modified, list(self._invariants),
-            band)
+            band, causes)
+        self._causes = layout.entries_of(causes)
         self._draw_still(hamiltonian, q0, p0, box, pace)
         self._began = self._sent_at = time.monotonic()
 
@@ -306,6 +310,8 @@ class RerunSink:
             for path, values, half in zip(
                     layout.BANDS, (q, p), np.split(spread, [q.shape[1]], axis=1), strict=True):
                 series[path] = np.hstack([values - half, values + half])
+        for path, entries in self._causes.items():
+            series[path] = np.array([s.causes for s in samples])[:, entries]
         first = samples[0].stamp if self._times_shown is None else self._times_shown[0]
         self._times_shown = first, samples[-1].stamp
         for path in self._labels:

@@ -58,6 +58,10 @@ class ResumePoint:
     damage: str = ''
 
 
+# Name of the energy by cause among the values of a sample.
+CAUSES = 'energy by cause'
+
+
 class RecordedRun:
     """
     A run of the simulator, read from its own bag or from that of another recorder.
@@ -119,9 +123,23 @@ class RecordedRun:
 
     def reported(self, first: int = 0) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
         """Yield the stamp [ns] of each sample from a log time on, and arrays of its values."""
+        causes = self._causes()
         for state in (sample for _, sample in self.in_order([self.channel], first) if sample):
-            yield state.stamp, {'q': state.q, 'p': state.p, 'dp/dt': state.dp_dt,
-                                'H': np.array([state.energy]), 'work': np.array([state.work])}
+            values = {'q': state.q, 'p': state.p, 'dp/dt': state.dp_dt,
+                      'H': np.array([state.energy]), 'work': np.array([state.work])}
+            if state.stamp in causes:
+                values[CAUSES] = causes[state.stamp]
+            yield state.stamp, values
+
+    def _causes(self) -> dict[int, np.ndarray]:
+        """Return the energy by cause at each stamp [ns]; empty if it was not recorded."""
+        topic, found = f'{self.node}/energy_by_cause', {}
+        channels = [self._topics[topic]] if topic in self._topics and \
+            self.scene.energy_by_cause else []
+        for message in self.reader.messages(channels):
+            own = self.decoded(message, JointState)
+            found[own.header.stamp.sec * 10**9 + own.header.stamp.nanosec] = np.array(own.position)
+        return found
 
     def samples(self, first: int = 0) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield the stamp [ns], q and p of each sample from a log time on."""

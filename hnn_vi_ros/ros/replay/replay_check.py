@@ -12,7 +12,7 @@ from hnn_vi_ros.errors import HnnViRosError, RecordingError, StepFailure
 from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.phase_space import columns, momentum_rates
 from hnn_vi_ros.recording import BagReader
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, simulators
+from hnn_vi_ros.ros.replay.recorded_run import CAUSES, RecordedRun, simulators
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
 from hnn_vi_ros.run import (
     joint_sensor, joints_of, nanoseconds_of, restore_state, Sampler, STATE_FILE)
@@ -127,7 +127,8 @@ def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict
     missing = _gap_report(run, begin)
     if difference is None and not samples:
         return Verdict(f'{run.reader.path}: contains no samples to compare{missing}', False)
-    agreed = f'{run.reader.path}: q, p, dp/dt, H and work of {samples} samples are ' \
+    compared = 'work' if simulation.ledger is None else f'work, and the {CAUSES},'
+    agreed = f'{run.reader.path}: q, p, dp/dt, H and {compared} of {samples} samples are ' \
         f'bit-identical, {where}'
     if difference is None:
         missing = readings.report() + missing
@@ -256,7 +257,8 @@ def _simulated_samples(run: RecordedRun, *simulations: Simulation
             command = next(commands, None)
         for simulation in simulations:
             _advance(run, simulation, step)
-            if simulation.q.shape != values['q'].shape or simulation.p.shape != values['p'].shape:
+            if any(own.shape != values.get(kind, own).shape
+                   for kind, own in _values(simulation).items()):
                 raise RecordingError(f'{run.reader.path}: the dimension of its samples differs '
                                      'from that of its scene')
         yield stamp, values
@@ -267,7 +269,8 @@ def _values(simulation: Simulation) -> dict[str, np.ndarray]:
     rates = momentum_rates(simulation.hamiltonian.rotations, simulation.q, simulation.p,
                            simulation.dH_dq, simulation.dH_dp)
     return {'q': simulation.q, 'p': simulation.p, 'dp/dt': rates,
-            'H': np.array([simulation.energy]), 'work': np.array([simulation.work])}
+            'H': np.array([simulation.energy]), 'work': np.array([simulation.work])} | (
+                {} if simulation.causes is None else {CAUSES: simulation.causes})
 
 
 def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
@@ -333,6 +336,8 @@ def _first_difference(run: RecordedRun, simulation: Simulation, readings: _Readi
     """Return the number of equal samples, counted once per stamp, and the first difference."""
     count, newest = 0, None
     names, momenta = columns(simulation.hamiltonian.coordinates)
+    ledger = simulation.ledger
+    labels: dict[str, Sequence[str]] = {'q': names, CAUSES: ledger.names if ledger else ()}
     for stamp, values in _simulated_samples(run, simulation):
         own = _values(simulation)
         for kind, recorded in values.items():
@@ -342,7 +347,7 @@ def _first_difference(run: RecordedRun, simulation: Simulation, readings: _Readi
             if different.size:
                 i = different[0]
                 name = kind if kind in ('H', 'work') else (
-                    f'{kind} of {(names if kind == "q" else momenta)[i]}')
+                    f'{kind} of {labels.get(kind, momenta)[i]}')
                 return count, Difference(stamp, name, float(recorded[i]), float(simulated[i]))
         readings.compare()
         # A duplicate counts once.
@@ -378,7 +383,8 @@ def _margin(run: RecordedRun) -> Margin:
         rounded = _ROUND_OFF_UNITS * _EPSILON * max(sizes['q'], sizes['p']) * (
             own.steps - run.first_step)
         carried = {'q': growth, 'p': growth, 'dp/dt': growths['dp/dt'], 'H': growth * slope,
-                   'work': growth * slope + growths['work']}
+                   'work': growth * slope + growths['work'],
+                   CAUSES: growth * slope + growths.get(CAUSES, 0.0)}
         for kind, recorded in values.items():
             difference = _largest(recorded - here[kind])
             explained = rounded * carried[kind]

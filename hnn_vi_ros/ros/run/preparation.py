@@ -222,8 +222,9 @@ def _load(settings: Settings, trust_code: bool) -> tuple[Scene, int, int, str]:
     """Return the scene, the first step, the stamp of step 0 [ns], and damage of a resumed log."""
     step_size, integrator = settings.step_size or None, settings.integrator or None
     if not settings.resume:
-        return load_scene(settings.scene, trust_code).with_overrides(
-            step_size, integrator), 0, 0, ''
+        scene = load_scene(settings.scene, trust_code).with_overrides(step_size, integrator)
+        return scene.changed({'energy_by_cause': True}) if settings.energy_by_cause else scene, \
+            0, 0, ''
     if step_size or integrator:
         name = 'step_size' if step_size else 'integrator'
         raise ParameterError(f'parameter {name}: cannot be changed in a resumed run; remove it, '
@@ -231,6 +232,9 @@ def _load(settings: Settings, trust_code: bool) -> tuple[Scene, int, int, str]:
     # Imported lazily: only resumed runs read a bag.
     from hnn_vi_ros.ros.replay.recorded_run import resume
     found = resume(settings.resume, settings.trust_code)
+    if settings.energy_by_cause and not found.scene.energy_by_cause:
+        raise ParameterError('parameter energy_by_cause: the resumed run did not account for it '
+                             'from its start; remove it, or remove resume')
     return found.scene, found.step, found.origin, found.damage
 
 

@@ -266,6 +266,13 @@ def encode_loop_forces(simulation: Simulation) -> Encode:
         simulation.loop_forces.ravel()], stamped=True)
 
 
+def encode_causes(simulation: Simulation) -> Encode:
+    """Return the encoder of ~/energy_by_cause."""
+    assert simulation.ledger is not None, 'the row asks for it'
+    return encode_numbers(named_numbers(simulation.ledger.names), lambda sample: (
+        None if sample.causes is None else [sample.causes]), stamped=True)
+
+
 class AccuracyEncoder:
     """
     Encoder of the accuracy of samples, in the order of ENTRIES.

@@ -14,8 +14,8 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic
 from hnn_vi_ros.ros.topics.inputs import NEWEST, OBSERVATIONS
 from hnn_vi_ros.ros.topics.messages import (
-    AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, encode_array, encode_feedback, encode_joints,
-    encode_loop_forces, encode_numbers, encode_readings, encode_state)
+    AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, encode_array, encode_causes, encode_feedback,
+    encode_joints, encode_loop_forces, encode_numbers, encode_readings, encode_state)
 from hnn_vi_ros.ros.topics.poses import MarkerEncoder, OdometryEncoder
 from hnn_vi_ros.run import JointSensor, Monitor
 from hnn_vi_ros.simulation import Simulation
@@ -123,6 +123,10 @@ ACCURACY = Output('~/accuracy', Float64MultiArray, TICKS,
                   lambda settings, run: settings.publish_accuracy,
                   lambda run, publisher: AccuracyEncoder(run.simulation, run.monitor).encode,
                   'tick')
+ENERGY_BY_CAUSE = Output(
+    '~/energy_by_cause', JointState, TICKS,
+    lambda settings, run: settings.energy_by_cause or (run and run.simulation.ledger),
+    lambda run, publisher: encode_causes(run.simulation), 'apart')
 PREDICTION_ERROR = Output(
     '~/prediction_error', JointState, TICKS,
     lambda settings, run: run and OBSERVATIONS.holds & run.simulation.motors.takes,
@@ -165,7 +169,7 @@ OUTPUTS = (
     Output('~/loop_forces', JointState, TICKS,
            lambda settings, run: settings.publish_loop_forces,
            lambda run, publisher: encode_loop_forces(run.simulation), 'tick'),
-    ACCURACY,
+    ENERGY_BY_CAUSE, ACCURACY,
     Output('~/odometry', Odometry, TICKS,
            lambda settings, run: run and run.simulation.hamiltonian.rotations,
            lambda run, publisher: OdometryEncoder(

@@ -8,8 +8,10 @@ from textwrap import fill
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import optional
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.phase_space import Coordinate, momentum_name, raised
 from hnn_vi_ros.recording import contours as level_sets, Frame
+from hnn_vi_ros.simulation.energy_by_cause import ERROR, HEAT, REST, STORED, WORK
 from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np
 
@@ -73,6 +75,8 @@ def name_curves(axes: 'Axes') -> None:
                     fontsize='small', handlelength=2.6)
 
 
+# Smallest share of the largest area that is drawn.
+_VISIBLE = 1e-3
 # Size of a panel, and of the margins around all of them [inch].
 _WIDTH, _HEIGHT, _MARGINS = 8.0, 1.7, 0.8
 
@@ -102,6 +106,58 @@ def draw_series(trajectory: Trajectory) -> 'Figure':
     begin = '' if trajectory.energy.ndim == 2 else f', H(0) = {trajectory.energy[0]:.6g} J'
     _write_title(figure, f'{trajectory.title}{begin}')
     return figure
+
+
+def draw_energy(trajectory: Trajectory) -> 'Figure':
+    """Draw the figure of ``Trajectory.plot_energy``."""
+    causes = trajectory.energy_by_cause
+    if causes is None:
+        raise ValueError('the run has no energy by cause; pass energy_by_cause=True to simulate')
+    known = np.isfinite(causes.values).all(axis=1)
+    t, kinds = causes.t[known], [{name: own[known] for name, own in causes.of(kind).items()}
+                                 for kind in (WORK, STORED, HEAT, ERROR)]
+    works, stored, heats, error = kinds
+    scene = trajectory.scene
+    named = {} if scene is None or scene.hamiltonian.kind not in HAMILTONIANS else {
+        REST.removeprefix(STORED): scene.hamiltonian.kind}
+    # Only rises count: the zero of a stored energy is arbitrary.
+    stored = {name: own - own.min(initial=np.inf) for name, own in stored.items()}
+    works = {name: own for name, own in works.items() if name not in heats}
+    figure = new_figure(_WIDTH, 2.5 * _HEIGHT + _HEIGHT + _MARGINS)
+    upper, lower = rows = figure.subplots(2, 1, sharex=True, height_ratios=(2.5, 1))
+    largest = max((np.abs(own).max(initial=0.0) for kind in (works, stored, heats)
+                   for own in kind.values()), default=0.0)
+    for parts, sign, what, shades in ((stored, 1.0, 'stored', 'YlGnBu_r'),
+                                      (heats, -1.0, 'lost', 'YlOrRd_r')):
+        _stack(upper, t, {f'{what}: {named.get(name, name)}': sign * own
+                          for name, own in parts.items()
+                          if np.abs(own).max(initial=0.0) > _VISIBLE * largest}, shades)
+    for i, (name, own) in enumerate(works.items()):
+        upper.plot(t, own, color=COLOURS[-1], linewidth=1.6, linestyle=DASHES[i % len(DASHES)],
+                   label=f'work: {name}')
+    upper.axhline(0.0, color=COLOURS[-1], linewidth=0.6)
+    lower.plot(t, error[''], color=ALARM, linewidth=1.2)
+    upper.set_ylabel('lost   |   stored [J]')
+    lower.set_ylabel('unexplained [J]')
+    for axes in rows:
+        axes.grid(alpha=0.3)
+        axes.margins(x=0.0)
+    _draw_instants(rows, trajectory)
+    name_curves(upper)
+    lower.set_xlabel('t [s]')
+    figure.align_ylabels(rows)
+    _write_title(figure, trajectory.title)
+    return figure
+
+
+def _stack(axes: 'Axes', t: np.ndarray, parts: dict[str, np.ndarray], shades: str) -> None:
+    """Draw areas on top of each other, the first one at zero, in shades of a colour map."""
+    from matplotlib import colormaps
+    base = np.zeros(t.size)
+    for i, (name, own) in enumerate(parts.items()):
+        axes.fill_between(t, base, base + own, linewidth=0.0, label=name,
+                          color=colormaps[shades](0.2 + 0.6 * i / len(parts)))
+        base = base + own
 
 
 def _write_title(figure: 'Figure', text: str) -> None:

@@ -24,7 +24,7 @@ from hnn_vi_ros.simulation.run_samples import MOST_NUMBERS, record, Schedule
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.simulation.trajectory.simulate import changed_parts
-from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation.trajectory.trajectory import EnergyByCause, Trajectory
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -34,8 +34,9 @@ BLOCK = 32
 _FIRST = slice(0, 1)
 # Commands of m trajectories: rows held from sample to sample, or a function of time [s].
 ManyCommands = ArrayLike | Callable[[float], ArrayLike]
-# Samples of q and p, shape (n, m, d), and alarms about the steps.
-Recorded = tuple[np.ndarray, np.ndarray, list[Alarm]]
+# Samples of q and p, shape (n, m, d), alarms about the steps, and the energy by cause, shape
+# (n, m, C), if it was requested.
+Recorded = tuple[np.ndarray, np.ndarray, list[Alarm], np.ndarray | None]
 
 
 def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duration: float, *,
@@ -46,8 +47,8 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
 
     Trajectories are independent: a block of them is one system whose H is the sum of their
     Hamiltonians, stepped by the same code. The implicit equations of a block are solved until
-    each of its trajectories has converged. With a thermostat, an impact or a constraint each
-    trajectory is stepped separately, with its own noise.
+    each of its trajectories has converged. With a thermostat, an impact, a constraint or
+    ``energy_by_cause`` each trajectory is stepped separately, with its own noise.
 
     Parameters
     ----------
@@ -119,7 +120,8 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     energies = run.energies()
     tell_many(run.alarms, run.step_size)
     return Trajectory(run.t, run.q, run.p, energies, run.parts.hamiltonian.coordinates,
-                      tuple(map(tuple, run.alarms)), scene=parts.scene)
+                      tuple(map(tuple, run.alarms)), scene=parts.scene,
+                      energy_by_cause=run.energy_by_cause)
 
 
 class _Many:
@@ -143,6 +145,8 @@ class _Many:
         Alarms about the steps of each trajectory.
     failures : dict of int to StepFailure or StateError
         Failures of trajectories.
+    energy_by_cause : EnergyByCause or None
+        Filled in by step and follow, if requested.
 
     """
 
@@ -161,6 +165,12 @@ class _Many:
         self.q[0], self.p[0] = q0, p0
         self.alarms: list[list[Alarm]] = [[] for _ in q0]
         self.failures: dict[int, StepFailure | StateError] = {}
+        self.energy_by_cause: EnergyByCause | None = None
+        if parts.scene.energy_by_cause:
+            ledger = self.simulation().ledger
+            assert ledger is not None, 'requested'
+            self.energy_by_cause = EnergyByCause(self.t, ledger.names, np.full(
+                (samples + 1, self.count, len(ledger.names)), np.nan))
 
     def simulation(self, block: slice = _FIRST) -> Simulation:
         """Return a simulation of a block of trajectories in their initial states."""
@@ -169,7 +179,8 @@ class _Many:
     def step(self, threads: int | None) -> None:
         """Take the steps in compiled loops, of blocks if the system supports batches."""
         _, hamiltonian, integrator, effects = self.parts
-        size = BLOCK if System(hamiltonian, effects, integrator).batched else 1
+        size = BLOCK if System(hamiltonian, effects, integrator, by_joint=(
+            self.parts.scene.energy_by_cause)).batched else 1
 
         def take(simulation: Simulation, block: slice, samples: int) -> Recorded:
             return record_block(
@@ -214,6 +225,9 @@ class _Many:
             raise ValueError(f'device = {device}: samples are {self._interval:g} s apart, '
                              f'{self._interval / self.step_size:g} steps; a device needs whole '
                              'steps between samples; change duration or samples')
+        if self.energy_by_cause is not None:
+            raise ValueError(f'device = {device}: a device does not account for the energy by '
+                             'cause; remove `energy_by_cause`, or device')
         with optional('torch', f'device = {device}'):
             from hnn_vi_ros.simulation.batches.batch_simulation import open_device
             from hnn_vi_ros.simulation.trajectory.devices import (
@@ -245,10 +259,12 @@ class _Many:
         def put(block: slice, samples: int) -> None:
             simulation = cached.pop() if cached else self.simulation(
                 slice(block.start, min(block.stop, block.start + size)))
-            q, p, alarms = take(simulation, block, samples)
+            q, p, alarms, causes = take(simulation, block, samples)
             # One that failed is not used again.
             cached.append(simulation)
             self.q[:samples + 1, block], self.p[:samples + 1, block] = q, p
+            if self.energy_by_cause is not None:
+                self.energy_by_cause.values[:samples + 1, block] = causes
             for own in self.alarms[block]:
                 own += alarms
 
@@ -342,9 +358,8 @@ def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: i
 
     Returns
     -------
-    tuple of (np.ndarray, np.ndarray, list of Alarm)
-        q and p, shape (n, m, d), and the alarms about steps of the block; if no work is done,
-        ``judge_many`` provides the alarms about energies.
+    tuple
+        See Recorded; if no work is done, ``judge_many`` provides the alarms about energies.
 
     Raises
     ------
@@ -356,7 +371,8 @@ def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: i
     watch = watch_of_block(simulation)
     found = record(simulation, schedule, observe=watch.observe)
     watch.update(look_at_block(simulation))
-    return found.q, found.p, watch.alarms
+    causes = None if found.causes is None else found.causes[:, None]
+    return found.q, found.p, watch.alarms, causes
 
 
 def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
@@ -377,8 +393,8 @@ def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: in
 
     Returns
     -------
-    tuple of (np.ndarray, np.ndarray, list of Alarm)
-        q and p, shape (n, m, d), and the alarms about steps of all trajectories.
+    tuple
+        See Recorded.
 
     Raises
     ------
@@ -396,11 +412,23 @@ def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: in
     watch = watch_of_block(simulation, rows)
     states, width = [np.array(first)], q.shape[1]
     watch.update(look_at_rows(simulation, rows, states[0][:, :width], states[0][:, width:]))
+    causes = [_causes(simulation, rows)]
     for held in commands:
         states.append(simulation.follow_on(rows, held)[:, -1, :width + p.shape[1]])
         watch.update(look_at_rows(simulation, rows, states[-1][:, :width], states[-1][:, width:]))
+        causes.append(_causes(simulation, rows))
     path = np.array(states)
-    return path[..., :width], path[..., width:], watch.alarms
+    return (path[..., :width], path[..., width:], watch.alarms,
+            None if simulation.ledger is None else np.array(causes))
+
+
+def _causes(simulation: Simulation, rows: np.ndarray) -> list[np.ndarray | None]:
+    """Return the energy by cause of rows; an empty list if it was not requested."""
+    found = []
+    for row in rows if simulation.ledger is not None else ():
+        simulation.put(row)
+        found.append(simulation.causes)
+    return found
 
 
 def in_blocks(count: int, size: int, threads: int | None,

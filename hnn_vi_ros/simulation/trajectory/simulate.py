@@ -23,7 +23,7 @@ from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.watch import judge, tell, Watch
 from hnn_vi_ros.simulation.run_samples import Commands, record, Schedule
 from hnn_vi_ros.simulation.simulation import Simulation
-from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation.trajectory.trajectory import EnergyByCause, Trajectory
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -91,7 +91,8 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
              integrator: Choice | None = None, initial_state: State | None = None,
              effects: Sequence[Mapping[str, Any]] | None = None,
              commands: Commands | None = None, every: int = 1,
-             times: Sequence[float] | np.ndarray | None = None) -> Trajectory:
+             times: Sequence[float] | np.ndarray | None = None,
+             energy_by_cause: bool = False) -> Trajectory:
     """
     Simulate ``(scene, duration)`` or ``(H, q, p, duration, step_size)``, without ROS.
 
@@ -125,6 +126,8 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
     times : sequence of float, optional
         Times of the samples, instead of `every`, in increasing order from 0 to the duration [s];
         they may lie between steps. Cannot be combined with commands, which are held per sample.
+    energy_by_cause : bool, optional
+        Account for the energy by cause, as ``energy_by_cause: true`` of a scene does.
 
     Returns
     -------
@@ -173,7 +176,7 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
         check_seconds('duration', duration)
     if times is not None and commands is not None:
         raise ValueError('times and commands cannot both be given: use every with commands')
-    parts = changed_parts(scene, step_size, integrator, initial_state, effects)
+    parts = changed_parts(scene, step_size, integrator, initial_state, effects, energy_by_cause)
     simulation = watched(build(parts), parts.scene)
     end = parts.scene.duration if duration is None else duration
     schedule = Schedule.at(times, end) if times is not None else Schedule.until(
@@ -199,15 +202,18 @@ def _once(name: str, given: Mapping[str, Any], value: Any) -> Any:
 
 def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = None,
                   integrator: Choice | None = None, initial_state: State | None = None,
-                  effects: Sequence[Mapping[str, Any]] | None = None) -> Parts:
+                  effects: Sequence[Mapping[str, Any]] | None = None,
+                  energy_by_cause: bool = False) -> Parts:
     """Return the parts of a resolved scene with overrides applied; see ``simulate``."""
     if isinstance(scene, Parts):
+        if energy_by_cause:
+            scene = scene._replace(scene=scene.scene.changed({'energy_by_cause': True}))
         if all(value is None for value in (step_size, integrator, initial_state, effects)):
             return scene
         scene = scene.scene
-    scene = _scene(scene)
-    return resolve(scene.with_overrides(
-        step_size, integrator, _state(initial_state), _listed(effects)))
+    scene = _scene(scene).with_overrides(
+        step_size, integrator, _state(initial_state), _listed(effects))
+    return resolve(scene.changed({'energy_by_cause': True}) if energy_by_cause else scene)
 
 
 def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | None = None
@@ -241,7 +247,15 @@ def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | 
     energy, alarms = judge(found, watch)
     return Trajectory(found.t, found.q, found.p, energy, simulation.hamiltonian.coordinates,
                       tuple(alarms), tuple(event for event in getattr(simulation, 'events', ())
-                                           if event.t <= found.t[-1]), work=found.work)
+                                           if event.t <= found.t[-1]), work=found.work,
+                      energy_by_cause=by_cause(simulation, found.t, found.causes))
+
+
+def by_cause(simulation: Simulation, t: np.ndarray, causes: np.ndarray | None
+             ) -> EnergyByCause | None:
+    """Return the energy by cause of samples; None if it was not requested."""
+    return None if simulation.ledger is None or causes is None else EnergyByCause(
+        t, simulation.ledger.names, causes)
 
 
 def _scene(scene: Scene | str | Path) -> Scene:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 import json
 from pathlib import Path
-from typing import Any, final, Self, TextIO, TYPE_CHECKING
+from typing import Any, final, NamedTuple, Self, TextIO, TYPE_CHECKING
 
 from hnn_vi_ros.errors import listed, optional, RecordingError
 from hnn_vi_ros.files import dump_yaml, one_line, parse_json, replacing
@@ -34,6 +34,41 @@ if TYPE_CHECKING:
 _ARRAYS = ('t', 'q', 'p', 'energy', 'work')
 
 
+class EnergyByCause(NamedTuple):
+    """
+    Energy of a run by cause, all in J.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (N,)
+        Simulated time [s].
+    names : tuple of str
+        Names of the columns: ``work/CAUSE`` on the system and ``heat/CAUSE`` since the start,
+        ``stored/CAUSE`` at present, and ``error``, H - H(0) - W, which no cause explains.
+    values : np.ndarray, shape (N, C) or (N, m, C)
+        Columns in this order; NaN where the work of a trajectory is.
+
+    """
+
+    t: np.ndarray
+    names: tuple[str, ...]
+    values: np.ndarray
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Return the units by column name, including ``t``."""
+        return {'t': 's', **dict.fromkeys(self.names, 'J')}
+
+    def of(self, kind: str) -> dict[str, np.ndarray]:
+        """Return the columns of ``work/``, ``stored/`` or ``heat/`` by cause."""
+        return {name.removeprefix(kind): self.values[..., k] for k, name in enumerate(self.names)
+                if name.startswith(kind)}
+
+    def to_dataframe(self) -> 'pandas.DataFrame':
+        """Return the columns as a DataFrame; see ``Trajectory.to_dataframe``."""
+        return _data_frame(self.t, self.of(''), {'units': self.units})
+
+
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
@@ -59,6 +94,8 @@ class Trajectory:
     work : np.ndarray, shape (N,), or None
         Work W done on the system by effects since the start [J]: NaN at times between steps, and
         at some samples of runs with more than 10 000. None if no effect does work.
+    energy_by_cause : EnergyByCause or None
+        Work, stored energy and heat of each effect, if requested.
 
     Examples
     --------
@@ -77,6 +114,7 @@ class Trajectory:
     events: tuple[Event, ...] = ()
     scene: Scene | None = None
     work: np.ndarray | None = None
+    energy_by_cause: EnergyByCause | None = None
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -87,9 +125,10 @@ class Trajectory:
         if not isinstance(part, slice):
             raise TypeError(f'[{part!r:.40}] is no slice of the samples, as in trajectory[10:20]; '
                             'select(0) returns one of m trajectories')
-        t = self.t[part]
+        t, causes = self.t[part], self.energy_by_cause
         return replace(
             self, t=t, q=self.q[part], p=self.p[part], energy=self.energy[part],
+            energy_by_cause=causes and causes._replace(t=t, values=causes.values[part]),
             work=None if self.work is None else self.work[part],
             events=tuple(event for event in self.events if len(t) and t[0] <= event.t <= t[-1]))
 
@@ -198,10 +237,12 @@ class Trajectory:
         if self.q.ndim == 2:
             return self
         scene, (q, p) = self.scene, (self.q[:, index], self.p[:, index])
+        causes = self.energy_by_cause
         if scene is not None and self.t[:1] == 0.0:
             scene = scene.with_overrides(initial_state={'q': q[0], 'p': p[0]})
-        return replace(self, q=q, p=p, energy=self.energy[:, index], alarms=self.alarms[index],
-                       scene=scene)
+        return replace(
+            self, q=q, p=p, energy=self.energy[:, index], alarms=self.alarms[index], scene=scene,
+            energy_by_cause=causes and causes._replace(values=causes.values[:, index]))
 
     def of(self, names: Sequence[str] | None) -> Self:
         """Return the trajectory restricted to some coordinates; ValueError for unknown names."""
@@ -307,6 +348,29 @@ class Trajectory:
         from hnn_vi_ros.simulation.trajectory.figures import draw_series
         return draw_series(self.of(coordinates))
 
+    def plot_energy(self) -> 'Figure':
+        """
+        Draw the energy that each cause stored, took and gave, and the error.
+
+        Stored energies are drawn above zero, each from its lowest value in the run; heat and other
+        energy taken by effects below. Lines are the works of causes that also give energy.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            See ``plot``.
+
+        Raises
+        ------
+        MissingPackage
+            matplotlib is not installed.
+        ValueError
+            The run has no ``energy_by_cause``, or several trajectories (see ``select``).
+
+        """
+        from hnn_vi_ros.simulation.trajectory.figures import draw_energy
+        return draw_energy(self.single())
+
     def phase_portrait(self, coordinates: Sequence[str] | None = None) -> 'Figure':
         """
         Draw each momentum over its coordinate, with level sets of H for a single coordinate.
@@ -348,18 +412,7 @@ class Trajectory:
             pandas is not installed.
 
         """
-        with optional('pandas', 'to_dataframe'):
-            import pandas
-        data = self._columns()
-        index: pandas.Index = pandas.Index(self.t, name='t')
-        if self.q.ndim == 3:
-            count = self.q.shape[1]
-            index = pandas.MultiIndex.from_product([range(count), self.t],
-                                                   names=['trajectory', 't'])
-            data = {name: values.T.ravel() for name, values in data.items()}
-        frame = pandas.DataFrame(data, index=index)
-        frame.attrs |= {'title': self.title, 'units': self.units}
-        return frame
+        return _data_frame(self.t, self._columns(), {'title': self.title, 'units': self.units})
 
     def to_xarray(self) -> 'xarray.Dataset':
         """
@@ -425,7 +478,11 @@ class Trajectory:
         """
         arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in _ARRAYS
                   if getattr(self, name) is not None}
+        causes = self.energy_by_cause
+        if causes is not None:
+            arrays['causes'] = np.ascontiguousarray(causes.values)
         rest = {'coordinates': [asdict(own) for own in self.coordinates], 'alarms': self.alarms,
+                'causes': causes and causes.names,
                 'events': [plain_data(asdict(event)) for event in self.events]}
         scene = '' if self.scene is None else dump_yaml(self.scene.model_dump() | {
             'source': str(self.scene.source), 'model_files': self.scene.model_digests})
@@ -455,8 +512,10 @@ class Trajectory:
                 arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
                 texts = file.metadata()
             rest, text = parse_json(texts['trajectory'].encode()), texts['scene']
-            many = arrays['q'].ndim == 3
+            many, causes = arrays['q'].ndim == 3, arrays.pop('causes', None)
             return cls(
+                energy_by_cause=None if causes is None else EnergyByCause(
+                    arrays['t'], tuple(rest['causes']), causes),
                 **arrays, coordinates=tuple(Coordinate(**own) for own in rest['coordinates']),
                 alarms=tuple(tuple(Alarm(*own) for own in each) if many else Alarm(*each)
                              for each in rest['alarms']),
@@ -491,7 +550,7 @@ class Trajectory:
         with optional('rerun', 'to_rerun'):
             from hnn_vi_ros.recording import box_of, RerunSink
         run, simulation = self.single(), self.simulation()
-        scene = run.scene
+        scene, causes = run.scene, run.energy_by_cause
         hamiltonian = simulation.hamiltonian
         assert scene is not None, 'a trajectory with a Hamiltonian has a scene'
         if isinstance(target, str) and '://' not in target:
@@ -504,7 +563,8 @@ class Trajectory:
             box=hamiltonian.box or box_of(run.q, run.p),
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
             effects=simulation.effects, step_size=h, modified=False,
-            conservative=run.work is None, interval=0, begin=(stamps[0], round(run.t[0] / h)))
+            causes=causes.names if causes else (), conservative=run.work is None, interval=0,
+            begin=(stamps[0], round(run.t[0] / h)))
         try:
             told = [(event.t, f'event {event}', 'INFO') for event in run.events] + [
                 (alarm.step * h, alarm.message, 'WARN') for alarm in run.alarms]
@@ -515,7 +575,8 @@ class Trajectory:
                 work = 0.0 if run.work is None else float(run.work[k])
                 sink.write(Sample(
                     round(run.t[k] / h), stamp, run.q[k], run.p[k], dH_dq[k], dH_dp[k], energy,
-                    float('nan'), (energy - first - work) / (abs(first) or 1.0), work))
+                    float('nan'), (energy - first - work) / (abs(first) or 1.0), work,
+                    causes=causes and causes.values[k]))
         finally:
             sink.close()
 
@@ -528,3 +589,19 @@ class Trajectory:
     def __repr__(self) -> str:
         alarms = [f'alarms: {", ".join(self.alarm_kinds())}'] if self.alarm_kinds() else []
         return f'Trajectory({"; ".join([self.title, ", ".join(self.facts()), *alarms])})'
+
+
+def _data_frame(t: np.ndarray, data: dict[str, np.ndarray], attributes: dict[str, Any]
+                ) -> 'pandas.DataFrame':
+    """Return columns, of shape (N,) or (N, m), as a DataFrame; see Trajectory."""
+    with optional('pandas', 'to_dataframe'):
+        import pandas
+    index: pandas.Index = pandas.Index(t, name='t')
+    first = next(iter(data.values()))
+    if first.ndim == 2:
+        index = pandas.MultiIndex.from_product([range(first.shape[1]), t],
+                                               names=['trajectory', 't'])
+        data = {name: values.T.ravel() for name, values in data.items()}
+    frame = pandas.DataFrame(data, index=index)
+    frame.attrs |= attributes
+    return frame

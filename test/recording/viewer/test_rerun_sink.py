@@ -127,6 +127,17 @@ def test_recording_that_is_not_conservative_shows_work_and_no_modified_energy(pa
     assert entities['/energy/work']['Scalars:scalars'] == [[0.0], [-0.1], [-0.2]]
 
 
+def test_recording_shows_the_energy_by_cause_by_kind(path: Path):
+    names = 'work/servo', 'stored/spring', 'stored/hamiltonian', 'error'
+    samples = record(path, 3, lambda sample: replace(sample, causes=np.arange(4.0) * sample.step),
+                     interval=0, causes=names)
+    shown = read(path)
+    assert '/energy_by_cause/heat' not in shown and len(samples) == 3
+    assert shown['/energy_by_cause/work']['Scalars:scalars'] == [[0.0], [0.0], [0.0]]
+    assert shown['/energy_by_cause/stored']['Scalars:scalars'] == [
+        [s.causes[1], s.causes[2]] for s in samples]
+
+
 def test_recording_shows_the_invariants_by_their_names(path: Path):
     oscillator = HarmonicOscillator()
     oscillator.invariants = {'twice_x': lambda q, p: 2.0 * q[0], 'p': lambda q, p: p[0]}
