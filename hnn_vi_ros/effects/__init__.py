@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.effects.manifold import Manifold
     from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
     from hnn_vi_ros.effects.registry import effect_name, EFFECTS
+    from hnn_vi_ros.effects.servo import OFF, Servo
     from hnn_vi_ros.effects.splitting import largest_gain
     from hnn_vi_ros.effects.wrapped import Account, Wrapped
 

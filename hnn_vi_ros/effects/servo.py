@@ -3,14 +3,15 @@
 """Servos that move joints to commanded positions, at commanded velocities, or along paths."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from functools import partial
 import math
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import EffectState, Force, motor_index, per_coordinate
 from hnn_vi_ros.effects.commands import (
-    Command, Commanded, indices_of, JointCommand, JointPath, LARGEST, PATH, POSITION, printable,
-    Reference, ServoTarget, VELOCITY)
+    Command, Commanded, indices_of, JointCommand, JointPath, LARGEST, NUMBERS, PATH, POSITION,
+    printable, Reference, ServoTarget, VELOCITY)
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians import check_finite, check_names_once, check_not_negative
 from hnn_vi_ros.integrators import bend_at, cubic, quintic, slope_at, value_at
@@ -18,8 +19,11 @@ from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
-# Modes of a coordinate: no command yet, or it follows a position, a velocity or a path.
-_IDLE, _AT_POSITION, _AT_VELOCITY, _ON_PATH = range(4)
+# Modes of a coordinate: no command yet, or it follows a position, a velocity, a path, or commands
+# that wait in the knots until their delay has passed.
+_IDLE, _AT_POSITION, _AT_VELOCITY, _ON_PATH, _DELAYED = range(5)
+# Number of a command that switches a motor off; others are at most LARGEST.
+OFF = 1e300
 # Maximum number of knots of a path. Each has a row of Reference.knots, whose size is fixed,
 # because compiled steps contain its address.
 MOST_KNOTS = 1024
@@ -37,30 +41,40 @@ class ServoParameters(NamedTuple):
         Columns of the joints in q.
     reference, clock
         See EffectState.
-    stiffness, damping, limit : np.ndarray, shape (n,)
-        k, c and F; infinite for no limit.
+    command : np.ndarray
+        See EffectState; without plain numbers, one that has expired.
+    stiffness, damping, limit, back_emf, offset : np.ndarray, shape (n,)
+        k, c, F, b and o; F is infinite for no limit.
     start : np.ndarray, shape (n,)
         Positions at which the joints are held before the first command; NaN for none.
+    delay : float
+        Delay of commands [s].
 
     """
 
     columns: np.ndarray
     reference: Reference
     clock: np.ndarray
+    command: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
     limit: np.ndarray
     start: np.ndarray
+    back_emf: np.ndarray
+    offset: np.ndarray
+    delay: float
 
 
 class Servo(Force, Commanded):
     """
-    A servo for each joint, f = k (q_r - q) + c (v_r - v), limited to -F to F, where v = H_p.
+    A servo for each joint, f = k (q_r - q - o) + c (v_r - v), within -F to F, minus b v, v = H_p.
 
-    A command sets q_r and v_r: a position with a velocity, by default zero; only a velocity, which
-    only c follows; or a path, whose splines are evaluated at the method's nodes. It is active
-    until the next command. Angles count revolutions: q_r - q is not wrapped. For efforts use
-    `external_force`. Energy account: f v.
+    The limit is that of the drive's voltage, of which the back EMF b v takes a part. Without a
+    target the motor is off, and no force acts. A command sets q_r and v_r: a position with a
+    velocity, by default zero; only a velocity, which only c follows; or a path, whose splines are
+    evaluated at the method's nodes. It is active until the next command. Angles count
+    revolutions: q_r - q is not wrapped. For efforts use `external_force`; `hnn identify` fits the
+    numbers to logs of commands and positions. Energy account: f v.
 
     Parameters
     ----------
@@ -74,6 +88,14 @@ class Servo(Force, Commanded):
         F > 0, for all joints or for each [N], [N m]; default: none.
     position : list of float, optional
         Position at which each joint is held until its first command [m], [rad]; default: none.
+    back_emf : float or list of float, optional
+        b >= 0, the torque constant squared over the resistance, for all joints or for each
+        [N s/m], [N m s/rad].
+    offset : float or list of float, optional
+        o, what the encoder reads at q = 0, for all joints or for each [m], [rad]; commands are in
+        its readings.
+    delay : float, optional
+        Time from a command to its effect, >= 0 [s]; with a delay, paths are not accepted.
 
     Raises
     ------
@@ -86,38 +108,57 @@ class Servo(Force, Commanded):
 
     """
 
-    depends_on_momentum, single, knots = True, True, MOST_KNOTS
-    takes = frozenset({POSITION, VELOCITY, PATH})
+    depends_on_momentum, single, knots, numbers = True, True, MOST_KNOTS, False
 
     def __init__(self, coordinates: list[str], stiffness: float | list[float],
                  damping: float | list[float] = 0.0,
                  effort_limit: float | list[float] | None = None,
-                 position: list[float] | None = None):
+                 position: list[float] | None = None, back_emf: float | list[float] = 0.0,
+                 offset: float | list[float] = 0.0, delay: float = 0.0):
         limit = math.inf if effort_limit is None else effort_limit
-        check_not_negative(stiffness=stiffness, damping=damping)
+        check_not_negative(stiffness=stiffness, damping=damping, back_emf=back_emf, delay=delay)
         if not all(one > 0.0 for one in np.ravel(limit)):
             raise ValueError(f'effort_limit = {limit} must be positive')
-        check_finite(position=position or 0.0)
+        check_finite(position=position or 0.0, offset=offset)
         check_names_once(coordinates=coordinates)
-        self.names = coordinates
+        self.names, self.delay = coordinates, float(delay)
+        self.takes = frozenset({POSITION, VELOCITY} if delay else {POSITION, VELOCITY, PATH})
         self.values: dict[str, float | list[float]] = {
             'stiffness': stiffness, 'damping': damping, 'effort_limit': limit,
-            'position': math.nan if position is None else position}
+            'position': math.nan if position is None else position,
+            'back_emf': back_emf, 'offset': offset}
+
+    def on_numbers(self) -> 'Servo':
+        """
+        Return this servo without delay, commanded by plain numbers, one for each joint.
+
+        They are positions, or OFF for a motor that is switched off.
+        """
+        other = copy(self)
+        other.numbers = other.feels_command = True
+        other.takes, other.delay = frozenset({NUMBERS}), 0.0
+        return other
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> ServoParameters:
-        """Return the columns of the joints, the reference, the clock, k, c, F and the start."""
+        """Return the columns of the joints, the commands, the clock and the numbers."""
         columns = np.array([motor_index(coordinates, name) for name in self.names])
         joints = [coordinates[i] for i in columns]
         own = (per_coordinate(joints, name, value) for name, value in self.values.items())
-        return ServoParameters(columns, state.reference, state.clock, *own)
+        command = state.command if self.numbers else np.full(1, -math.inf)
+        return ServoParameters(columns, state.reference, state.clock, command, *own, self.delay)
 
     def prepare(self, command: Command, parameters: ServoParameters, q: np.ndarray
                 ) -> Callable[[], None]:
-        """Return a function that sets positions, velocities or a path."""
+        """Return a function that sets positions, velocities, a path or numbers."""
         if isinstance(command, JointPath):
             return _prepare_path(command, parameters, self.names, q)
-        assert isinstance(command, JointCommand)
-        return _prepare_targets(command, parameters, self.names)
+        if isinstance(command, JointCommand):
+            return _prepare_targets(command, parameters, self.names)
+
+        def put() -> None:
+            parameters.command[parameters.columns] = command
+            parameters.command[-1] = math.inf
+        return put
 
     def servo_target(self, parameters: ServoParameters) -> ServoTarget:
         """Return the present targets of the joints."""
@@ -131,16 +172,17 @@ class Servo(Force, Commanded):
     @inlined
     def add_force(parameters: ServoParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
-        """Add k (q_r - q) + c (v_r - v), within its limits."""
+        """Add k (q_r - q - o) + c (v_r - v), within its limits, and -b v."""
         own, segment = parameters, _segment_at(parameters.reference, t)
         for k in range(own.columns.size):
             i, force = own.columns[k], 0.0
             position, rate, _ = _target_at(own, k, segment, t)
             if not math.isnan(position):
-                force += own.stiffness[k] * (position - q[i])
+                force += own.stiffness[k] * (position - (q[i] + own.offset[k]))
             if not math.isnan(rate):
                 force += own.damping[k] * (rate - velocity[i])
-            f_p[i] += min(max(force, -own.limit[k]), own.limit[k])
+                f_p[i] += min(max(force, -own.limit[k]), own.limit[k]) \
+                    - own.back_emf[k] * velocity[i]
 
 
 @inlined
@@ -162,9 +204,15 @@ def _target_at(own: ServoParameters, k: int, segment: int, t: float
                ) -> tuple[float, float, float]:
     """Return the target position, velocity and acceleration of joint k; NaN for none."""
     reference, i = own.reference, own.columns[k]
+    if own.clock[0] < own.command[own.command.size - 1]:
+        number = own.command[i]
+        return (number, 0.0, 0.0) if abs(number) <= LARGEST else (np.nan, np.nan, 0.0)
     mode = reference.modes[i]
     if mode == _ON_PATH:
         return _along(reference, segment, i, t)
+    if mode == _DELAYED:
+        return (reference.knots[segment, 1 + i],
+                reference.knots[segment, 1 + reference.modes.size + i], 0.0)
     if mode == _AT_POSITION:
         return reference.targets[0, i], reference.targets[1, i], 0.0
     if mode == _AT_VELOCITY:
@@ -207,14 +255,39 @@ def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequenc
         for k in np.flatnonzero(np.abs(values) > LARGEST):
             raise ValueError(f'{kind} of {names[joints[k]]} is {values[k]:g}, expected at most '
                              f'{LARGEST:g}')
+    waiting = _waiting(own) if own.delay else np.zeros((0, 0))
 
     def put() -> None:
         reference, places = own.reference, own.columns[joints]
         free = np.isnan(position)
+        if own.delay:
+            knots, count, d = reference.knots, len(waiting), reference.modes.size
+            knots[:count] = waiting
+            knots[count] = knots[count - 1]
+            knots[count, 0] = own.clock[0] + own.delay
+            knots[count, 1 + places] = position
+            knots[count, 1 + d + places] = np.where(np.isnan(velocity), 0.0, velocity)
+            reference.extent[0], reference.modes[own.columns] = count + 1, _DELAYED
+            return
         reference.modes[places] = np.where(free, _AT_VELOCITY, _AT_POSITION)
         reference.targets[0, places] = np.where(free, 0.0, position)
         reference.targets[1, places] = np.where(np.isnan(velocity), 0.0, velocity)
     return put
+
+
+def _waiting(own: ServoParameters) -> np.ndarray:
+    """Return the rows of the knots from the active command on, or raise ValueError."""
+    reference, d = own.reference, own.reference.modes.size
+    if reference.extent[0] == 0:
+        first = np.full((1, reference.knots.shape[1]), math.nan)
+        first[0, 0], first[0, 1 + own.columns] = own.clock[0], own.start
+        first[0, 1 + d + own.columns] = np.where(np.isnan(own.start), math.nan, 0.0)
+        return first
+    rows = reference.knots[_segment_at(reference, own.clock[0]):reference.extent[0]]
+    if len(rows) == MOST_KNOTS:
+        raise ValueError(f'{MOST_KNOTS} commands wait for the delay of {own.delay:g} s to pass; '
+                         'command less often')
+    return rows.copy()
 
 
 def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q: np.ndarray

@@ -13,7 +13,8 @@ import warnings
 from hnn_vi_ros.effects import (
     Account, add_effect, add_forces, ClosedChains, Command, Commanded, contents, Effect,
     effect_name, EffectError, EFFECTS, EffectState, EFFORT, Force, Joined, JointCommand, JointPath,
-    LoopManifold, Manifold, NUMBERS, OBSERVATION, Place, ServoTarget, StepLayer, Wrapped)
+    LoopManifold, Manifold, NUMBERS, OBSERVATION, PATH, Place, POSITION, ServoTarget, StepLayer,
+    Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows
 from hnn_vi_ros.integrators import (
@@ -118,6 +119,9 @@ class Motors:
         for content in sorted(held - self.takes):
             kind = 'observer' if content == OBSERVATION else (
                 'external_force' if content in (NUMBERS, EFFORT) else 'servo')
+            if content == PATH and POSITION in self.takes:
+                raise ValueError('the scene accepts no path: its servo has a delay; command '
+                                 'positions')
             raise ValueError(f'the scene accepts no {content}: it has no {kind} of joints')
         if isinstance(command, JointCommand | JointPath):
             for i, name in enumerate(command.names):

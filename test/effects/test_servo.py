@@ -5,10 +5,10 @@
 from helpers import EPS, long, plain_run, Uncompiled
 from hnn_vi_ros.effects import ExternalForce, JointCommand, JointPath
 from hnn_vi_ros.effects.joint_limits import JointLimits
-from hnn_vi_ros.effects.servo import MOST_KNOTS, Servo
+from hnn_vi_ros.effects.servo import MOST_KNOTS, OFF, Servo
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import Change, DifferentiableRun, Simulation
 from messages import refused
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -292,3 +292,86 @@ def test_path_without_points_holds_joints_that_nothing_drives_where_they_are():
     simulation.set_command(path([], [], names='xy'))
     np.testing.assert_array_equal(
         simulation.motors.servo_target.targets, [q, [0.0] * 2, [0.0] * 2])
+
+
+def test_back_emf_takes_its_part_of_the_limit_of_the_voltage():
+    simulation = servo('x', effort_limit=0.5, back_emf=0.8, position=[1e6])
+    simulation.advance(100)
+    # m v' = F - b v: a motor at full voltage, up to its no-load speed.
+    assert simulation.p[0] / MASS == pytest.approx(
+        0.5 / 0.8 * -np.expm1(-0.8 * 2.0 / MASS), abs=1e-12)
+    # Without a target it is off.
+    off = servo('x', back_emf=0.8, p=1.0)
+    off.advance(100)
+    assert off.p[0] == 1.0
+
+
+def test_commands_are_in_readings_of_the_encoder():
+    simulation = servo('x', offset=0.3, q=0.2, position=[0.5])
+    simulation.advance(10)
+    assert (simulation.q, simulation.p) == (pytest.approx([0.2], abs=1e-15), pytest.approx([0.0]))
+
+
+def test_commands_act_after_their_delay():
+    # Steps whose times are not rounded.
+    late, other = (servo('x', 'y', h=1.0 / 64, delay=delay, position=[0.1, -0.1])
+                   for delay in (3.0 / 64, 0.0))
+    waiting: list[tuple[int, JointCommand]] = []
+    rng = np.random.default_rng(3)
+    for step in range(60):
+        if step % 4 != 3:
+            one = command('xy'[step % 2], *([rng.normal(), NAN] if step % 3 else
+                                            [NAN, rng.normal()]))
+            late.set_command(one)
+            waiting.append((step + 3, one))
+        for due, one in waiting:
+            if due == step:
+                other.set_command(one)
+        np.testing.assert_array_equal(late.motors.servo_target.targets[:2],
+                                      other.motors.servo_target.targets[:2])
+        np.testing.assert_array_equal(late.q, other.q)
+        for simulation in (late, other):
+            simulation.advance(1)
+    saved = late.snapshot()
+    late.advance(5)
+    after = late.q.copy()
+    late.restore(saved)
+    late.advance(5)
+    np.testing.assert_array_equal(late.q, after)
+
+
+def test_more_commands_than_wait_for_a_delay_are_refused():
+    simulation = servo('x', delay=1.0)
+    for _ in range(MOST_KNOTS - 1):
+        simulation.set_command(command('x', position=0.1))
+    with refused(ValueError):
+        simulation.set_command(command('x', position=0.1))
+    with refused(ValueError):
+        simulation.set_command(path([1.0], [0.0]))
+
+
+@pytest.mark.parametrize('given', [{'back_emf': -1.0}, {'delay': -0.1}, {'offset': NAN}])
+def test_number_out_of_its_range_is_refused(given):
+    with refused(ValueError):
+        Servo(['x'], 1.0, **given)
+
+
+@pytest.mark.parametrize('integrator', ['implicit_midpoint', 'gauss4', 'rk4'])
+def test_references_of_a_servo_have_exact_tangents(integrator):
+    """Two masses; one is switched off for two of four commands."""
+    own = Servo(['x', 'y'], [18.0, 5.0], [3.0, 0.4], back_emf=0.2, offset=[0.1, 0.0])
+    run = DifferentiableRun(Uncompiled(HAMILTONIANS['free_particle'](MASS, ['x', 'y'])),
+                            INTEGRATORS[integrator](), 0.05, [own])
+    z, rng = np.array([[0.2, -0.1, 0.3, 0.5]]), np.random.default_rng(5)
+    commands, change = rng.normal(size=(2, 4, 2))
+    commands[1:3, 1], change[1:3, 1] = OFF, 0.0
+    ends = [run.record(z, 4, 3, commands + sign * 1e-3 * change)[-1] for sign in (1.0, -1.0)]
+    run.record(z, 4, 3, commands)
+    tangent = run.push_forward([Change(np.zeros_like(z), commands=change)])[0, -1]
+    # Without limits the motion is linear in the commands, and differences have only round-off;
+    # forces are differentiated by differences to eps^(2/3) = 4e-11.
+    assert tangent == pytest.approx((ends[0] - ends[1]) / 2e-3, abs=1e-9)
+    slopes, unit = np.empty_like(commands), np.array([[[0.0, 1.0, 0.0, 0.0]]])
+    run.pull_back(np.concatenate([np.zeros((4, 1, 4)), unit]), by_commands=slopes)
+    assert (slopes * change).sum() == pytest.approx(tangent[0, 1], abs=1e-9)
+    assert (slopes[1:3, 1] == 0.0).all()

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 
 from hnn_vi_ros.effects import (
-    Effect, effect_name, EFFECTS, Force, Joined, NUMBERS, per_coordinate, Place)
+    Effect, effect_name, EFFECTS, Force, Joined, NUMBERS, per_coordinate, Place, Servo)
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import Integrator
@@ -154,6 +154,17 @@ def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
                                     f'effects that are: {able}; remove others')
 
 
+def on_numbers(effects: Sequence[Effect]) -> list[Effect]:
+    """Return effects whose servo is commanded by plain numbers, unless other effects are."""
+    servo = next((one for one in effects if isinstance(one, Servo)), None)
+    if servo is None or any(NUMBERS in getattr(one, 'takes', ()) for one in effects):
+        return [*effects]
+    if servo.delay:
+        raise UnsupportedSystem(f'servo: its delay of {servo.delay:g} s is not differentiable; '
+                                'remove it, and delay the commands')
+    return [servo.on_numbers() if one is servo else one for one in effects]
+
+
 def _is_known(kind: type) -> bool:
     """Return whether a force depends only on time, state and numeric commands."""
-    return issubclass(kind, Force) and kind is not EFFECTS['servo'] and kind.knots == 0
+    return issubclass(kind, Force) and (kind.knots == 0 or kind is Servo)

@@ -6,13 +6,14 @@ from collections.abc import Callable, Sequence
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.effects import Effect, EffectState, LoopManifold
+from hnn_vi_ros.effects import Effect, EffectState, LARGEST, LoopManifold
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import (
     Integrator, LARGEST_MATRIX, method_name, methods_that, PartitionedTableau)
 from hnn_vi_ros.kernels import compiled_loop, entry_point, Kernel
-from hnn_vi_ros.simulation.gradients.acting_effects import ActingEffects, check_effects
+from hnn_vi_ros.simulation.gradients.acting_effects import (
+    ActingEffects, check_effects, on_numbers)
 from hnn_vi_ros.simulation.gradients.closed_steps import ClosedSteps, InnerStep
 from hnn_vi_ros.simulation.gradients.dependences import Dependence, MIDDLE, OnNumber, StateSequence
 from hnn_vi_ros.simulation.gradients.stages import (
@@ -184,7 +185,7 @@ class DifferentiableRun:
         self._tableau = differentiable_tableau(hamiltonian, integrator)
         check_effects(effects, integrator)
         self._integrator, self._h = integrator, float(step_size)
-        self._build(hamiltonian, effects)
+        self._build(hamiltonian, on_numbers(effects))
 
     def _build(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> None:
         self._hamiltonian, self._effects = hamiltonian, list(effects)
@@ -218,7 +219,7 @@ class DifferentiableRun:
             Arguments as in the constructor, of the same types.
 
         """
-        self._h = float(step_size)
+        self._h, effects = float(step_size), on_numbers(effects)
         system = self._system.with_numbers(hamiltonian, effects)
         if system is None or not (self._simulation is None
                                   or self._simulation.take_numbers(hamiltonian, effects)):
@@ -553,6 +554,8 @@ class DifferentiableRun:
         found = np.zeros((len(places), *stages.shape))
         for slopes, place in zip(found, places, strict=True):
             size = np.abs(acting.commands[..., :-1] @ place)
+            # A servo that is off does not depend on its command.
+            size[size > LARGEST] = 0.0
             # Stay on one side of zero: friction under load has a kink at a sign change.
             spacing = _SPACING * np.maximum(size, _MIN_SHARE * (size.max(initial=0.0) or 1.0))
             for offset, (weight, _) in MIDDLE.items():
@@ -606,7 +609,7 @@ class DifferentiableRun:
         """Return a system with other numbers that shares the command array."""
         state = EffectState.empty(len(self._system.labels), hamiltonian.dimension)
         shared = self._system.effect_state
-        return System(hamiltonian, effects, self._integrator, state._replace(
+        return System(hamiltonian, on_numbers(effects), self._integrator, state._replace(
             command=shared.command, step=shared.step))
 
     def _halves(self, stages: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models import Checkpoint, LearnedHamiltonian, MechanicalCard
 from hnn_vi_ros.scene import check_known, numbers_in, Parts, set_value, with_known_numbers
-from hnn_vi_ros.simulation.gradients.acting_effects import flow_rates
+from hnn_vi_ros.simulation.gradients.acting_effects import flow_rates, on_numbers
 from hnn_vi_ros.simulation.gradients.dependences import Dependence, OnDifferences
 from hnn_vi_ros.simulation.gradients.derivatives import DifferentiableRun
 from hnn_vi_ros.simulation.system import System
@@ -113,7 +113,7 @@ class SceneRun:
         links = {key: held for key, held in self._held.values.items() if key.startswith(_URDF)}
         _, hamiltonian, integrator, effects = _changed(self._now, links | {name: value}, model)
         before = self._beside.get((name, offset))
-        system = None if before is None else before.with_numbers(hamiltonian, effects)
+        system = None if before is None else before.with_numbers(hamiltonian, on_numbers(effects))
         if system is None:
             system = self.run.beside(hamiltonian, effects)
         self._beside[name, offset] = system

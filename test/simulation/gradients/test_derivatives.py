@@ -88,7 +88,7 @@ def test_method_without_derivatives_is_refused_by_name(name: str):
 @pytest.mark.parametrize('kind, arguments, method', [
     ('impact', {'coordinate': 'angle', 'position': -1.0}, 'variational_euler'),
     ('thermostat', {'temperature': 1.0, 'rate': 1.0}, 'variational_euler'),
-    ('servo', {'coordinates': ['angle'], 'stiffness': 1.0}, 'gauss4')])
+    ('servo', {'coordinates': ['angle'], 'stiffness': 1.0, 'delay': 0.01}, 'gauss4')])
 def test_effect_without_derivatives_is_refused_by_name(kind: str, arguments: dict, method: str):
     effect = EFFECTS[kind](**arguments)
     with refused(UnsupportedSystem):
