@@ -28,9 +28,11 @@ settings.load_profile('any machine')
 # process at the end: those that take more than 20 s of CPU time without compiled kernels, and
 # those of nodes that take as long in wall time.
 LONGEST = (
-    'studies/test_work_precision.py', 'studies/test_hard_cases.py',
-    'project/test_planted_faults.py', 'commands/test_scene_tool.py',
-    'simulation/accuracy/test_calibration.py',
+    'learning/test_prior_choice.py', 'learning/test_user_module.py', 'learning/test_export.py',
+    'learning/test_drive_friction.py', 'sweeps/test_sweep.py', 'learning/test_new_family.py',
+    'learning/test_unchanged_arguments.py', 'studies/test_work_precision.py',
+    'studies/test_hard_cases.py', 'project/test_planted_faults.py',
+    'commands/test_scene_tool.py', 'simulation/accuracy/test_calibration.py',
     'simulation/test_assembly.py', 'project/test_linters.py', 'commands/test_cli.py',
     'learning/test_rigid_body.py', 'learning/test_machine_training.py',
     'learning/test_input_map.py', 'learning/test_family_training.py',
