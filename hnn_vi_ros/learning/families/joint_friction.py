@@ -12,8 +12,10 @@ import numpy as np
 import torch
 
 # Bounds of friction widths relative to the usual speed; without bounds they diverge.
-NARROWEST, WIDEST = 0.003, 1.0
+NARROWEST, WIDEST = 3e-4, 1.0
 _SPAN = math.log(WIDEST / NARROWEST)
+# Narrowest initial width.
+_FIRST = 0.003
 # Initial diagonal of B in its own units: D = B B^T is initially as small as other friction.
 _FIRST_ROOT = 0.2
 
@@ -56,11 +58,12 @@ class JointFrictionModule(torch.nn.Module):
                        -3.0, dtype=torch.float64))
         self.raw_offset = torch.nn.Parameter(
             torch.zeros((int(self.choice.offset), d), dtype=torch.float64))
-        # The initial widths are spread over the range between their bounds.
+        # The initial widths are spread over the usual ones.
         spread = torch.cat([
             torch.linspace(-1.0, 1.0, count + 2, dtype=torch.float64)[1:-1, None]
             for count in (self.choice.coulomb, self.choice.stribeck)])
-        self.raw_width = torch.nn.Parameter(spread.repeat(1, d))
+        widths = self.speed_unit * _FIRST**(1.0 - torch.sigmoid(2.0 * spread))
+        self.raw_width = torch.nn.Parameter(self.raw_of_widths(widths))
         self.raw_speed = torch.nn.Parameter(
             torch.zeros((self.choice.stribeck, d), dtype=torch.float64))
         if structure.friction_features is not None:
@@ -101,7 +104,7 @@ class JointFrictionModule(torch.nn.Module):
     @property
     def switch(self) -> torch.Tensor:
         """Return the width of the sign change of load and directed friction, shape (d,)."""
-        return self.speed_unit * math.sqrt(NARROWEST * WIDEST)
+        return self.speed_unit * math.sqrt(_FIRST * WIDEST)
 
     def shares(self, v: torch.Tensor) -> torch.Tensor:
         """Return the weight of the parameters of each sign at v, shape (N, n, d)."""

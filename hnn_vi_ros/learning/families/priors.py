@@ -105,8 +105,7 @@ class PlanarChain(PriorModule):
         L = self._matrix(torch.exp(diagonal), below, 0.0)
         K = L @ L.T
         return self.unit * torch.cat([
-            torch.diagonal(K), K[self.lower[0], self.lower[1]], gravities, torch.exp(motors),
-            springs])
+            torch.diagonal(K), K[self.lower[0], self.lower[1]], gravities, motors, springs])
 
     def _matrix(self, diagonal: torch.Tensor, below: torch.Tensor, mirrored: float
                 ) -> torch.Tensor:
@@ -141,7 +140,7 @@ class PlanarChain(PriorModule):
             values / self.unit).split(self._sizes)
         L, failed = torch.linalg.cholesky_ex(self._matrix(inertias, couplings, 1.0))
         found = torch.cat([torch.log(torch.diagonal(L)), L[self.lower[0], self.lower[1]],
-                           gravities, torch.log(motors), springs])
+                           gravities, motors, springs])
         return torch.where(failed > 0, torch.nan, found)
 
     def possible(self, values: torch.Tensor) -> torch.Tensor:

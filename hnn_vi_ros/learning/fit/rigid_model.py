@@ -80,10 +80,10 @@ class RigidModel:
 
     @property
     def optional(self) -> list[int]:
-        """Return the numbers of potentials, friction and offsets, which a body may lack."""
+        """Return the numbers of spare terms, friction and offsets, which a body may lack."""
         first, last = self.unknowns.sizes[0], sum(self.unknowns.sizes[:4])
-        potentials = self.unknowns.potentials
-        return [k for k, number in enumerate(self.numbers) if int(number.name) in potentials
+        spare = self.unknowns.spare
+        return [k for k, number in enumerate(self.numbers) if int(number.name) in spare
                 or first <= int(number.name) < last]
 
     @property
@@ -203,8 +203,8 @@ class RigidUnknowns(ABC):
                 parts, column, strict=True)]) for column in zip(*parts, strict=True))
 
     @property
-    def potentials(self) -> list[int]:
-        """Return the indices of the numbers of weights and springs."""
+    def spare(self) -> list[int]:
+        """Return the indices of the numbers of weights, springs and rotors."""
         return []
 
     @abstractmethod
@@ -271,10 +271,10 @@ class PriorUnknowns(RigidUnknowns):
         super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0), widths)
 
     @property
-    def potentials(self) -> list[int]:
-        """Return the indices of the numbers of weights and springs, as in RigidUnknowns."""
+    def spare(self) -> list[int]:
+        """Return the indices of the numbers of weights, springs and rotors, as in RigidUnknowns."""
         return [k for k, name in enumerate(self.prior.names) if self.prior.linear and (
-            is_spring(name) or name.startswith('gravity'))]
+            is_spring(name) or name.startswith(('gravity', 'motor_inertia')))]
 
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the raw parameters of the prior, as in RigidUnknowns."""

@@ -30,6 +30,9 @@ _INNER, _GAIN = 30, 1e-2
 FAILED = 1e6
 # Tolerance of the search at the end, and maximum number of evaluations.
 TOLERANCE, _EVALUATIONS = 1e-8, 60
+# Relative step that ends a search, in units of its tolerance: it is relative to the largest
+# number, and others may be much smaller.
+_STILL = 1e-3
 # Singular values of normalised columns below this are errors of rounding and differences.
 _RANK = 1e-6
 
@@ -346,6 +349,6 @@ def search(problem: FitProblem, values: np.ndarray, tolerance: float = TOLERANCE
     units = 1.0 / units_of(found.solve(values))
     best = least_squares(
         found.residuals, values, found.slopes, bounds=(low, high), x_scale=units,
-        loss='soft_l1' if problem.robust else 'linear', f_scale=_SOFT, ftol=tolerance,
-        xtol=tolerance, gtol=tolerance, max_nfev=evaluations)
+        method='dogbox', loss='soft_l1' if problem.robust else 'linear', f_scale=_SOFT, ftol=tolerance,
+        xtol=_STILL * tolerance, gtol=tolerance, max_nfev=evaluations)
     return found.solve(best.x)
