@@ -79,8 +79,10 @@ def _imports(path: Path) -> tuple[str, ...]:
     def names() -> Iterator[str]:
         for match in _IMPORT.finditer(path.read_text(encoding='utf-8')):
             for name in re.findall(r'\w+(?= as |\s*[,)\n]|$)', match[2]):
-                full = f'{match[1]}.{name}'
-                exports = exported(_path(match[1]) or _ROOT / '__init__.py')
+                full, place = f'{match[1]}.{name}', _path(match[1])
+                # Parsing takes a third of the time of a second start; only packages export.
+                lazy = place is not None and place.stem == '__init__'
+                exports = exported(place) if lazy else {}
                 yield full if _path(full) else exports.get(name, match[1])
     return tuple(names())
 
