@@ -2,20 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write, check, explain and compile scenes, and print their JSON schema."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 import math
 import sys
 from typing import Any, TYPE_CHECKING
+import warnings
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files import json_schema, shipped_names
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate
 from hnn_vi_ros.scene import AutoChoice, lacks_a_model, load_scene, Scene
+import numpy as np
 
 if TYPE_CHECKING:
     from hnn_vi_ros.run import EffectCosts
+    from hnn_vi_ros.simulation import Trajectory
 
 # The simulation is imported lazily, so that lists and schemas are shown immediately.
 
@@ -102,7 +105,7 @@ def explain(scene: Scene) -> Iterator[str]:
 
     """
     from hnn_vi_ros.run import measure_effects
-    from hnn_vi_ros.simulation import build, choose, watched
+    from hnn_vi_ros.simulation import build, choose, simulate, watched
     if isinstance(scene.integrator, AutoChoice):
         print('selecting a method ...', file=sys.stderr)
     scene, chosen = choose(scene)
@@ -127,7 +130,12 @@ def explain(scene: Scene) -> Iterator[str]:
     print('measuring ...', file=sys.stderr)
     yield lyapunov_line(scene, _LYAPUNOV_STEPS if hamiltonian.kernel.compiled else
                         _PLAIN_LYAPUNOV_STEPS)
-    yield from _times(measure_effects(parts))
+    costs = measure_effects(parts)
+    with warnings.catch_warnings():
+        # Alarms of the run are not about its parts.
+        warnings.simplefilter('ignore')
+        moved = energy_moved(simulate(parts, energy_by_cause=True), costs.added)
+    yield from _times(costs, scene, moved)
 
 
 def _coordinates(coordinates: Sequence[Coordinate], scene: Scene) -> Iterator[str]:
@@ -166,12 +174,29 @@ def lyapunov_line(scene: Scene, steps: int) -> str:
     return f'Lyapunov time: {time:.3g} s: the motion is chaotic'
 
 
-def _times(costs: 'EffectCosts') -> Iterator[str]:
+def energy_moved(run: 'Trajectory', labels: Iterable[str]) -> dict[str, float]:
+    """Return the ranges of work and stored energy of each effect, and of the error as '' [J]."""
+    causes = run.energy_by_cause
+    assert causes is not None, 'requested'
+    moved = dict.fromkeys(['', *labels], 0.0)
+    for name, values in causes.of('').items():
+        kind, _, cause = name.partition('/')
+        # A joint follows the name; joined effects have both.
+        for label in cause.partition('/')[0].split('+'):
+            if kind != 'heat' and label in moved:
+                moved[label] += float(np.nanmax(values) - np.nanmin(values))
+    return moved
+
+
+def _times(costs: 'EffectCosts', scene: Scene, moved: Mapping[str, float]) -> Iterator[str]:
     yield f'time per step: {1e6 * costs.total:.3f} us'
     if not math.isnan(costs.bare):
         yield f'  integrator alone: {1e6 * costs.bare:.3f} us'
     for label, added in costs.added.items():
         text = 'cannot be removed' if math.isnan(added) else f'adds {1e6 * added:.3f} us'
+        text += f', moves {moved[label]:.3g} J in {scene.duration:g} s'
+        if 0.0 < moved[label] < moved['']:
+            text += f', less than the error of the method, {moved[""]:.2g} J: not called for'
         yield f'  {label} {text}'
 
 

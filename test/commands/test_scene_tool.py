@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scene executable: each task, its exit status, and the schema that editors read."""
 
+from dataclasses import replace
 import json
 import math
 import os
@@ -9,14 +10,16 @@ from pathlib import Path
 import re
 
 from hnn_vi_ros.commands import names
-from hnn_vi_ros.commands.scene_tool import explain, lyapunov_line, main
+from hnn_vi_ros.commands.scene_tool import _times, energy_moved, explain, lyapunov_line, main
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.files import json_schema, shipped_file, shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.run import measure_effects, report
+from hnn_vi_ros.run.report import EffectCosts
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import EnergyByCause, simulate, Simulation
 from messages import assert_message
+import numpy as np
 import pytest
 from python_process import run_code
 from scene_files import write_scene
@@ -185,7 +188,26 @@ def test_explain_tells_what_each_effect_adds(damped, capsys):
         capsys.readouterr().out, r'conservative: no',
         r'Lyapunov time: none found within [\d.e+]+ s: .* regular',
         r'time per step: \d+\.\d+ us', r'integrator alone: \d+\.\d+ us',
-        r'damping_0 adds -?\d+\.\d+ us', r'damping_1 adds -?\d+\.\d+ us')
+        r'damping_0 adds -?\d+\.\d+ us, moves [\d.]+ J in 10 s',
+        r'damping_1 adds -?\d+\.\d+ us, moves [\d.]+ J in 10 s')
+
+
+def test_explain_tells_the_energy_that_each_effect_moved_and_which_one_is_not_called_for():
+    names = ('work/motors+lag/a', 'work/motors/b', 'work/drag', 'stored/spring',
+             'stored/hamiltonian', 'heat/drag', 'error')
+    values = np.outer([0.0, 1.0, 0.5], [2.0, -1.0, -1e-7, 0.3, 5.0, 1e-7, 1e-6])
+    run = replace(simulate('exact_pendulum', 0.02), energy_by_cause=EnergyByCause(
+        np.arange(3.0), names, values))
+    labels = ['motors', 'lag', 'drag', 'spring', 'idle']
+    moved = energy_moved(run, labels)
+    # The range of each column, of all joints; heat is not counted again.
+    assert moved == {'': 1e-6, 'motors': 3.0, 'lag': 2.0, 'drag': 1e-7, 'spring': 0.3, 'idle': 0.0}
+    costs = EffectCosts(1e-6, 5e-7, dict.fromkeys(labels, 1e-7))
+    told = list(_times(costs, load_scene('exact_pendulum'), moved))
+    assert told[2] == '  motors adds 0.100 us, moves 3 J in 10 s'
+    assert told[4].endswith('less than the error of the method, 1e-06 J: not called for')
+    # What did nothing, such as a motor without a command, may be called for in another run.
+    assert told[6] == '  idle adds 0.100 us, moves 0 J in 10 s'
 
 
 def test_explain_tells_where_a_body_starts_column_by_column():

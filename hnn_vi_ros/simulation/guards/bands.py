@@ -402,6 +402,8 @@ class EnergyGuard(BlockGuard):
         True if other guards judge the energy as well.
     drifting : Simulation, optional
         Simulation whose method is not symplectic, so that its energy drifts.
+    works : callable, optional
+        Returns the work done so far by each effect [J]; the alarm names the largest.
 
     """
 
@@ -410,8 +412,11 @@ class EnergyGuard(BlockGuard):
               'every effect that acts is listed in the scene')
 
     def __init__(self, share: float, scale: Scale, conservative: bool = True,
-                 drifting: Simulation | None = None):
+                 drifting: Simulation | None = None,
+                 works: Callable[[], dict[str, float]] = dict):
         self.raised, self._how, self._drifting = False, (share, ''), drifting
+        # The effects' works at the end of the last block.
+        self._works_now, self._works = works, works()
         self._jump = _JUMP_RATIO if conservative else _LARGEST_ERROR
         self._share, self._scale_at, self._scale = share, scale, 0.0
         # Work at the last sample, and total absolute work.
@@ -428,7 +433,9 @@ class EnergyGuard(BlockGuard):
     def of_run(cls, run: RunFacts) -> Iterator[Guard]:
         method = run.simulation.integrator
         yield cls(run.change_limit, run.scale, run.conservative, run.simulation if method.explicit
-                  and not method.requirements.symplectic else None)
+                  and not method.requirements.symplectic else None,
+                  dict if run.conservative or run.rows is not None
+                  else lambda: run.simulation.works)
 
     def allow(self, band: float, change: float) -> None:
         self._share = change
@@ -450,7 +457,7 @@ class EnergyGuard(BlockGuard):
             if self._count == self._length and (change := self._end_block()) and not self.raised:
                 alarms.append(self._alarm(step, change, self._share, 'changed permanently'))
             first = last
-        self._scale = float(scales[-1])
+        self._scale, self._works = float(scales[-1]), self._works_now()
         return alarms
 
     @property
@@ -499,6 +506,12 @@ class EnergyGuard(BlockGuard):
             time = max(step, 1) * self._drifting.step_size
             cause = (f'{method_name(self._drifting.integrator)} is not symplectic, and its energy '
                      f'drifts by {value / time:.2g} J/s; ')
+        # The window of the alarm is the block in which it is found.
+        moved = {name: work - self._works.get(name, 0.0)
+                 for name, work in self._works_now().items()}
+        if moved:
+            most = max(moved, key=lambda name: abs(moved[name]))
+            cause += f'of the effects {most} did the most work meanwhile, {moved[most]:.2g} J; '
         return Alarm(self.kind, step, value, share * self._scale,
                      f'the energy has {how} by more than {100.0 * share:g} % of the energy '
                      f'scale, apart from the work done: {cause}use a symplectic method or '

@@ -152,6 +152,17 @@ def test_energy_error_of_a_damped_pendulum_is_an_alarm(method, step_size, wrong)
     assert kinds == ['energy not accounted for'] * wrong
 
 
+def test_energy_guard_names_the_effect_that_did_the_most_work_in_its_window():
+    works, guard = {'damping': -5.0, 'servo': 0.5}, None
+    guard = EnergyGuard(0.02, one_joule, conservative=False, works=lambda: dict(works))
+    assert alarms(guard, np.array([1.0, 1.0])) == []
+    # Since then the servo moved more.
+    works |= {'damping': -5.1, 'servo': -2.0}
+    found = alarms(guard, np.array([1.0, 9.0]))
+    assert 'of the effects servo did the most work meanwhile, -2.5 J' in found[0].message
+    assert 'effects' not in alarms(EnergyGuard(0.02, one_joule), np.array([1.0, 20.0]))[0].message
+
+
 @pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf])
 def test_energy_guard_takes_an_energy_that_is_not_finite_for_a_jump(value: float):
     assert [alarm.step for alarm in alarms(EnergyGuard(0.02, one_joule),
