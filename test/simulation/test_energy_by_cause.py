@@ -9,7 +9,8 @@ from helpers import effect, plain_run
 from hnn_vi_ros.effects import Force, Joined, Potential
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import EnergyByCause, simulate, simulate_many, Simulation, Trajectory
+from hnn_vi_ros.simulation import (
+    build, EnergyByCause, simulate, simulate_many, Simulation, Trajectory)
 from messages import refused
 import numpy as np
 import pytest
@@ -289,3 +290,51 @@ def test_gears_of_drives_have_their_energies_and_loops_do_no_work():
     assert (np.diff(found.of('heat/')['gear damping']) >= -1e-12).all()
     closed = simulate('four_bar', 0.05, energy_by_cause=True).energy_by_cause
     assert (closed.of('work/')['loops'] == 0.0).all()
+
+
+def geared_arm(step_size: float) -> Simulation:
+    """Return an arm with LuGre friction, backlash, stops, a servo and a motor."""
+    arm = load_scene('two_joint_arm')
+    return build(arm.changed({
+        'hamiltonian': arm.hamiltonian.model_dump() | {'drives': {'elbow': {
+            'stiffness': 300.0, 'damping': 0.5, 'rotor_inertia': 2e-5, 'gear': 50.0,
+            'backlash': 0.02, 'smoothing': 0.002}}},
+        'initial_state': {'q': [0.3, 0.2, 0.2], 'p': [0.0, 0.0, 0.0]},
+        'step_size': step_size, 'energy_by_cause': True, 'effects': [
+            {'kind': 'lugre_friction', 'coordinate': 'shoulder', 'stiffness': 200.0,
+             'friction': 0.5, 'stribeck': 0.2, 'speed': 0.05, 'damping': 0.2},
+            {'kind': 'servo', 'coordinates': ['shoulder'], 'stiffness': 40.0, 'damping': 1.0,
+             'position': [0.5]},
+            {'kind': 'external_force', 'coordinates': ['elbow'], 'timeout': 100.0},
+            {'kind': 'motor', 'coordinate': 'elbow', 'time_constant': 0.02,
+             'torque_limit': 12.0, 'no_load_speed': 20.0},
+            {'kind': 'joint_limits', 'lower': {'elbow': -1.0}, 'upper': {'elbow': 1.0},
+             'restitution': 0.3}]}))
+
+
+def books_of(step_size: float, seconds: int) -> tuple[float, float, np.ndarray]:
+    """Return the largest error, the largest fall of a heat, and all parts at the end [J]."""
+    simulation, every = geared_arm(step_size), round(1.0 / step_size)
+    heats = [k for k, name in enumerate(simulation.ledger.names) if name.startswith('heat/')]
+    worst, fall, before = 0.0, 0.0, simulation.causes
+    for k in range(seconds):
+        simulation.set_command([(8.0, -8.0, 0.0, 4.0, -4.0)[k % 5]])
+        simulation.advance(every)
+        found = simulation.causes
+        worst, fall = max(worst, abs(found[-1])), max(fall, (before - found)[heats].max())
+        before = found
+    return worst, fall, before
+
+
+def test_books_of_a_geared_arm_close_with_the_order_of_its_method():
+    (coarse, fell, parts), (fine, falls, _) = books_of(1e-3, 10), books_of(5e-4, 10)
+    # Order 2 divides both by 4, up to the next order; every kind of part moved.
+    assert 3.0 < coarse / fine < 5.0 and falls <= 0.3 * fell < 1e-3
+    assert coarse < 1e-3 * np.abs(parts).max() and (np.abs(parts) > 1e-5).all()
+
+
+@pytest.mark.long
+def test_books_of_a_geared_arm_close_over_a_million_steps():
+    worst, fall, parts = books_of(1e-3, 1000)
+    # As a share of the work of the motor; the error of each second adds up with one sign.
+    assert worst < 1e-3 * np.abs(parts).max() and fall < 1e-3
