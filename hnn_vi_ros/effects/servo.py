@@ -23,7 +23,7 @@ import numpy as np
 # that wait in the knots until their delay has passed.
 _IDLE, _AT_POSITION, _AT_VELOCITY, _ON_PATH, _DELAYED = range(5)
 # Number of a command that switches a motor off; others are at most LARGEST.
-OFF = 1e300
+OFF = 1e90
 # Maximum number of knots of a path. Each has a row of Reference.knots, whose size is fixed,
 # because compiled steps contain its address.
 MOST_KNOTS = 1024
@@ -43,12 +43,12 @@ class ServoParameters(NamedTuple):
         See EffectState.
     command : np.ndarray
         See EffectState; without plain numbers, one that has expired.
+    delay : float
+        Delay of commands [s].
     stiffness, damping, limit, back_emf, offset : np.ndarray, shape (n,)
         k, c, F, b and o; F is infinite for no limit.
     start : np.ndarray, shape (n,)
         Positions at which the joints are held before the first command; NaN for none.
-    delay : float
-        Delay of commands [s].
 
     """
 
@@ -56,13 +56,13 @@ class ServoParameters(NamedTuple):
     reference: Reference
     clock: np.ndarray
     command: np.ndarray
+    delay: float
     stiffness: np.ndarray
     damping: np.ndarray
     limit: np.ndarray
     start: np.ndarray
     back_emf: np.ndarray
     offset: np.ndarray
-    delay: float
 
 
 class Servo(Force, Commanded):
@@ -145,7 +145,7 @@ class Servo(Force, Commanded):
         joints = [coordinates[i] for i in columns]
         own = (per_coordinate(joints, name, value) for name, value in self.values.items())
         command = state.command if self.numbers else np.full(1, -math.inf)
-        return ServoParameters(columns, state.reference, state.clock, command, *own, self.delay)
+        return ServoParameters(columns, state.reference, state.clock, command, self.delay, *own)
 
     def prepare(self, command: Command, parameters: ServoParameters, q: np.ndarray
                 ) -> Callable[[], None]:

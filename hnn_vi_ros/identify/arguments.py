@@ -32,9 +32,18 @@ def identify() -> Parser:
             'hnn identify arm.yaml --data bags/run7 --free forearm.mass '
             'joint_friction.damping.elbow --bounds forearm.mass 0.5 3 --write fitted.yaml',
             'hnn identify arm.yaml --data arm.npz:run1,run2 --free input_delay '
-            '--robust --horizon 0.5 --json numbers.json --out report'], _IDENTIFIED)
-    complete_by(parser.add_argument('scene', metavar='SCENE', help=(
+            '--robust --horizon 0.5 --json numbers.json --out report',
+            'hnn identify --robot arm.urdf --data log.csv --write twin.yaml'], _IDENTIFIED)
+    complete_by(parser.add_argument('scene', metavar='SCENE', nargs='?', help=(
         'a YAML file, or the name of a shipped scene (see hnn list scenes)')), 'scene')
+    parser.add_argument('--robot', type=Path, metavar='URDF', help=(
+        'fit servos to a robot whose log has commanded and measured positions: stiffness, '
+        'damping, delay, offsets of encoders, friction and rotor inertias, in place of SCENE'))
+    parser.add_argument('--known', nargs=2, action='append', default=[], metavar=('NAME', 'VALUE'),
+                        help='with --robot, a number that is known, such as servo.stiffness.0')
+    parser.add_argument('--masses', choices=['known', 'unknown'], default='known', help=(
+        'with --robot, unknown: print forces relative to the inertias of the joints, which is all '
+        'that such a log tells without known masses'))
     parser.add_argument('--data', required=True, nargs='+', metavar='FILE', help=(
         'read bags with joint states; or NPZ[:RUN,...] with arrays t [s], q and optionally dq (or '
         'v) and tau, or RUN/t, ... for several runs; or logs with named '
@@ -49,7 +58,7 @@ def identify() -> Parser:
         'course of measured forces between samples: each held until the next, linear, or a cubic '
         'spline (default: as in --config, or held for topics of commands, else linear); the '
         'report compares all three'))
-    parser.add_argument('--free', required=True, nargs='+', metavar='NAME', help=(
+    parser.add_argument('--free', default=[], nargs='+', metavar='NAME', help=(
         'fit these numbers (see below), starting from their values in the scene'))
     parser.add_argument('--bounds', nargs=3, action='append', default=[],
                         metavar=('NAME', 'LOW', 'HIGH'),

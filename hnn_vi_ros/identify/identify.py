@@ -13,11 +13,12 @@ import shlex
 import tempfile
 from typing import NamedTuple
 
-from hnn_vi_ros.effects import Effect, ExternalForce
+from hnn_vi_ros.effects import Effect, ExternalForce, Servo
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, UnsupportedSystem
 from hnn_vi_ros.files import elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.identify import arguments as command_lines
+from hnn_vi_ros.identify.commanded import as_ratios, commanded_scene, first_scene
 from hnn_vi_ros.identify.free_numbers import free_scene, FreeScene, STATES, write_fitted
 from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
@@ -101,8 +102,10 @@ _POOR = 3.0
 # Change of a number at half the step that matters, in standard errors, and most halvings: the
 # rest of the error of a method of order 2 is a third more, of which intervals of 95 % hold 94 %.
 _MOVED, _HALVED = 0.2, 6
-# Names of velocities in arrays.
+# Names of velocities, and of commanded positions, in arrays.
 _VELOCITIES = 'dq', 'v'
+_COMMANDS = {'command': ('command', 'goal', 'action', 'target', 'reference', 'q_des'),
+             'enabled': ('enabled', 'torque_enable')}
 
 
 class Identified(NamedTuple):
@@ -122,8 +125,9 @@ def main(argv: Sequence[str]) -> None:
     """Run the fit requested by the command line."""
     options = command_lines.identify().parse_args(argv)
     _check(options)
-    scene = load_scene(options.scene)
     with tempfile.TemporaryDirectory() as folder:
+        scene = first_scene(options.robot, Path(folder)) if options.robot else \
+            load_scene(options.scene)
         with elapsed('fitting'):
             found = identify(scene, options, Path(folder))
         text = report_of(found)
@@ -143,7 +147,7 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
     Parameters
     ----------
     scene : Scene
-        Scene to fit.
+        Scene to fit; with the option ``robot``, that of ``first_scene``, which gets servos.
     options : Namespace
         Options of the command line.
     folder : Path
@@ -162,24 +166,40 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
                 raise UnsupportedSystem(f'{scene.name}: --free {name} does not support loops; '
                                         'remove it')
         DifferentiableRun(*parts[1:3], scene.known_step_size, effects)  # names unsupported effects
-    log = _log(options, hamiltonian)
+    servo = any(isinstance(effect, Servo) for effect in effects) and not any(
+        isinstance(effect, ExternalForce) for effect in effects)
+    log = _log(options, hamiltonian, servo or options.robot is not None)
     motions, driven = log.motions, any(motion.tau.any() for motion in log.motions)
+    commanded, notes = motions[0].commanded, list[str]()
+    if options.robot:
+        if not commanded:
+            raise DataError(f'{options.data[0]}: no commanded positions; name their columns after '
+                            'the joints, such as elbow_command, or fit '
+                            'measured forces with hnn train and the family rigid_body')
+        scene, wanted = commanded_scene(
+            options.robot, folder, hamiltonian, motions, _known(options.known))
+        options.free = [*wanted, *options.free]
+        parts = resolve(scene)
+        _, hamiltonian, _, effects = parts
+        notes = _of_commands(options, wanted)
     if not driven:
         motions = [replace(motion, tau=np.zeros((len(motion.t), hamiltonian.dimension)))
                    for motion in motions]
-    if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
+    if driven and not commanded and not any(
+            isinstance(effect, ExternalForce) for effect in effects):
         raise DataError(f'{options.data[0]}: the motions contain forces, but {scene.name} has no '
                         'effect external_force; add it for the driven coordinates')
     spacing = motions[0].spacing
     check_times(effects, motions, spacing / steps_between(spacing, scene.known_step_size))
     wanted, bounds = [name for name in options.free if name != STATES], _bounds(options.bounds)
-    free = free_scene(parts, wanted, bounds, folder, driven)
+    free = free_scene(parts, wanted, bounds, folder, driven and not commanded)
     for option, given in (('bounds', bounds), ('profile', options.profile)):
         for name in given:
             if name not in wanted:
                 raise ParameterError(f'--{option} {name}: not among the free numbers '
                                      f'({", ".join(wanted)})')
-    fitted, notes = _fit(free, motions, options, _seen(scene, hamiltonian, log.names, motions))
+    fitted, said = _fit(free, motions, options, _seen(scene, hamiltonian, log.names, motions))
+    notes += said
     solution, problem, stages = fitted.solution, fitted.problem, fitted.stages
     states = hamiltonian.coordinates, STATES in options.free
     estimates = estimates_of(solution, problem, free, *states)
@@ -192,8 +212,11 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
                 if (name := one.name) in options.profile}
     estimates = replace(estimates, estimates=[
         profiles.get(one.name, one) for one in estimates.estimates])
+    if options.masses == 'unknown':
+        q = np.mean([motion.q.mean(axis=0) for motion in motions], axis=0)
+        estimates = as_ratios(estimates, free.parts_at(solution.values).hamiltonian, q)
     inputs = None
-    if driven:
+    if driven and not commanded:
         idle = solution.windows.motions[0].idle
         inputs = input_courses(
             solution, problem, motions[0].inputs, log.data.inputs is not None,
@@ -230,18 +253,39 @@ class _Log(NamedTuple):
     def with_inputs(self, inputs: Course) -> list[EvenMotion]:
         """Return the motions with forces of this course between samples."""
         return read_motions(self.source, self.data.model_copy(update={'inputs': inputs}),
-                            self.names, self.given, self.units)[0]
+                            self.names, self.given, self.units, True)[0]
 
 
-def _log(options: Namespace, hamiltonian: Hamiltonian) -> _Log:
+def _of_commands(options: Namespace, names: Sequence[str]) -> list[str]:
+    """Describe what a log of commanded positions tells."""
+    notes = [] if any('joint_friction.damping' in name for name in names) else [
+        'servo.damping contains the gain of the velocity, viscous friction and back EMF: motions '
+        'with the motors on do not tell them apart']
+    scale = f'Forces have the scale of the masses of {options.robot}'
+    if options.masses == 'unknown':
+        return [*notes, 'Without known masses the log tells forces relative to inertias alone: '
+                'those of the joints, with their rotors, at the mean position; '
+                f'the numbers of --write have the scale of the masses of {options.robot}']
+    return [*notes, f'{scale}: if all of these are s times as large, so are stiffness, damping, '
+            'friction and rotor inertia; see --masses']
+
+
+def _known(given: Sequence[Sequence[str]]) -> dict[str, float]:
+    try:
+        return {name: float(value) for name, value in given}
+    except ValueError as problem:
+        raise ParameterError(f'--known: {problem}; expected a name and a number') from problem
+
+
+def _log(options: Namespace, hamiltonian: Hamiltonian, commanded: bool) -> _Log:
     """Return the log of the command line, of the measured coordinates."""
     every = hamiltonian.coordinates
     source, data = _source(options, [one for one in every if (
-        one.name in options.measured if options.measured else not one.rotor_of)])
+        one.name in options.measured if options.measured else not one.rotor_of)], commanded)
     names = _measured(hamiltonian, options.measured or data.measured)
     units = [one.q_unit for name in names for one in every if one.name == name]
     data = data.model_copy(update={'measured': names})
-    motions, description = read_motions(source, data, names, options.data, units)
+    motions, description = read_motions(source, data, names, options.data, units, True)
     if motions[0].q.shape[1] != len(names):
         raise DataError(f'{options.data[0]}: {motions[0].q.shape[1]} coordinates, expected '
                         f'{len(names)}: {", ".join(names)}; name those that the data hold with '
@@ -358,6 +402,13 @@ def _finer_steps(solution: Solution, problem: FitProblem, estimates: Estimates, 
 
 def _check(options: Namespace) -> None:
     """Raise an error for invalid options before the work starts."""
+    if (options.scene is None) == (options.robot is None):
+        raise ParameterError('give a scene, or --robot with a URDF')
+    if options.robot is None:
+        if not options.free:
+            raise ParameterError('--free: name the numbers to fit')
+        if options.known or options.masses == 'unknown':
+            raise ParameterError('--known and --masses need --robot')
     if options.horizon is not None and not (
             math.isfinite(options.horizon) and options.horizon > 0.0):
         raise ParameterError(f'--horizon {options.horizon}: expected a positive number of seconds')
@@ -388,7 +439,8 @@ def _bounds(given: Sequence[Sequence[str]]) -> dict[str, tuple[float, float]]:
     return bounds
 
 
-def _source(options: Namespace, coordinates: Sequence[Coordinate]) -> tuple[Path, MotionSource]:
+def _source(options: Namespace, coordinates: Sequence[Coordinate], commanded: bool
+            ) -> tuple[Path, MotionSource]:
     """Return the reader of the data, by configuration or by format."""
     if options.config is not None:
         # Imported lazily: it brings the libraries of training.
@@ -400,20 +452,22 @@ def _source(options: Namespace, coordinates: Sequence[Coordinate]) -> tuple[Path
         data: MotionSource = found
     else:
         path, data = split_runs(options.data[0])[0], source_of(
-            options.data[0], coordinates, options.counts)
-        data = _arrays(path, data) if isinstance(data, ArraysData) else data
+            options.data[0], coordinates, options.counts, commanded)
+        data = _arrays(path, data, commanded) if isinstance(data, ArraysData) else data
     return path, data if options.inputs is None else data.model_copy(
         update={'inputs': options.inputs})
 
 
-def _arrays(path: Path, data: ArraysData) -> ArraysData:
+def _arrays(path: Path, data: ArraysData, commanded: bool) -> ArraysData:
     """Fill in the keys that arrays have; leave errors in the file to its reader."""
     keys = keys_of(path)
     if not keys:
         return data
     return data.model_copy(update={
         'v': next((name for name in _VELOCITIES if name in keys), None),
-        'tau': 'tau' if 'tau' in keys else None})
+        'tau': 'tau' if 'tau' in keys and not commanded else None} | {
+            key: next((name for name in names if name in keys), None)
+            for key, names in _COMMANDS.items() if commanded})
 
 
 def report_of(found: Identified) -> str:

@@ -10,7 +10,8 @@ from typing import Literal, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import array_names, sha256_of, StrictModel, unpack_arrays
-from hnn_vi_ros.learning.data.motions import Motion, MotionData, Recording, TEST_RUNS
+from hnn_vi_ros.learning.data.motions import (
+    Motion, MotionData, Recording, TEST_RUNS, with_commands)
 from hnn_vi_ros.models import turn_matrices
 import numpy as np
 from pydantic import Field
@@ -44,6 +45,10 @@ class ArraysData(MotionData):
     tau: str | None = Field('tau', description=(
         'key of the generalised forces, shape (N, d), or of the forces of m < d motors, shape (N, '
         'm); null: none'))
+    command: str | None = Field(None, description=(
+        'key of positions commanded to servos, shape (N, m), for identify; null: none'))
+    enabled: str | None = Field(None, description=(
+        'key of an array that is 0 while the motors are off, shape (N,) or (N, m)'))
 
 
 class BodyArrays(StrictModel):
@@ -186,7 +191,7 @@ class Archive:
         if key not in self.arrays:
             raise DataError(f'{self.path}: no key {key}; it has {self._keys()}{_NAMED}')
         values, expected = self.arrays[key], 'numbers'
-        fits = values.dtype.kind in 'fiu'
+        fits = values.dtype.kind in 'fiub'
         if rows is not None:
             expected += f' of shape ({rows}, {" or ".join(map(str, widths)) or "m"})'
             expected += ', or with fewer columns' * fewer
@@ -265,7 +270,12 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()) 
                 for key in (archive.velocities(name, data.v), data.a))
         tau = None if data.tau is None else archive.array(
             name + data.tau, len(t), [d], fewer=True)
-        found.append(Motion(run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a))
+        command = None if data.command is None else archive.array(
+            name + data.command, len(t), [d], fewer=True)
+        enabled = None if data.enabled is None else archive.array(
+            name + data.enabled).reshape(len(t), -1)
+        found.append(with_commands(Motion(
+            run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a), command, enabled))
     named = ', '.join(run for run in wanted if run)
     return Recording(found, f'{path.name}: {named}' if named else path.name, archive.digest)
 

@@ -18,6 +18,7 @@ import numpy as np
 from yaml import safe_dump
 
 TIME, TRIAL, Q, V, A, TAU, UNUSED, UNKNOWN = 'time', 'trial', 'q', 'v', 'a', 'tau', 'unused', ''
+COMMAND, ENABLED = 'command', 'enabled'
 ANGLE, LENGTH = 'rad', 'm'
 # Coordinates of a configuration by their kind.
 COORDINATES = {ANGLE: {'q_unit': 'rad', 'p_unit': 'N m s', 'kind': 'revolute'},
@@ -29,9 +30,10 @@ _ROLES = {word: role for role, words in {
     TIME: ('t time times timestamp stamp elapsed seconds secs sec clock millis date datum fecha '
            'zeit uhrzeit temps heure tiempo hora tempo tijd'),
     TRIAL: 'trial run experiment episode swing segment repetition',
-    UNUSED: ('index sample samples n seq row id frame unnamed desired des reference ref setpoint '
-             'target goal command cmd error err temperature temp status mode flag raw filtered '
-             'smoothed sin sine cos cosine'),
+    UNUSED: ('index sample samples n seq row id frame unnamed error err temperature temp status '
+             'mode flag raw filtered smoothed sin sine cos cosine'),
+    COMMAND: 'action desired des reference ref setpoint target goal command cmd',
+    ENABLED: 'enabled enable',
     A: 'acc accel acceleration',
     V: ('v vel velocity velocities speed omega w rate gyro angvel geschwindigkeit drehzahl '
         'winkelgeschwindigkeit vitesse velocidad velocita snelheid'),
@@ -134,6 +136,8 @@ class Reading:
         Times, and the number of the run.
     q, v, tau : list of Column
         Coordinates, velocities (or none), and forces, which may be fewer.
+    command, enabled : list of Column
+        Commanded positions of the coordinates, and whether motors are on; each may be empty.
     turns : list of bool
         True for coordinates that make a whole turn.
     settings : dict of str to float
@@ -149,6 +153,8 @@ class Reading:
     v: list[Column]
     tau: list[Column]
     turns: list[bool]
+    command: list[Column] = field(default_factory=list)
+    enabled: list[Column] = field(default_factory=list)
     settings: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -163,6 +169,13 @@ class Reading:
         section['time'] = self.time.name
         return section | {key: names for key, names in groups.items() if names} | {
             **self.settings}
+
+    @property
+    def commanded(self) -> dict[str, Any]:
+        """Return the data section with commanded positions instead of forces."""
+        section = {key: value for key, value in self.data.items() if key != 'tau'}
+        return section | {key: names for key in ('command', 'enabled') if (
+            names := [one.name for one in getattr(self, key)])}
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -217,7 +230,10 @@ def column_of(name: str, known: Mapping[str, str]) -> Column:
             key.append(word)
     kind, by_unit = _by_unit(unit)
     kind = kind or next((_KINDS[word] for word in [*words, letter] if word in _KINDS), '')
-    role = next((role for role in (UNUSED, TIME, TRIAL, A, V, TAU, Q) if role in roles), by_unit)
+    role = next((role for role in (
+        UNUSED, ENABLED, COMMAND, TIME, TRIAL, A, V, TAU, Q) if role in roles), by_unit)
+    if role == COMMAND and (roles & {A, V, TAU} or order):
+        role = UNUSED
     if role == Q and order:
         role = V if order == 1 else A
     return Column(name, TIME if by_unit == TIME else role, ' '.join(key), letter, kind, unit)
@@ -287,7 +303,7 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
     t = values[time.name]
     values = {name: without_sentinels(x, t, name, []) for name, x in values.items()}
     columns = [one for one in columns if np.nanmax(values[one.name], initial=-np.inf)
-               > np.nanmin(values[one.name], initial=np.inf)]
+               > np.nanmin(values[one.name], initial=np.inf) or one.role == COMMAND]
     trials, rates, forces = ([one for one in columns if one.role == role]
                              for role in (TRIAL, V, TAU))
     q = _coordinates(path, columns, coordinates, doubts)
@@ -311,12 +327,20 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
     turns = [one.kind == ANGLE and _turns(t, values[one.name] * (
         2.0 * np.pi / settings['counts'] if one.unit == 'count' else _size(renamed[one.name])))
              for one in q]
+    commands = [one for one in columns if one.role == COMMAND]
+    commands = _columns_of(q, commands, 'command', []) if len(commands) >= len(q) else []
+    # A command has the unit of its coordinate, unless it has one of its own.
+    renamed |= {one.name: f'{one.name} [{unit}]' for one, other in zip(commands, q, strict=False)
+                if not one.unit and (unit := units[other.name] or other.unit)}
+    commands, enabled = ([replace(one, name=renamed.get(one.name, one.name)) for one in ones]
+                         for ones in (commands, [one for one in columns if one.role == ENABLED]))
     uses = {'counts': any(one.unit == 'count' for one in q),
             'torque_constant': any(split_unit(one.name)[1] != one.unit for one in tau)}
     time, *q = (replace(one, name=renamed[one.name]) for one in (time, *q))
     names = [renamed.get(name, name) for name in names]
     reading = Reading(path, names if names != table.names else [], time, [*trials, None][0], q,
                       v if len(v) == len(q) else [], tau, turns,
+                      commands if len(commands) == len(q) else [], enabled,
                       {key: x for key, x in settings.items() if uses[key]})
     if doubts:
         raise _refusal(doubts[0], reading)
@@ -399,9 +423,12 @@ def _coordinates(path: Path, columns: Sequence[Column], coordinates: Sequence[Na
         raise DataError(f'{path}: no column of a coordinate: '
                         f'{listed(one.name for one in columns)}; name it angle [rad] or x [m]')
     if coordinates:
-        exact = [[one for one in q if one.letter == other.name] for other in coordinates]
+        exact = [[one for one in q if one.letter == other.name] or [
+            one for one in q if _joint(one) == _joint(column_of(other.name, {}))]
+                 for other in coordinates]
         if all(len(ones) == 1 for ones in exact):
-            return [ones[0] for ones in exact]
+            return [replace(ones[0], kind=ones[0].kind or _kind_of(other.q_unit))
+                    for ones, other in zip(exact, coordinates, strict=True)]
         fits = len(q) == len(coordinates) and all(
             not one.kind or not _kind_of(other.q_unit) or one.kind == _kind_of(other.q_unit)
             for one, other in zip(q, coordinates, strict=True))
@@ -418,6 +445,10 @@ def _coordinates(path: Path, columns: Sequence[Column], coordinates: Sequence[Na
             doubts.append(f'{same[0].name!r} and {one.name!r} may be the same coordinate')
         distinct += [] if same else [one]
     return distinct
+
+
+def _joint(one: Column) -> tuple[str, str]:
+    return one.key, one.letter
 
 
 def _with_kind(path: Path, one: Column, count: int, others: Sequence[Column],

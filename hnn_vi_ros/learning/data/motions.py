@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import math
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
+from hnn_vi_ros.effects import OFF
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.arguments import Course
@@ -113,6 +114,8 @@ class Motion:
         Coordinates interpolated without velocities, where v has been used for q.
     names : tuple of str
         Names of coordinates, then of velocities, in the log, for messages; empty for numbers.
+    commanded : bool
+        True if tau are positions commanded to servos, or OFF.
 
     """
 
@@ -129,6 +132,7 @@ class Motion:
     notes: tuple[str, ...] = ()
     q_alone: np.ndarray | None = None
     names: tuple[str, ...] = ()
+    commanded: bool = False
 
     @property
     def held(self) -> bool:
@@ -268,7 +272,8 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
     found = [replace(smoothed(
         piece.name, piece.t, piece.q, piece.v,
         np.zeros_like(piece.q) if piece.tau is None else piece.tau, cutoff, piece.a),
-        where=piece.where, inputs=piece.inputs, q_alone=piece.q_alone, cutoff_alone=alone)
+        where=piece.where, inputs=piece.inputs, q_alone=piece.q_alone, cutoff_alone=alone,
+        commanded=piece.commanded)
         for piece in even]
     if len({one.v is None for one in found}) > 1:
         # Fits compare the same channels of all runs; the states keep the velocities of theirs.
@@ -547,7 +552,8 @@ def of_positions(motions: Sequence[EvenMotion]) -> list[EvenMotion]:
     bare, cutoff = [_positions_alone(motion) for motion in motions], motions[0].cutoff_alone
     cutoff = cutoff_of(bare, motions[0].spacing) if cutoff is None else cutoff
     return [replace(smoothed(one.name, one.t, one.q, None, one.tau, cutoff, one.a),
-                    where=one.where, inputs=one.inputs, idle=one.idle, cutoff_alone=cutoff)
+                    where=one.where, inputs=one.inputs, idle=one.idle, cutoff_alone=cutoff,
+                    commanded=one.commanded)
             for one in bare]
 
 
@@ -556,6 +562,15 @@ def delayed(motion: EvenMotion, samples: float) -> EvenMotion:
     at = np.arange(len(motion.t), dtype=np.float64)
     between = cubic if motion.inputs == 'spline' else linear
     return replace(motion, tau=between(np.clip(at - samples, 0.0, at[-1]), at, motion.tau))
+
+
+def with_commands(motion: Motion, command: np.ndarray | None, enabled: np.ndarray | None
+                  ) -> Motion:
+    """Return a motion with commanded positions, (N, m), and OFF where motors are not enabled."""
+    if command is None:
+        return motion
+    on = np.ones((len(command), 1)) if enabled is None else enabled
+    return replace(motion, tau=np.where(on != 0.0, command, OFF), inputs='held', commanded=True)
 
 
 def run_of(motion: Motion) -> str:

@@ -68,6 +68,7 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
             raise DataError(f'{source}: its data are exact, so --data {given[0]} is not used; '
                             'remove it')
         return sample_exact(data, seed)
+    _refuse_commands(source, data)
     # Arrays are read for as many coordinates as there are units.
     recording = _recording(source, data, units, given, units)
     return states_of(*even_motions(recording, data)) if isinstance(data, MotionData) else \
@@ -75,7 +76,7 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
 
 
 def read_motions(source: Path, data: MotionSource, names: Sequence[str],
-                 given: Sequence[str] = (), units: Sequence[str] = ()
+                 given: Sequence[str] = (), units: Sequence[str] = (), commanded: bool = False
                  ) -> tuple[list[EvenMotion], str]:
     """
     Read measured motions and resample them at even times.
@@ -88,6 +89,8 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str],
         Format of the data.
     names : sequence of str
         Names of the coordinates.
+    commanded : bool, optional
+        Accept commanded positions instead of forces.
 
     Returns
     -------
@@ -103,7 +106,16 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str],
     if data.measured and [*names] != data.measured:
         raise DataError(f'{source}: data.measured names only {", ".join(data.measured)} of the '
                         f'coordinates {", ".join(names)}; only identify supports this')
+    if not commanded:
+        _refuse_commands(source, data)
     return even_motions(_recording(source, data, names, given, units), data)
+
+
+def _refuse_commands(source: Path, data: Source | MotionSource) -> None:
+    """Raise DataError for commanded positions, which are no forces."""
+    if getattr(data, 'command', None):
+        raise DataError(f'{source}: data.command: only hnn identify fits servos to commanded '
+                        'positions; remove it, or use hnn identify')
 
 
 def _recording(source: Path, data: MeasuredData | BagData | MotionSource, names: Sequence[str],
@@ -192,8 +204,8 @@ def _locate(source: Path, path: str) -> Path:
     return beside if os.path.exists(beside) else Path(path)
 
 
-def source_of(path: str, coordinates: Sequence[Named] = (), counts: float | None = None
-              ) -> MotionSource:
+def source_of(path: str, coordinates: Sequence[Named] = (), counts: float | None = None,
+              commanded: bool = False) -> MotionSource:
     """
     Find out how a file is read.
 
@@ -205,6 +217,8 @@ def source_of(path: str, coordinates: Sequence[Named] = (), counts: float | None
         Coordinates of the scene or model.
     counts : float, optional
         Counts per turn of a coordinate of a log; default: as in its header.
+    commanded : bool, optional
+        Read commanded positions instead of forces.
 
     Raises
     ------
@@ -219,7 +233,8 @@ def source_of(path: str, coordinates: Sequence[Named] = (), counts: float | None
         return BagMotions()
     if not os.path.exists(file):
         raise DataError(f'{file}: no such file; give a bag, an .npz file of arrays, or a log')
-    return LogMotions.model_validate(read_header(file, coordinates, counts).data)
+    reading = read_header(file, coordinates, counts)
+    return LogMotions.model_validate(reading.commanded if commanded else reading.data)
 
 
 def _file_of(path: str, counts: float | None) -> Path:

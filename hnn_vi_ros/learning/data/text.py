@@ -19,7 +19,8 @@ from hnn_vi_ros.files import (
 from hnn_vi_ros.learning.data.dataset import (
     BLOCKS, Derivatives, mass_matrix, Names, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.faults import times_text
-from hnn_vi_ros.learning.data.motions import MAX_VALUE, Motion, MotionData, Recording
+from hnn_vi_ros.learning.data.motions import (
+    MAX_VALUE, Motion, MotionData, Recording, with_commands)
 from hnn_vi_ros.learning.data.tables import table_text
 from hnn_vi_ros.learning.data.units import conversion, parse_unit, split_unit
 import numpy as np
@@ -165,7 +166,8 @@ class MeasuredData(LogColumns, StateOptions):
 class LogMotions(LogColumns, MotionData):
     """Motions of a log with one run, or several numbered by a column."""
 
-    keys = {'q': 'q', 'v': 'v', 'a': 'a', 'tau': 'tau'}
+    keys = {'q': 'q', 'v': 'v', 'a': 'a', 'tau': 'tau', 'command': 'command',
+            'enabled': 'enabled'}
 
     kind: Literal['log'] = 'log'
     v: Names | None = Field(None, description=(
@@ -173,14 +175,18 @@ class LogMotions(LogColumns, MotionData):
     a: Names | None = Field(None, description=(
         'columns of the accelerations; none: estimated'))
     tau: Names | None = Field(None, description='columns of the motor forces; none: no forces')
+    command: Names | None = Field(None, description=(
+        'columns of positions commanded to servos, for identify; none: no commands'))
+    enabled: Names | None = Field(None, description=(
+        'columns that are 0 while the motors are off, one for all or one for each command'))
 
     @model_validator(mode='after')
     def _check(self) -> 'LogMotions':
-        for key in ('v', 'a', 'tau'):
+        for key in ('v', 'a', 'tau', 'command', 'enabled'):
             group = getattr(self, key)
             # There may be fewer motors than joints.
             if group is not None and (len(group) > len(self.q) or (
-                    key != 'tau' and len(group) < len(self.q))):
+                    key in ('v', 'a') and len(group) < len(self.q))):
                 raise ValueError(f'{key} has {len(group)} columns, q has {len(self.q)}')
         self.check_columns()
         return self
@@ -226,10 +232,11 @@ def read_text(path: Path, data: LogColumns, units: Sequence[str] = ()) -> Record
     for number in dict.fromkeys(numbers.tolist()):
         rows = np.flatnonzero(numbers == number)
         name = f'{number:.15g}' if data.trial else path.stem
-        motions.append(Motion(
+        own = {key: values[rows] for key, values in channels.items()}
+        command, enabled = own.pop('command', None), own.pop('enabled', None)
+        motions.append(with_commands(Motion(
             name, f'{path}: {name}', column[data.time][rows], notes=tuple(notes),
-            names=(*data.q, *(data.channels.get('v') or ())),
-            **{key: values[rows] for key, values in channels.items()}))
+            names=(*data.q, *(data.channels.get('v') or ())), **own), command, enabled))
     return Recording(motions, path.name, table.digest[:16])
 
 
@@ -246,7 +253,7 @@ def without_sentinels(values: np.ndarray, t: np.ndarray, name: str, notes: list[
 
 
 # Rates of the channels in q_unit; a momentum may be a velocity, and none need be what it says.
-_RATES = {'q': '', 'v': '/s', 'a': '/s2', 'p': '/s', 'dp_dt': '/s2'}
+_RATES = {'q': '', 'command': '', 'v': '/s', 'a': '/s2', 'p': '/s', 'dp_dt': '/s2'}
 
 
 def _factors(path: Path, data: LogColumns, units: Sequence[str]) -> dict[str, float]:
@@ -262,7 +269,7 @@ def _factors(path: Path, data: LogColumns, units: Sequence[str]) -> dict[str, fl
             if known is not None and data.torque_constant and known[1] == {'A': 1}:
                 factors[name] = data.torque_constant * known[0]
                 continue
-            if known is None or channel == 'tau':
+            if known is None or channel in ('tau', 'enabled'):
                 factors[name] = 1.0 if known is None else known[0]
                 continue
             angular = known[1] in ({}, {'s': -1}, {'s': -2})

@@ -5,11 +5,12 @@
 from copy import copy
 from functools import cached_property
 
-from hnn_vi_ros.effects import ExternalForce, PeriodicDrive, Place
+from hnn_vi_ros.effects import ExternalForce, PeriodicDrive, Place, Servo
 from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
 from hnn_vi_ros.learning.data.sampling import steps_between
-from hnn_vi_ros.learning.fit.step_forces import command_names, constant_forces
+from hnn_vi_ros.learning.fit.step_forces import (
+    command_names, constant_commands, constant_forces)
 from hnn_vi_ros.learning.fit.windows import FOREVER, ModelParts, Windows
 from hnn_vi_ros.simulation import Simulation, System
 import numpy as np
@@ -69,8 +70,17 @@ class LogSimulation:
             np.zeros(len(windows.run), dtype=int)
 
     def _take_force(self) -> bool:
-        """Name the measured forces in the ExternalForce effect; return False if there is none."""
+        """
+        Name the measured forces in the ExternalForce effect; return False if there is none.
+
+        Positions commanded to a servo are its numbers, with its delay.
+        """
+        self._commanded = self.windows.motions[0].commanded
         for i, effect in enumerate(self.effects):
+            if isinstance(effect, Servo) and self._commanded:
+                self._delay += effect.delay
+                self.effects[i] = effect.on_numbers()
+                return True
             if isinstance(effect, ExternalForce):
                 if effect.timeout == FOREVER:
                     return True
@@ -87,7 +97,9 @@ class LogSimulation:
     def _parts_of_samples(self) -> list[tuple[float, int]]:
         """Return sizes [s] and counts of steps between samples, split where a held force jumps."""
         whole = [(self.step_size, self.per_sample)]
-        if not self.driven or not any(motion.held for motion in self.windows.motions):
+        # Commands of servos act by their mean in a step.
+        if not self.driven or self._commanded or not any(
+                motion.held for motion in self.windows.motions):
             return whole
         before, share = divmod(self._delay / self.step_size % self.per_sample, 1.0)
         if min(share, 1.0 - share) < _ALIGNED:
@@ -108,8 +120,19 @@ class LogSimulation:
     def measured_at(self, states: np.ndarray) -> np.ndarray:
         """Return the measured part of states (..., 2 d): q, and H_p if velocities are given."""
         q, columns = states[..., :states.shape[-1] // 2], self.windows.columns
-        return q[..., columns] if not self.windows.rates else np.concatenate(
-            [q[..., columns], self.velocities(states)[..., columns]], -1)
+        q = q[..., columns] + self.offset
+        return q if not self.windows.rates else np.concatenate(
+            [q, self.velocities(states)[..., columns]], -1)
+
+    @cached_property
+    def offset(self) -> np.ndarray:
+        """Return the offsets of the encoders of servos at measured coordinates, (k,)."""
+        names = [one.name for one in self.hamiltonian.coordinates]
+        found = np.zeros(len(names))
+        for effect in self.effects:
+            if isinstance(effect, Servo):
+                found[[names.index(one) for one in effect.names]] = effect.values['offset']
+        return found[self.windows.columns]
 
     def velocities(self, states: np.ndarray) -> np.ndarray:
         """Return the velocities H_p at states (..., 2 d), shape (..., d)."""
@@ -194,17 +217,17 @@ class LogSimulation:
         for run, first in zip(self.windows.run.tolist(), self.first, strict=True):
             motion = self.windows.motions[run]
             t = since + (first - round(float(motion.t[0]) / self.step_size)) * self.step_size
-            if motion.held:
+            if motion.held and not motion.commanded:
                 table, t, duration = motion.tau, t - self._delay, motion.spacing
             else:
                 if run not in tables:
                     edges = self.step_size * np.arange(len(motion.tau) * self.per_sample + 1)
-                    tables[run] = constant_forces(motion, edges - self._delay, self.step_size,
-                                                  self.windows.rates)
+                    tables[run] = (constant_commands if motion.commanded else constant_forces)(
+                        motion, edges - self._delay, self.step_size, self.windows.rates)
                 table, duration = tables[run], self.step_size
             # Steps start at a force's start or well after it; the margin allows for rounding.
             row = np.floor(t / duration + _ROUNDED).astype(int)
-            acts = (row >= 0) | (not (motion.held and motion.idle))
+            acts = (row >= 0) | motion.commanded | (not (motion.held and motion.idle))
             found.append(np.where(acts[:, None], table[np.clip(row, 0, len(table) - 1)], 0.0))
         return np.array(found)
 

@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
 from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.learning.fit.following import LogSimulation
-from hnn_vi_ros.learning.fit.windows import CannotFollow, DELAY, ParametricModel, Windows
+from hnn_vi_ros.learning.fit.windows import CannotFollow, delays, ParametricModel, Windows
 from hnn_vi_ros.simulation import (
     Change, Dependence, difference, DifferentiableRun, flow_rates, OnNumber, sum_of)
 import numpy as np
@@ -89,7 +89,8 @@ class Prediction:
         # A delay changes the forces themselves, and points of loops their equations, not the
         # dependence of H' on the state.
         exact = [k for k, number in enumerate(self._model.numbers) if self._run is not None
-                 and number.place != DELAY and not number.place.startswith('hamiltonian.loops.')]
+                 and not delays(number.place)
+                 and not number.place.startswith('hamiltonian.loops.')]
         slopes = np.empty((*self.log.windows.measured.shape, len(self._values)))
         if exact and self._run is not None:
             slopes[..., exact] = self._exact(self._run, starts, [
@@ -191,21 +192,23 @@ class Prediction:
     def _measured_change(self, states: np.ndarray, moved: np.ndarray,
                          number: Dependence | None) -> np.ndarray:
         d, columns = self.log.windows.start.shape[2], self.log.windows.columns
+        q = moved[..., columns]
+        if isinstance(number, _OnNumber):
+            q = q + number.offset
         if not self.log.windows.rates:
-            return moved[..., columns]
+            return q
         flat = [np.ascontiguousarray(part.reshape(-1, d)) for part in (
             *np.split(states, 2, axis=-1), *np.split(moved, 2, axis=-1))]
         v = self.log.joined.hessian_vector(*flat)[1]
         if isinstance(number, _OnNumber):
             v = v + number.velocity(*flat[:2])
-        return np.concatenate([moved[..., columns],
-                               v.reshape(*moved.shape[:-1], d)[..., columns]], axis=-1)
+        return np.concatenate([q, v.reshape(*moved.shape[:-1], d)[..., columns]], axis=-1)
 
     def _beside(self, k: int) -> list[tuple[float, 'Prediction']]:
         """Return the weights of a difference in one number, and the predictions at its points."""
         number, value = self._model.numbers[k], float(self._values[k])
         # A step relative to a value close to zero would be lost in rounding.
-        usual = self.log.windows.spacing if number.place == DELAY else \
+        usual = self.log.windows.spacing if delays(number.place) else \
             number.size or abs(number.start) or 1.0
         sides = (number.low, number.high), (value, number.high), (number.low, value)
         for low, high in sides:
@@ -229,6 +232,7 @@ class _OnNumber(OnNumber):
         super().__init__(partial(sum_of, kernels), sum(
             (weight * flow_rates(other.log.hamiltonian, integrator, other.log.effects)
              for weight, other in others), np.zeros(())))
+        self.offset = sum((weight * other.log.offset for weight, other in others), np.zeros(()))
         self._joined = [(weight, other.log.joined) for weight, other in others]
 
     def velocity(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -3,8 +3,9 @@
 """Measured forces between samples, and the constant force of each step that stands for them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from hnn_vi_ros.effects import ExternalForce
+from hnn_vi_ros.effects import ExternalForce, LARGEST, OFF
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.phase_space import Coordinate
@@ -62,6 +63,23 @@ def constant_forces(motion: EvenMotion, edges: np.ndarray, h: float, rates: bool
     if not rates:
         total = total - h**2 / 12.0 * slope(motion, edges)
     return np.diff(total, axis=0) / h
+
+
+def constant_commands(motion: EvenMotion, edges: np.ndarray, h: float, rates: bool) -> np.ndarray:
+    """
+    Return the command of each step to servos, its mean in the step, or OFF.
+
+    A motor is off in a step if it is for most of it. Parameters are those of ``constant_forces``.
+    """
+    off = np.abs(motion.tau) > LARGEST
+    on = motion.tau.copy()
+    for column, idle in zip(on.T, off.T, strict=True):
+        # A command that waits for the motor, or the last one.
+        column[idle] = np.interp(np.flatnonzero(idle), np.flatnonzero(~idle), column[~idle]) \
+            if not idle.all() else 0.0
+    mean, share = (np.diff(impulse(replace(motion, tau=part), edges), axis=0) / h
+                   for part in (on, off.astype(float)))
+    return np.where(share > 0.5, OFF, mean)
 
 
 def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],

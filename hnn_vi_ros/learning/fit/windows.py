@@ -23,6 +23,11 @@ class CannotFollow(DataError):
 DELAY = 'input_delay'
 
 
+def delays(place: str) -> bool:
+    """Return True if a number delays the inputs themselves: DELAY, or the delay of a servo."""
+    return place == DELAY or (place.startswith('effects.') and place.endswith('.delay'))
+
+
 @dataclass(frozen=True)
 class Number:
     """

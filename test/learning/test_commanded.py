@@ -1,0 +1,276 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Logs of commanded positions: their columns, and the servos that are fitted to them."""
+
+from dataclasses import replace
+import json
+from pathlib import Path
+
+from hnn_vi_ros.effects import JointCommand, OFF
+from hnn_vi_ros.errors import DataError, HnnViRosError
+from hnn_vi_ros.identify.free_numbers import free_scene
+from hnn_vi_ros.identify.identify import main
+from hnn_vi_ros.learning import ArraysData, Prediction, read_motions
+from hnn_vi_ros.learning.data.header import read_header
+from hnn_vi_ros.learning.data.motions import smoothed
+from hnn_vi_ros.learning.fit.windows import cut_windows
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation import build, resolve
+from messages import refused
+import numpy as np
+import pytest
+import yaml
+
+STEP, SAMPLES, NOISE = 0.001, 10, 1e-3
+JOINTS = 'shoulder', 'elbow'
+
+
+def arm(joints: int, scale: float = 1.0) -> str:
+    """Return the URDF of bars that hang from each other, with all masses times a factor."""
+    text, parent = '<robot name="made"><link name="base"/>', 'base'
+    for name, mass, length in zip(JOINTS[:joints], (0.6, 0.4), (0.25, 0.2), strict=False):
+        moment = scale * mass * length**2 / 12.0
+        at = 0.0 if parent == 'base' else -0.25
+        text += (
+            f'<link name="{name}_bar"><inertial><origin xyz="0 0 {-0.5 * length}"/>'
+            f'<mass value="{scale * mass}"/><inertia ixx="{moment}" iyy="{moment}" '
+            f'izz="{0.05 * moment}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="{name}" type="continuous"><origin xyz="0 0 {at}"/>'
+            f'<parent link="{parent}"/><child link="{name}_bar"/><axis xyz="0 1 0"/></joint>')
+        parent = f'{name}_bar'
+    return text + '</robot>'
+
+
+def numbers(joints: int, random: np.random.Generator) -> dict[str, float]:
+    """Return the numbers of hobby servos by their names in an identification."""
+    found = {'servo.delay': float(random.integers(10, 40)) * STEP}
+    for k, name in enumerate(JOINTS[:joints]):
+        size = (14.0, 9.0)[k] * random.uniform(0.7, 1.4)
+        found |= {f'servo.stiffness.{k}': size,
+                  f'servo.damping.{k}': 0.035 * size * random.uniform(0.6, 1.5),
+                  f'servo.offset.{k}': random.uniform(-0.03, 0.03),
+                  f'joint_friction.friction.{name}': 0.009 * size * random.uniform(0.5, 1.5),
+                  f'rotor_inertia.{name}': 0.0015 * size * random.uniform(0.6, 1.5)}
+    return found
+
+
+def commands(joints: int, count: int, random: np.random.Generator) -> np.ndarray:
+    """Return steps, ramps and sines, shape (count, joints)."""
+    found = np.zeros((count, joints))
+    for column in found.T:
+        at, last = 0, 0.0
+        while at < count:
+            part = np.arange(min(random.integers(50, 160), count - at))
+            end, kind = random.uniform(-1.2, 1.2), random.integers(3)
+            column[at + part] = (
+                end + 0.0 * part, last + (end - last) * part / len(part),
+                last + 0.4 * np.sin(2.0 * np.pi * random.uniform(0.5, 2.0) * 0.01 * part))[kind]
+            at, last = at + len(part), column[at + part[-1]]
+    return found
+
+
+def write_log(folder: Path, joints: int, seed: int, duration: float = 6.0, scale: float = 1.0
+              ) -> dict[str, float]:
+    """Write arm.urdf and log.csv of an arm with all masses and torques times a factor."""
+    random, names = np.random.default_rng(seed), list(JOINTS[:joints])
+    truth = numbers(joints, random)
+    (folder / 'arm.urdf').write_text(arm(joints))
+    (folder / 'true.urdf').write_text(arm(joints, scale))
+
+    def of(key: str, factor: float = scale) -> list[float]:
+        return [factor * value for name, value in truth.items() if name.startswith(key)]
+    (folder / 'true.yaml').write_text(yaml.safe_dump({
+        'hamiltonian': {'kind': 'urdf', 'file': str(folder / 'true.urdf'),
+                        'rotor_inertia': dict(zip(names, of('rotor'), strict=True))},
+        'integrator': {'kind': 'gauss4'}, 'step_size': STEP,
+        'initial_state': {'q': [0.0] * joints, 'p': [0.0] * joints},
+        'effects': [
+            {'kind': 'servo', 'coordinates': names, 'stiffness': of('servo.stiffness'),
+             'damping': of('servo.damping'), 'offset': of('servo.offset', 1.0),
+             'delay': truth['servo.delay']},
+            {'kind': 'joint_friction', 'speed': 0.05,
+             'friction': dict(zip(names, of('joint_friction'), strict=True))}]}))
+    count, none = round(duration / (SAMPLES * STEP)), np.full(joints, np.nan)
+    simulation, r = build(resolve(load_scene(folder / 'true.yaml'))), commands(
+        joints, count, random)
+    q = []
+    for row in r:
+        q.append(simulation.q.copy())
+        simulation.set_command(JointCommand(names, row, none, none))
+        simulation.advance(SAMPLES)
+    read = np.array(q) + of('servo.offset', 1.0) + NOISE * random.normal(size=(count, joints))
+    np.savetxt(folder / 'log.csv', np.column_stack([
+        STEP * SAMPLES * np.arange(count), read, np.degrees(r)]), fmt='%.9g', delimiter=',',
+        comments='', header=','.join(['t [s]', *(f'{name} position [rad]' for name in names),
+                                      *(f'{name} command [deg]' for name in names)]))
+    return truth
+
+
+def fitted(folder: Path, *options: str) -> dict[str, dict[str, float]]:
+    """Identify the arm of a log, and return the content of --json."""
+    main(['--robot', str(folder / 'arm.urdf'), '--data', str(folder / 'log.csv'), '--json',
+          str(folder / 'found.json'), *options])
+    return json.loads((folder / 'found.json').read_text())
+
+
+def test_numbers_of_a_servo_are_found_by_the_columns_of_a_log(tmp_path, capsys):
+    truth = write_log(tmp_path, 1, 0)
+    found = fitted(tmp_path, '--write', str(tmp_path / 'twin.yaml'))
+    assert found.keys() == truth.keys()
+    for name, one in found.items():
+        # Within three half-widths, of which one misses in 1 of 20: once in 3e8.
+        width = 3.0 * (one['high'] - one['low']) / 2.0
+        assert one['value'] == pytest.approx(truth[name], abs=width), name
+    # Within a tenth of a sample.
+    assert found['servo.delay']['value'] == pytest.approx(truth['servo.delay'], abs=STEP)
+    text = capsys.readouterr().out
+    assert 'scale of the masses' in text and 'viscous friction and back EMF' in text
+    twin = build(resolve(load_scene(tmp_path / 'twin.yaml')))
+    twin.set_command(JointCommand(['shoulder'], np.array([0.4]), *[np.array([np.nan])] * 2))
+    twin.advance(1000)
+    # The servo sags by gravity and sticks: it holds within m g c + F over k.
+    assert twin.q[0] == pytest.approx(0.4, abs=0.2) and twin.q[0] != 0.4
+
+
+def test_without_known_masses_forces_are_relative_to_inertias(tmp_path, capsys):
+    truth = write_log(tmp_path, 1, 1, scale=1.7)
+    found = fitted(tmp_path, '--masses', 'unknown')
+    inertia = 0.6 * 0.25**2 / 3.0 + truth['rotor_inertia.shoulder']
+    for name, one in found.items():
+        true = truth[name.removesuffix(' / inertia')]
+        true /= inertia if name.endswith('inertia') else 1.0
+        assert one['value'] == pytest.approx(true, abs=1.5 * (one['high'] - one['low'])), name
+    assert sum(name.endswith(' / inertia') for name in found) == 4
+    assert 'relative to inertias alone' in capsys.readouterr().out
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('joints', [1, 2])
+def test_intervals_of_servos_hold_the_truth_as_often_as_they_say(joints, tmp_path, measured):
+    held: dict[str, list[bool]] = {}
+    for seed in range(20):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        truth = write_log(folder, joints, seed)
+        for name, one in fitted(folder).items():
+            held.setdefault(name, []).append(one['low'] <= truth[name] <= one['high'])
+    share = np.mean([*held.values()])
+    measured('share of 95 % intervals of servos that hold the truth', f'{joints} joints', share,
+             '>= 0.9')
+    # Of 20 at 95 %, fewer than 15 hold once in 40,000.
+    assert share >= 0.9 and min(map(sum, held.values())) >= 15
+
+
+def servo_scene() -> Scene:
+    return Scene.build(
+        hamiltonian='double_pendulum', integrator='implicit_midpoint', step_size=0.01,
+        initial_state=([0.5, -0.3], [0.0, 0.0]), effects=[
+            {'kind': 'joint_friction', 'friction': {'angle2': 0.2}, 'speed': 0.5},
+            {'kind': 'servo', 'coordinates': ['angle2'], 'stiffness': [8.0], 'damping': 0.4,
+             'back_emf': 0.2, 'offset': [0.1], 'delay': 0.013}])
+
+
+def test_exact_tangents_of_commanded_windows_are_differences_of_simulations(
+        tmp_path, monkeypatch):
+    scene, t = servo_scene(), 0.02 * np.arange(31)
+    command = np.sin(9.0 * t)[:, None]
+    command[8:12] = OFF
+    log = replace(smoothed('one', t, np.zeros((31, 2)), np.zeros((31, 2)), command, 40.0),
+                  commanded=True, inputs='held')
+    names = ('mass2', 'servo.stiffness.0', 'servo.damping', 'servo.back_emf', 'servo.offset.0',
+             'servo.delay')
+    free = free_scene(scene.parts(), names, {}, tmp_path, False)
+    values, windows = np.array([number.start for number in free.numbers]), cut_windows([log], 0.3)
+    starts = np.tile([0.5, -0.3, 0.3, -0.2], (len(windows.run), 1))
+
+    def slopes() -> list[np.ndarray]:
+        prediction = Prediction(free, values, windows)
+        return [*prediction.by_starts(starts), prediction.parameter_jacobian(starts)]
+    exact = slopes()
+    monkeypatch.setattr(Prediction, '_run', None)
+    for one, other in zip(exact, slopes(), strict=True):
+        # Differences lose two thirds of the digits, and some more by the motion's growth.
+        np.testing.assert_allclose(one, other, atol=1e-7 * np.abs(other).max())
+    assert all(np.abs(exact[2][..., k]).max() > 0.0 for k in range(len(names)))
+    # The reading of the encoder itself contains the offset.
+    np.testing.assert_array_equal(exact[0][:, 0, 1], starts[:, 1] + 0.1)
+
+
+def test_delayed_commands_act_by_their_mean_in_a_step():
+    scene, t = servo_scene(), 0.02 * np.arange(31)
+    command = np.arange(31.0)[:, None]
+    command[5] = OFF
+    log = replace(smoothed('one', t, np.zeros((31, 2)), np.zeros((31, 2)), command, 40.0),
+                  commanded=True, inputs='held')
+    free = free_scene(scene.parts(), (), {}, Path(), False)
+    forces = Prediction(free, np.zeros(0), cut_windows([log], 1.0)).log.forces[0, :, 0]
+    # Steps of 10 ms and a delay of 13: three tenths of the fourth one are old.
+    assert forces[:6] == pytest.approx([0.0, 0.0, 0.0, 0.7, 1.0, 1.7], abs=1e-12)
+    off = np.flatnonzero(forces == OFF)
+    assert off.tolist() == [11, 12]
+
+
+@pytest.mark.parametrize('names, command, enabled', [
+    ('t [s],angle [rad],goal [rad]', ['goal [rad]'], []),
+    ('t [s],elbow position [deg],elbow velocity,elbow command,enabled',
+     ['elbow command [deg]'], ['enabled']),
+    ('t,q1 [rad],q2 [rad],q1_des,q2_des', ['q1_des [rad]', 'q2_des [rad]'], []),
+    ('t,q1 [rad],q2 [rad],q1_des,q2_des,q1_dot_des,q2_dot_des',
+     ['q1_des [rad]', 'q2_des [rad]'], []),
+    ('t,q1 [rad],q2 [rad],q1_des', [], []), ('t [s],angle [rad],torque command', [], [])])
+def test_commanded_positions_are_found_by_their_names(names, command, enabled, tmp_path):
+    count, t = len(names.split(',')), 0.01 * np.arange(60)
+    rows = np.column_stack([t, *(np.sin(t + k) for k in range(count - 1))])
+    if enabled:
+        rows[:, -1] = t > 0.3
+    np.savetxt(tmp_path / 'log.csv', rows, delimiter=',', header=names, comments='')
+    reading = read_header(tmp_path / 'log.csv').commanded
+    assert reading.get('command', []) == command and reading.get('enabled', []) == enabled
+    assert 'command' not in read_header(tmp_path / 'log.csv').data
+
+
+@pytest.mark.parametrize('options', [
+    ['exact_pendulum', '--robot', '{arm}'], ['exact_pendulum'], [],
+    ['exact_pendulum', '--free', 'mass', '--masses', 'unknown'],
+    ['--robot', '{arm}', '--known', 'servo.stiffness.0', 'high'],
+    ['--robot', '{arm}', '--known', 'servo.gain', '2'], ['--robot', '{arm}', '--measured', 'q']])
+def test_what_is_no_log_of_a_servo_is_one_line(options, tmp_path):
+    (tmp_path / 'arm.urdf').write_text(arm(1))
+    t = 0.01 * np.arange(100)
+    np.savez(tmp_path / 'log.npz', t=t, q=np.sin(t)[:, None], goal=np.cos(t)[:, None])
+    with refused(HnnViRosError):
+        main([*(word.format(arm=tmp_path / 'arm.urdf') for word in options), '--data',
+              str(tmp_path / 'log.npz')])
+
+
+def test_log_without_commands_is_refused_for_a_robot(tmp_path):
+    (tmp_path / 'arm.urdf').write_text(arm(1))
+    t = 0.01 * np.arange(100)
+    np.savez(tmp_path / 'log.npz', t=t, q=np.sin(t)[:, None], tau=np.cos(t)[:, None])
+    with refused(HnnViRosError):
+        main(['--robot', str(tmp_path / 'arm.urdf'), '--data', str(tmp_path / 'log.npz')])
+
+
+def test_array_of_commands_and_of_motors_that_are_off_is_read(tmp_path):
+    (tmp_path / 'arm.urdf').write_text(arm(1))
+    write_log(tmp_path, 1, 2)
+    t, q, r = np.loadtxt(tmp_path / 'log.csv', delimiter=',', skiprows=1).T
+    np.savez(tmp_path / 'log.npz', t=t, q=q[:, None], goal=np.radians(r)[:, None],
+             enabled=np.ones(len(t), dtype=bool))
+    found = fitted(tmp_path)
+    main(['--robot', str(tmp_path / 'arm.urdf'), '--data', str(tmp_path / 'log.npz'), '--json',
+          str(tmp_path / 'arrays.json'), '--known', 'servo.delay',
+          repr(found['servo.delay']['value'])])
+    arrays = json.loads((tmp_path / 'arrays.json').read_text())
+    # The text has nine digits.
+    for name, one in arrays.items():
+        assert one['value'] == pytest.approx(found[name]['value'], rel=1e-3), name
+    assert 'servo.delay' not in arrays
+
+
+def test_commands_are_no_forces_of_a_training(tmp_path):
+    t = 0.01 * np.arange(100)
+    np.savez(tmp_path / 'log.npz', t=t, q=np.sin(t)[:, None], goal=np.cos(t)[:, None])
+    data = ArraysData(path=str(tmp_path / 'log.npz'), v=None, tau=None, command='goal')
+    with refused(DataError):
+        read_motions(tmp_path, data, ['q'])
