@@ -10,14 +10,16 @@ from hnn_vi_ros.effects import JointCommand, OFF
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.identify import main
-from hnn_vi_ros.learning import ArraysData, Prediction, read_motions
+from hnn_vi_ros.learning import ArraysData, Prediction, read_motions, source_of
 from hnn_vi_ros.learning.data.header import read_header
 from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.fit.windows import cut_windows
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build, resolve
 from messages import refused
 import numpy as np
+from pandas import DataFrame
 import pytest
 import yaml
 
@@ -274,3 +276,55 @@ def test_commands_are_no_forces_of_a_training(tmp_path):
     data = ArraysData(path=str(tmp_path / 'log.npz'), v=None, tau=None, command='goal')
     with refused(DataError):
         read_motions(tmp_path, data, ['q'])
+
+
+def test_samples_of_a_json_file_beside_its_settings_are_a_log(tmp_path):
+    """As the repositories Rhoban/bam and kscalelabs/sysid store them."""
+    t = 0.01 * np.arange(60)
+    (tmp_path / 'log.json').write_text(json.dumps({'mass': 0.5, 'kp': 8, 'entries': [
+        {'timestamp': float(x), 'position': np.sin(x), 'goal_position': np.cos(x),
+         'input_volts': 7.4, 'torque_enable': bool(x < 0.3)} for x in t]}))
+    arm_joint = Coordinate('joint', 'rad', 'N m s')
+    data = source_of(str(tmp_path / 'log.json'), [arm_joint], None, True)
+    assert (data.command, data.enabled, data.tau) == (['goal_position'], ['torque_enable'], None)
+    motions, _ = read_motions(
+        tmp_path, data, ['joint'], [str(tmp_path / 'log.json')], ['rad'], True)
+    off = np.abs(motions[0].tau[:, 0]) == OFF
+    np.testing.assert_array_equal(off, motions[0].t > 0.295)
+    np.testing.assert_allclose(motions[0].tau[~off, 0], np.cos(t)[~off], atol=1e-12)
+
+
+def dataset(folder: Path, names: list[str], size: float) -> Path:
+    """Write a dataset of LeRobot, with two episodes of two joints and a gripper."""
+    t = np.tile(np.arange(50) / 30.0, 2)
+    state = size * np.stack([np.sin(t), np.cos(2.0 * t), 0.0 * t + 0.5], axis=1)
+    (folder / 'meta').mkdir()
+    (folder / 'data' / 'chunk-000').mkdir(parents=True)
+    feature = {'dtype': 'float32', 'shape': [3], 'names': names}
+    (folder / 'meta' / 'info.json').write_text(json.dumps({
+        'fps': 30, 'features': {'action': feature, 'observation.state': feature}}))
+    path = folder / 'data' / 'chunk-000' / 'file-000.parquet'
+    DataFrame({'action': [*(state + 1.0)], 'observation.state': [*state], 'timestamp': t,
+               'frame_index': np.tile(np.arange(50), 2), 'episode_index': np.repeat([0, 1], 50),
+               'index': np.arange(100), 'task_index': 0}).to_parquet(path)
+    return path
+
+
+def test_episodes_of_lerobot_are_motions_in_degrees(tmp_path):
+    path = dataset(tmp_path, ['shoulder_pan.pos', 'elbow_flex.pos', 'gripper.pos'], 120.0)
+    joints = [Coordinate(name, 'rad', 'N m s') for name in ('elbow_flex', 'shoulder_pan')]
+    names = [one.name for one in joints]
+    data = source_of(str(path), joints, None, True)
+    motions, _ = read_motions(tmp_path, data, names, [str(path)], ['rad', 'rad'], True)
+    assert [motion.name for motion in motions] == ['0', '1']
+    t = np.arange(50) / 30.0
+    # Within the rounding of the resampled times.
+    expected = np.radians(120.0) * np.stack([np.cos(2.0 * t), np.sin(t)], axis=1)
+    np.testing.assert_allclose(motions[1].q, expected, atol=1e-9)
+    np.testing.assert_allclose(motions[1].tau, expected + np.radians(1.0), atol=1e-9)
+
+
+def test_per_cent_of_a_range_are_refused_without_calibration(tmp_path):
+    path = dataset(tmp_path, ['shoulder_pan.pos', 'elbow_flex.pos', 'gripper.pos'], 90.0)
+    with refused(DataError):
+        source_of(str(path), [], None, True)

@@ -17,6 +17,9 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files import in_bytes, parse_json, read_limited
 import numpy as np
 
+# Columns of datasets of LeRobot, largest size of their description [bytes], and of positions in
+# per cent of a range, with some excess.
+_STATE, _ACTION, _MOST_INFO, _RANGE = 'observation.state', 'action', 1 << 20, 105.0
 # Functions of pandas that read tables, and the packages that they need.
 _PANDAS = {'.parquet': ('read_parquet', 'pandas pyarrow'),
            '.feather': ('read_feather', 'pandas pyarrow'), '.json': ('DataFrame', 'pandas'),
@@ -79,7 +82,7 @@ def _unpacked(path: Path, suffix: str, most: int, encoding: str, *_: int) -> str
             return _csv(_columns(loadmat(stream)))
         import pandas
         # read_json would take numbers of columns such as timestamp for dates.
-        table = pandas.DataFrame(parse_json(stream.read())) if suffix == '.json' else \
+        table = pandas.DataFrame(_samples(parse_json(stream.read()))) if suffix == '.json' else \
             getattr(pandas, reader)(stream)
     except ImportError as problem:
         raise DataError(f'{path}: {suffix} is read with {" and ".join(needs.split())}; '
@@ -89,7 +92,46 @@ def _unpacked(path: Path, suffix: str, most: int, encoding: str, *_: int) -> str
         reason = ' '.join(str(problem).split())[:200]
         raise DataError(f'{path}: not a readable {suffix} table ({reason}); {_CSV}') from problem
     table = table if table.index.name is None else table.reset_index()
-    return _csv({str(name): table[name].to_numpy() for name in table})
+    columns = {str(name): table[name].to_numpy() for name in table}
+    return _csv(_of_episodes(path, columns) if {_STATE, _ACTION} <= columns.keys() else columns)
+
+
+def _samples(content: Any) -> Any:
+    """Return the list of samples in a mapping whose other entries describe the log."""
+    lists = [part for part in content.values() if isinstance(part, list) and part and all(
+        isinstance(one, dict) for one in part)] if isinstance(content, dict) else []
+    return lists[0] if len(lists) == 1 else content
+
+
+def _of_episodes(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """
+    Return the columns of episodes of LeRobot, with positions and actions of each joint [deg].
+
+    R. Cadene et al., LeRobot, 2024: data/chunk-000/*.parquet, and the names of joints in
+    meta/info.json.
+    """
+    states, actions = (np.stack([*columns[key]]).astype(float) for key in (_STATE, _ACTION))
+    found = {'t [s]': columns['timestamp'], 'episode': columns['episode_index']}
+    names = [f'q{k + 1}' for k in range(states.shape[1])]
+    for folder in path.resolve().parents[:3]:
+        if (folder / 'meta' / 'info.json').is_file():
+            named = parse_json(read_limited(folder / 'meta' / 'info.json', _MOST_INFO))[
+                'features'][_STATE]['names']
+            # Of some versions in a mapping, such as {'motors': [...]}.
+            names = next(iter(named.values())) if isinstance(named, dict) else named
+            break
+    arm = [k for k, name in enumerate(names) if 'gripper' not in name]
+    if any(name.endswith('.pos') for name in names) and \
+            np.abs(np.stack([states, actions])[..., arm]).max() <= _RANGE:
+        raise DataError(
+            f'{path}: positions within -100 and 100 are per cent of a calibrated range, or '
+            'degrees; convert them by the calibration, (range_max - range_min) / 4096 '
+            '* 1.8 degrees each, and save the table as CSV')
+    for k, name in enumerate(names):
+        joint = name.removesuffix('.pos').removeprefix('main_')
+        unit = ' [deg]' if k in arm else ' [%]'
+        found |= {f'{joint} position{unit}': states[:, k], f'{joint} action{unit}': actions[:, k]}
+    return found
 
 
 def _decompress(stream: BytesIO, suffix: str, most: int) -> bytes:
@@ -122,5 +164,6 @@ def _csv(columns: Mapping[str, np.ndarray]) -> str:
     """Return columns as text, without a header if they come from an array without names."""
     text, header = StringIO(), [] if '1' in columns else [[*columns]]
     csv.writer(text, lineterminator='\n').writerows(chain(header, zip(
-        *(column.tolist() for column in columns.values()), strict=True)))
+        *((1 * column if column.dtype == bool else column).tolist()
+          for column in columns.values()), strict=True)))
     return text.getvalue()
