@@ -19,10 +19,9 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.integrators.base import PhasePoint, Step
 from hnn_vi_ros.integrators.workspaces import MemoryByAddress
 from hnn_vi_ros.kernels import (
-    address_of, array_at, Block, block, check_words, digest_of, entry_caller, kept, Kernel, load,
-    Parameters, Part, part, reached, type_of, Whole)
+    address_of, array_at, block, check_words, digest_of, entry_address, entry_caller, kept, Kernel,
+    load, Parameters, Part, part, reached, type_of, Whole)
 from numba.core import types
-from numba.core.dispatcher import Dispatcher
 import numpy as np
 
 # Entries bind these names to their own values; see _entry.
@@ -77,9 +76,8 @@ def steps_by_address(steps: tuple[Step, ...], name: str, own: bool, kernel: Kern
     kinds = type_of(inside), type_of(memory)
     with _compiling:
         entries = [_entry(step, kinds, _name(step, name, kinds, options), own) for step in steps]
-    words = block(inside, *map(_address, entries), *[0] * (_ADDRESSES - len(steps)))
+    words = block(inside, *entries, *[0] * (_ADDRESSES - len(steps)))
     check_words(kinds[0], words.size - _ADDRESSES)
-    Block.of(words).held = inside, entries
     return StepsByAddress(words)
 
 
@@ -99,8 +97,12 @@ def _counts(workspace: Any) -> list[int]:
 
 
 @cache
-def _entry(step: Step, kinds: tuple[types.Type, ...], name: str, own: bool) -> Dispatcher:
-    """Return the compiled entry of a step, a copy with global names of its own; see addresses."""
+def _entry(step: Step, kinds: tuple[types.Type, ...], name: str, own: bool) -> int:
+    """
+    Return the address of the compiled entry of a step.
+
+    It is a copy with global names of its own; see addresses.
+    """
     # The part belongs to this entry only.
     copy = Part(step, targetoptions={'forceinline': True})
     entry = FunctionType(_step_entry.__code__, {
@@ -109,12 +111,8 @@ def _entry(step: Step, kinds: tuple[types.Type, ...], name: str, own: bool) -> D
     entry.__qualname__ = name
     dispatcher: Any = kept(own, **_ENTRY)(entry)
     dispatcher.compile((types.int64, types.int64, types.float64, *[types.int64] * 13))
-    return dispatcher
-
-
-def _address(entry: Dispatcher) -> int:
-    (result,) = entry.overloads.values()
-    return int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+    (result,) = dispatcher.overloads.values()
+    return entry_address(result)
 
 
 def _name(step: Step, name: str, kinds: tuple[types.Type, ...], options: Parameters) -> str:

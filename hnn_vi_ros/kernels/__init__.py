@@ -14,7 +14,8 @@ from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
     from hnn_vi_ros.kernels.addresses import (
-        by_address, energy, gradient, hessian_vector, original, provide, provide_for, Target)
+        by_address, energy, gradient, hessian_vector, original, provide, provide_all,
+        provide_for, Target)
     from hnn_vi_ros.kernels.blocks import (
         address_of, array_at, bare, Block, block, check_words, clear, entry_caller, flat, kind_of,
         load, type_of)
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
         solve_in_order, solve_linear, solve_lower, solve_upper)
     from hnn_vi_ros.kernels.linking import LINK_ONLY, Part, part, Whole
     from hnn_vi_ros.kernels.marks import called, inlined, is_own
+    from hnn_vi_ros.kernels.object_files import (
+        entry_address, object_code, processor, symbol_at, symbol_of)
     from hnn_vi_ros.kernels.sources import digest_of, identity, reached
 
 __getattr__, __dir__ = lazy_exports(__name__)

@@ -24,6 +24,7 @@ from hnn_vi_ros.kernels.compilation import functions_of, kept, name_stably
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part, Whole
 from hnn_vi_ros.kernels.marks import is_own
+from hnn_vi_ros.kernels.object_files import entry_address
 from hnn_vi_ros.kernels.sources import digest_of, names_in, reached
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
@@ -78,7 +79,7 @@ def by_address(kernel: Kernel) -> Kernel:
     # Three addresses, then the parameters; entries are compiled at their first call.
     words = [0, 0, 0, *flat(kernel.parameters)]
     memory = _Memory(np.array(words, dtype=np.int64).tobytes())
-    memory.kernel = kernel
+    memory.kernel, memory.held = kernel, kernel.parameters
     target = Target(memory.words)
     memory.late, memory.entries = [_late(memory, k) for k in range(3)], {}
     for k, call in enumerate(memory.late):
@@ -106,6 +107,11 @@ def provide(kernel: Kernel, *which: int) -> None:
             check_words(kind, len(target.words) - 3)
             memory.entries[k] = _entry(function, kind, _name(memory.kernel, kind, k), k)
             target.words[k] = memory.entries[k].address
+
+
+def provide_all(target: Target) -> None:
+    """Compile all functions at the addresses of a target, and those that they call."""
+    provide(_memory_of(target).kernel._replace(parameters=target), *range(3))
 
 
 def original(kernel: Kernel) -> Kernel:
@@ -161,8 +167,7 @@ class _Entry:
 
     def __init__(self, dispatcher: Dispatcher, k: int):
         (result,) = dispatcher.overloads.values()
-        self.call, self._library = result.entry_point, result.library
-        self.address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+        self.call, self.address = result.entry_point, entry_address(result)
         self.native = _prototype(k)(self.address)
 
 

@@ -34,7 +34,7 @@ from hnn_vi_ros.files import is_own, open_no_link, own_cache, private_key, tempo
 from hnn_vi_ros.kernels.marks import register_by
 from hnn_vi_ros.kernels.sources import digest_of
 from llvmlite import ir
-from llvmlite.binding import Linkage
+from llvmlite.binding import Linkage, parse_bitcode
 import numba
 from numba import _dynfunc
 from numba.core import cgutils, config, types
@@ -232,6 +232,11 @@ class _WholeLowering(NativeLowering):
         state.library = _WholeLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         return bool(super().run_pass(state))
+
+
+def kept_module(library: JITCodeLibrary) -> Any:
+    """Return a copy of the optimised code of a library, compiled now or loaded from disk."""
+    return parse_bitcode(library._get_module_for_linking().as_bitcode())
 
 
 class _Compiler(CompilerBase):

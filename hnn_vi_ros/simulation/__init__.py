@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.accuracy.neighbouring_motions import time_between_motions
     from hnn_vi_ros.simulation.accuracy.trials import (
         InitialValueProblem, Method, time_scale, Tolerance)
+    from hnn_vi_ros.simulation.assembly import advance
     from hnn_vi_ros.simulation.batches.batch_simulation import (
         BatchSimulation, description, open_device)
     from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds

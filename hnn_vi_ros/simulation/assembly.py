@@ -175,6 +175,12 @@ class Loop:
         # Assigned last: after a failed compilation the next call compiles again.
         self.function, self._step, self._options, self._entry = loop, step, options, entry
 
+    def shared(self, h: float, z: PhasePoint, z1: PhasePoint, memory: tuple[Any, ...],
+               *others: Any) -> tuple[Any, ...]:
+        """Return the compiled step, and the arguments that calls of the loop share."""
+        self.compile(h, 0, 1, z, z1, memory, *others)
+        return self._step, self._kernel, h, self._options, z, z1, self._taken(memory)
+
     def _taken(self, memory: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the workspaces in the form that the loop takes, on the same arrays."""
         if not self._compiled:

@@ -626,6 +626,12 @@ class Simulation:
         self._take(0, *np.empty((2, 0, self._z.q.size)))
         return time.perf_counter() - start
 
+    def shared(self) -> tuple[Any, ...]:
+        """Return step, kernel, h, options, point, next point and workspaces, all compiled."""
+        nothing = np.empty((2, 1, self._z.q.size))
+        return self._loop(self._active).shared(
+            self.step_size, self._z, self._z1, self._memories[self._active], *nothing, 1)
+
     def compile_rescue(self) -> None:
         """Compile the fallbacks of failed steps now; another thread may take steps meanwhile."""
         try:

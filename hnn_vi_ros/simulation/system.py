@@ -75,15 +75,17 @@ class Motors:
         Number of entries of a command of plain numbers; 0 if none is taken.
     names : sequence of str
         Names of these entries; empty if they have no names.
+    effects : list of (Effect, tuple)
+        The effects that take commands.
 
     """
 
     def __init__(self, effects: Sequence[tuple[Effect, Any]], coordinates: Sequence[Coordinate]):
         self._leaders, self._columns = leaders(coordinates), scalar_columns(coordinates)
-        self._effects: list[tuple[Any, Any]] = [
+        self.effects: list[tuple[Any, Any]] = [
             (effect, own) for effect, own in effects if isinstance(effect, Commanded)]
-        self.takes = frozenset[str]().union(*(effect.takes for effect, _ in self._effects))
-        driven = [(effect.names, own.columns.size) for effect, own in self._effects
+        self.takes = frozenset[str]().union(*(effect.takes for effect, _ in self.effects))
+        driven = [(effect.names, own.columns.size) for effect, own in self.effects
                   if NUMBERS in effect.takes]
         self._stops: list[Any] = [own for effect, own in effects if effect.limits]
         # At most one effect takes plain numbers.
@@ -92,7 +94,7 @@ class Motors:
 
     def begin(self) -> None:
         """Apply the commands that act before the first command is set."""
-        for effect, own in self._effects:
+        for effect, own in self.effects:
             effect.begin(own)
 
     def command(self, command: Command, q: np.ndarray, limited: bool = True) -> None:
@@ -129,7 +131,7 @@ class Motors:
                         [values[i] for values in command[1:]]).all()):
                     raise ValueError(f'joint {name!r} follows {self._leaders[name]!r} and takes '
                                      f'no commands; command {self._leaders[name]!r} instead')
-        prepared = [effect.prepare(command, own, q) for effect, own in self._effects
+        prepared = [effect.prepare(command, own, q) for effect, own in self.effects
                     if effect.takes & held]
         if limited and isinstance(command, JointCommand):
             self._check_limits(command.names, command.position[None])
@@ -137,6 +139,16 @@ class Motors:
             self._check_limits(command.names, command.positions)
         for put in prepared:
             put()
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return the positions of a joint between which commands are accepted."""
+        low, high = -math.inf, math.inf
+        for stops in self._stops:
+            mine = stops.columns == self._columns.get(name)
+            for limit, sign in zip(stops.positions[mine], stops.signs[mine], strict=True):
+                reach = limit - sign * _LIMIT_TOLERANCE * (1.0 + abs(limit))
+                low, high = (max(low, reach), high) if sign > 0 else (low, min(high, reach))
+        return low, high
 
     def _check_limits(self, names: Sequence[str], positions: np.ndarray) -> None:
         """Raise ValueError if positions (n, m) of m joints are beyond a stop."""
@@ -154,7 +166,7 @@ class Motors:
     def forces(self, t: float, q: np.ndarray, p: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Return the generalised forces of all motors at a state, shape (d,) [N] or [N m]."""
         f_q, f_p = np.zeros((2, p.size))
-        for effect, own in self._effects:
+        for effect, own in self.effects:
             if isinstance(effect, Force):
                 effect.add_force(own, t, q, p, velocity, f_q, f_p)
         return f_p
@@ -162,7 +174,7 @@ class Motors:
     @property
     def servo_target(self) -> ServoTarget | None:
         """Return the current target of a servo; None if there is none."""
-        targets = (effect.servo_target(own) for effect, own in self._effects)
+        targets = (effect.servo_target(own) for effect, own in self.effects)
         return next((target for target in targets if target is not None), None)
 
 
@@ -191,7 +203,7 @@ def refill(kernel: Kernel, other: Kernel) -> bool:
             or kind_of(own.parameters) != kind_of(other.parameters):
         return False
     kernel.parameters.words[3:] = flat(other.parameters)
-    memory.kernel = other
+    memory.kernel, memory.held = other, other.parameters
     # Update the entries that it calls by address as well.
     provide(kernel, *memory.entries)
     return True

@@ -13,7 +13,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.kernels import (
-    address_of, block, entry_caller, flat, kept, load, Part, part, type_of, Whole)
+    address_of, block, entry_address, entry_caller, flat, kept, load, Part, part, type_of, Whole)
 from hnn_vi_ros.models.graphs.tape import (
     AMAX, Assembler, COPY, FILL, FIRST_BINARY, FIRST_UNARY, MATMUL, NETWORK, PUT, SUM, TAKE, Tape,
     WHERE)
@@ -108,9 +108,7 @@ def _entry() -> Any:
 
 @cache
 def _address() -> int:
-    found = _entry()
-    address: int = found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
-    return address
+    return entry_address(_entry())
 
 
 _call = entry_caller(types.none)
