@@ -12,7 +12,7 @@ from hnn_vi_ros.files import find_yaml, Parser, YAML_KINDS
 # Commands by purpose, each with the module of the package whose ``main(argv)`` it calls.
 GROUPS = {
     'simulate': {'run': 'commands.run', 'list': 'commands.names', 'scene': 'commands.scene_tool',
-                 'cost': 'commands.cost', 'sweep': 'sweeps.running'},
+                 'cost': 'commands.cost', 'sweep': 'sweeps.running', 'export': 'codegen.export'},
     'learn': {'train': 'learning.train', 'evaluate': 'learning.evaluate',
               'identify': 'identify.identify',
               'import': 'learning.import_model'},
@@ -26,7 +26,7 @@ COMMANDS = {name: module for group in GROUPS.values() for name, module in group.
 # Deprecated names and their replacements.
 ALIASES = {'new_scene': ('scene', '--new')}
 # Commands that are not ROS 2 executables.
-_WITHOUT_ROS = ('run', 'list', 'cost', 'doctor', 'completion')
+_WITHOUT_ROS = ('run', 'list', 'cost', 'export', 'doctor', 'completion')
 EXECUTABLES = [name for name in (*COMMANDS, *ALIASES) if name not in _WITHOUT_ROS]
 
 

@@ -24,7 +24,8 @@ import yaml
 FLOORS = (
     'version', 'exports', 'phase_space', 'errors', 'files', 'kernels', 'hamiltonians', 'models',
     'integrators', 'effects', 'scene', 'recording', 'simulation', 'torch', 'control', 'run',
-    'learning', 'identify', 'sweeps', 'envs', 'ros', 'commands', 'cli', '__main__', '__init__')
+    'learning', 'identify', 'sweeps', 'codegen', 'envs', 'ros', 'commands', 'cli',
+    '__main__', '__init__')
 # The same inside two rooms.
 INNER_FLOORS = {
     'learning': ('arguments', 'torch_file', 'data', 'families', 'fit', 'judging', 'linear_systems',

@@ -1,0 +1,20 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+# flake8: noqa: F401
+"""
+Code generation: the compiled step of a scene as a library, without Python.
+
+``image`` moves the memory of a simulation, ``entries`` are the functions that are exported,
+``scene_code`` joins both to an object file, ``project`` writes it with what a C
+program needs.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.codegen.project import identifier, write_project
+    from hnn_vi_ros.codegen.scene_code import compile_scene, SceneCode
+
+__getattr__, __dir__ = lazy_exports(__name__)

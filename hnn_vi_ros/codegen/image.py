@@ -1,0 +1,138 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Image of the memory that compiled code reads and writes, which can be placed anywhere."""
+
+import ctypes
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.integrators import MemoryByAddress
+from hnn_vi_ros.kernels import Block, flat, provide_all, symbol_at, Target
+import numpy as np
+
+# Regions keep their places in cache lines [bytes].
+_LINE = 64
+
+
+class Image(NamedTuple):
+    """
+    Contents of blocks of addresses, then of all other arrays.
+
+    Parameters
+    ----------
+    words : np.ndarray of int64
+        The contents; an address is the number of bytes from their start.
+    changing : int
+        Number of words before those that change.
+    pointers : np.ndarray of int64
+        Indices of words that are addresses of memory.
+    entries : dict of int to str
+        Symbol of the function whose address is in a word, by index.
+    start : int
+        Index of the first word of the value.
+
+    """
+
+    words: np.ndarray
+    changing: int
+    pointers: np.ndarray
+    entries: dict[int, str]
+    start: int
+
+
+class _Walk:
+    """Memory that a value reaches: its spans, and the addresses in it."""
+
+    def __init__(self) -> None:
+        self.spans: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
+        self.pointers: dict[int, int] = {}
+        self.entries: dict[int, str] = {}
+        self._seen: set[int] = set()
+
+    def array(self, array: np.ndarray) -> None:
+        """Add the memory of an array, and what a block reaches."""
+        owner: Any = array
+        while isinstance(owner, np.ndarray):
+            owner = owner.base
+        memory = owner.obj if isinstance(owner, memoryview) else owner
+        if isinstance(memory, Block):
+            self.block(memory)
+        elif array.size:
+            self.spans[False].append(np.lib.array_utils.byte_bounds(array))
+
+    def block(self, memory: Block) -> int:
+        """Add a block, and return the address of its value."""
+        words = memory.words
+        begin = words.ctypes.data
+        place = begin + 8 * (words.size - len(flat(memory.held)))
+        if begin not in self._seen:
+            self._seen.add(begin)
+            self.spans[True].append((begin, begin + words.nbytes))
+            for k, word in enumerate(words[:(place - begin) // 8].tolist()):
+                symbol = symbol_at(word)
+                if symbol is not None:
+                    self.entries[begin + 8 * k] = symbol
+            self.value(memory.held, place)
+        return place
+
+    def value(self, value: Any, place: int) -> int:
+        """Add what a value reaches, given its address; return the address after it."""
+        if isinstance(value, MemoryByAddress):
+            begin, counts = value.counts.ctypes.data, value.counts.tolist()
+            self.spans[True].append((begin, begin + value.counts.nbytes))
+            self.pointers |= {begin + 8 * k: count for k, count in enumerate(counts)}
+            self.pointers[place + 8 * (len(flat(value.words)) + 4)] = begin
+            self.value((value.words,), place)
+        elif isinstance(value, tuple):
+            if isinstance(value, Target):
+                provide_all(value)
+            for part in value:
+                place = self.value(part, place)
+            return place
+        elif isinstance(value, np.ndarray):
+            # The fifth word of an array is its address; see flat.
+            self.pointers[place + 32] = value.ctypes.data
+            self.array(value)
+        return place + 8 * len(flat(value))
+
+
+def image_of(memory: Block) -> Image:
+    """Return the image of a block and all that it reaches, with their present contents."""
+    walk = _Walk()
+    start = walk.block(memory)
+    # The place of each span, by its first and last address.
+    parts, places, end, changing = [], [], 0, 0
+    for blocks in (True, False):
+        changing = end
+        for low, high in _merged(walk.spans[blocks]):
+            place = end + (low - end) % _LINE
+            parts.append(bytes(place - end) + ctypes.string_at(low, high - low))
+            places.append((low, high, place))
+            end = place + high - low
+            parts.append(bytes(-end % 8))
+            end += -end % 8
+    lows = np.array([low for low, _, _ in places])
+
+    def moved(address: int) -> int:
+        low, high, place = places[int(np.searchsorted(lows[order], address, 'right')) - 1]
+        return place + address - low if low <= address <= high else 0
+    order = np.argsort(lows)
+    places = [places[k] for k in order]
+    lows = lows[order]
+    order = np.arange(len(lows))
+    words = np.frombuffer(b''.join(parts), dtype=np.int64).copy()
+    pointers = {moved(place) // 8: moved(target) for place, target in walk.pointers.items()}
+    words[list(pointers)] = list(pointers.values())
+    entries = {moved(place) // 8: symbol for place, symbol in walk.entries.items()}
+    words[list(entries)] = 0
+    return Image(words, changing // 8, np.array(sorted(pointers)), entries, moved(start) // 8)
+
+
+def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return spans in order, with those that overlap as one."""
+    found: list[tuple[int, int]] = []
+    for low, high in sorted(spans):
+        if found and low <= found[-1][1]:
+            found[-1] = found[-1][0], max(high, found[-1][1])
+        else:
+            found.append((low, high))
+    return found

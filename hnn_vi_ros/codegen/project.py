@@ -1,0 +1,100 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files of an exported scene: archive, shared library, header, example and build files."""
+
+from collections.abc import Mapping
+from pathlib import Path
+import re
+import shutil
+import subprocess
+from string import Template
+
+from hnn_vi_ros.codegen.scene_code import SceneCode, Variable
+from hnn_vi_ros.files import share_folder
+from hnn_vi_ros.kernels import processor
+from hnn_vi_ros.version import __version__
+
+FUNCTIONS = ('init', 'start', 'step', 'energy', 'outputs', 'save', 'restore')
+
+
+def identifier(text: str) -> str:
+    """Return a text as an identifier of C."""
+    return re.sub(r'^(?=\d)', '_', re.sub(r'\W', '_', text, flags=re.ASCII)) or '_'
+
+
+def archive(name: str, code: bytes) -> bytes:
+    """Return a static library of one object file, with an index, in the format of ar."""
+    symbols = b''.join(f'{name}_{function}'.encode() + b'\0' for function in FUNCTIONS)
+    symbols += b'\0' * (len(symbols) % 2)
+    index_size = 4 * (1 + len(FUNCTIONS)) + len(symbols)
+    # The object follows the magic number, the header of the index, and the index.
+    place = (8 + 60 + index_size).to_bytes(4, 'big')
+    index = len(FUNCTIONS).to_bytes(4, 'big') + place * len(FUNCTIONS) + symbols
+
+    def member(title: str, content: bytes) -> bytes:
+        head = f'{title:16}{0:<12}{0:<6}{0:<6}{"100644":8}{len(content):<10}`\n'
+        return head.encode() + content + b'\n' * (len(content) % 2)
+    return b'!<arch>\n' + member('/', index) + member('scene.o/', code)
+
+
+def write_project(folder: Path, name: str, scene: SceneCode) -> list[Path]:
+    """
+    Write the files of an exported scene.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder, which is created.
+    name : str
+        Prefix of its functions.
+    scene : SceneCode
+        Its object code.
+
+    Returns
+    -------
+    list of Path
+        The files; without the shared library if there is no C compiler ``cc``.
+
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    library, shared = folder / f'lib{name}.a', folder / f'{name}.so'
+    library.write_bytes(archive(name, scene.code))
+    written = [library]
+    if shutil.which('cc'):
+        subprocess.run(['cc', '-shared', '-o', shared, '-Wl,--whole-archive', library,
+                        '-Wl,--no-whole-archive', '-lm'], check=True)
+        written.append(shared)
+    values = template_values(name, scene) | {
+        'shared': f', `{name}.so`' if len(written) > 1 else ''}
+    for source, target in (('scene.h', f'{name}.h'), ('example.c', 'example.c'),
+                           ('CMakeLists.txt', 'CMakeLists.txt'), ('README.md', 'README.md')):
+        written.append(folder / target)
+        written[-1].write_text(filled(source, values), encoding='utf-8')
+    return written
+
+
+def filled(template: str, values: Mapping[str, object]) -> str:
+    """Return a template with the values of its names."""
+    path = share_folder() / 'config/templates/export' / template
+    return Template(path.read_text(encoding='utf-8')).substitute(values)
+
+
+def template_values(name: str, scene: SceneCode) -> dict[str, object]:
+    """Return the values of the names in templates."""
+    own, upper = scene.scene, identifier(name).upper()
+    timeout = scene.machine.inputs.timeout
+    return {
+        'name': name, 'NAME': upper, 'version': __version__, 'processor': processor(),
+        'title': own.description.replace('*/', '* /') or own.name, 'step_size': own.step_size,
+        'integrator': own.integrator.kind, 'on_failure': own.on_failure,
+        'timeout': f'{timeout:g} s', 'words': scene.image.words.size,
+        'saved': 1 + scene.image.words.size - scene.image.changing,
+        'q_size': scene.machine.outputs.q_size, 'p_size': scene.machine.outputs.p_size,
+        'inputs': _enumerated(f'{upper}_IN', scene.inputs),
+        'outputs': _enumerated(f'{upper}_OUT', scene.outputs),
+        'names': ', '.join(f'"{one.name} [{one.unit}]"' for one in scene.outputs)}
+
+
+def _enumerated(prefix: str, variables: list[Variable]) -> str:
+    return '\n'.join(f'  {prefix}_{identifier(one.name).upper()}, /* {one.text} [{one.unit}] */'
+                     for one in variables)

@@ -1,0 +1,226 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Object code of a scene: its compiled step, and the memory that it needs."""
+
+from collections.abc import Iterator
+from hashlib import sha256
+import re
+from typing import NamedTuple
+
+from hnn_vi_ros.codegen.entries import (
+    EFFORTS, CommandTable, INTERNAL, Machine, OutputTable, POSITIONS, symbols, VELOCITIES)
+from hnn_vi_ros.codegen.image import Image, image_of
+from hnn_vi_ros.effects import EFFORT, Force, LARGEST, NUMBERS, OBSERVATION, POSITION, VELOCITY
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.integrators import PhasePoint
+from hnn_vi_ros.kernels import Block, block, object_code, type_of
+from hnn_vi_ros.phase_space import column_units, columns
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import build, resolve, Simulation
+import numpy as np
+
+
+_EFFORT_UNITS = {'rad': 'N m', 'm': 'N'}
+
+
+class Variable(NamedTuple):
+    """Name, unit and description of a number that goes in or out."""
+
+    name: str
+    unit: str
+    text: str
+
+
+class SceneCode(NamedTuple):
+    """
+    Object code of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene, with a method and a step size.
+    code : bytes
+        Object file.
+    image : Image
+        Initial contents of a state.
+    inputs, outputs : list of Variable
+        Numbers of a command, and outputs, in order.
+    machine : Machine
+        The memory of which the image is a copy.
+
+    """
+
+    scene: Scene
+    code: bytes
+    image: Image
+    inputs: list[Variable]
+    outputs: list[Variable]
+    machine: Machine
+
+
+def compile_scene(scene: Scene, name: str) -> SceneCode:
+    """
+    Return the object code of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of one trajectory.
+    name : str
+        Prefix of the exported functions, an identifier of C.
+
+    Raises
+    ------
+    UnsupportedSystem
+        The scene contains what has no compiled step; the message names it.
+
+    """
+    parts = resolve(scene)
+    simulation = build(parts)
+    _check(parts.scene, simulation)
+    inputs, wanted = _inputs(simulation)
+    shared = simulation.shared()
+    outputs, given, motors = _outputs(simulation, *shared[4:6])
+    machine = Machine._make([*shared, np.empty((0, shared[4].q.size)), inputs, outputs])
+    words = block(machine)
+    found = symbols(type_of(machine), motors)
+    image = image_of(Block.of(words))
+    text = '\n'.join(_assembly(name, image, found))
+    code = object_code(text, [*found.values(), *image.entries.values()])
+    return SceneCode(parts.scene, code, image, wanted, given, machine)
+
+
+def _check(scene: Scene, simulation: Simulation) -> None:
+    """Raise UnsupportedSystem for what is not part of the compiled step."""
+    for key in ('events', 'measurements'):
+        if getattr(scene, key):
+            raise UnsupportedSystem(f'{scene.place(key)}: {key} are not part of the compiled '
+                                    'step, and cannot be exported; remove them')
+    if not (simulation.system.kernel.compiled and simulation.system.integrator.compiled):
+        raise UnsupportedSystem(
+            f'{scene.place("integrator")}: {scene.integrator.kind} with this H is not compiled, '
+            'and cannot be exported; use another integrator, or a compiled H')
+    if OBSERVATION in simulation.motors.takes:
+        raise UnsupportedSystem(f'{scene.place("effects")}: an observer takes observations, which '
+                                'cannot be exported; remove it')
+
+
+def _inputs(simulation: Simulation) -> tuple[CommandTable, list[Variable]]:
+    """Return the numbers of a command; see Simulation.set_command."""
+    rows: list[tuple[int, int, float, float]] = []
+    names, timeout, state = list[Variable](), np.inf, simulation.system.effect_state
+    coordinates = simulation.hamiltonian.coordinates
+    units = dict(zip(columns(coordinates)[0], column_units(coordinates)[0], strict=True))
+    for effect, own in simulation.motors.effects:
+        for k, column in enumerate(own.columns.tolist()):
+            label = effect.names[k] if effect.names else str(k + 1)
+            unit = units.get(label, '1')
+            if NUMBERS in effect.takes:
+                timeout = effect.timeout
+                rows.append((EFFORTS, column, -LARGEST, LARGEST))
+                names.append(Variable(f'{EFFORT}_{label}', _EFFORT_UNITS.get(unit, '1'),
+                                      f'commanded effort of {label}'))
+            else:
+                low, high = simulation.motors.limits(label)
+                rows += [(POSITIONS, column, max(low, -LARGEST), min(high, LARGEST)),
+                         (VELOCITIES, column, -LARGEST, LARGEST)]
+                names += [Variable(f'{POSITION}_{label}', unit, f'commanded position of {label}'),
+                          Variable(f'{VELOCITY}_{label}', f'{unit}/s',
+                                   f'commanded velocity of {label}')]
+    table = np.array(rows, dtype=np.float64).reshape(-1, 4).T
+    kinds, places = table[:2].astype(np.int64)
+    return CommandTable(
+        kinds, places, table[2].copy(), table[3].copy(), float(timeout), state.command,
+        state.clock, state.reference.modes, state.reference.targets), names
+
+
+def _outputs(simulation: Simulation, z: PhasePoint, z1: PhasePoint
+             ) -> tuple[OutputTable, list[Variable], list[type]]:
+    """Return the sources of the outputs, their names, and the classes of the motors' effects."""
+    coordinates, system = simulation.hamiltonian.coordinates, simulation.system
+    (q_names, p_names), (q_units, p_units) = columns(coordinates), column_units(coordinates)
+    units = dict(zip(q_names, q_units, strict=True))
+    rows: list[tuple[Variable, int, int, float, float]] = []
+
+    def add(source: int, index: int, *words: str, factor: float = 1.0, offset: float = -0.0
+            ) -> None:
+        # -0.0 + x is x for all x.
+        rows.append((Variable(*words), source, index, factor, offset))
+    for k, name in enumerate(q_names):
+        add(0, k, name, units[name], f'coordinate {name}')
+    for k, name in enumerate(p_names):
+        add(1, k, f'{name}_momentum', p_units[k], f'conjugate momentum of {name}')
+    for k, name in enumerate(p_names):
+        unit = units.get(name, 'rad')
+        add(2, k, f'{name}_velocity', f'{unit}/s', f'velocity of {name}')
+        add(3, k, f'{name}_effort', _EFFORT_UNITS.get(unit, '1'), f'force of commands on {name}')
+    for leader, one in ((c.name, one) for c in coordinates for one in c.followers):
+        k = q_names.index(leader)
+        add(0, k, one.name, units[leader], f'follows {leader}', factor=one.multiplier,
+            offset=one.offset)
+        add(2, k, f'{one.name}_velocity', f'{units[leader]}/s', f'follows {leader}',
+            factor=one.multiplier)
+    totals = [('gradients', '1', "gradients of H and products with H'' so far"),
+              ('residual', '1', 'residual of the last implicit step'),
+              ('energy', 'J', 'H(q, p)'),
+              *((f'work_{label}', 'J', f'work of {label}') for label in system.labels)]
+    add(4, 0, 'time', 's', 'simulated time', factor=simulation.step_size)
+    for k, words in enumerate(totals, 1):
+        add(4, k, *words)
+    forces = [(type(effect), own) for effect, own in simulation.motors.effects
+              if isinstance(effect, Force)]
+    table = np.array([row[1:] for row in rows])
+    keeps, space, total = system.integrator.keeps_gradient, np.zeros((2, len(q_names))), np.zeros(
+        len(totals) + 1)
+    return OutputTable(
+        len(q_names), len(p_names), (z.q, z.p, (z if keeps else z1).dH_dp, space[1], total),
+        table[:, :2].astype(np.int64), table[:, 2:].copy(), total, system.effect_state.work,
+        (*(own for _, own in forces), (), ())[:2], space, int(keeps)), [row[0] for row in rows], [
+            kind for kind, _ in forces]
+
+
+def _assembly(name: str, image: Image, found: dict[str, str]) -> Iterator[str]:
+    """Yield LLVM's assembly of the exported functions, which call those of entries by symbol."""
+    called = list(image.entries.items())
+    tables = {'image': image.words.tolist(), 'pointers': image.pointers.tolist(),
+              'places': [place for place, _ in called],
+              'entries': [f'ptrtoint (ptr @"{symbol}" to i64)' for _, symbol in called]}
+    for table, words in tables.items():
+        listed = ', '.join(f'i64 {word}' for word in words)
+        yield f'@{table} = internal constant [{len(words)} x i64] [{listed}], align 64'
+    for symbol in dict.fromkeys(image.entries.values()):
+        yield f'declare i32 @"{symbol}"()'
+    place = {table: f'ptrtoint (ptr @{table} to i64)' for table in tables}
+    size, start = image.words.size, '%start'
+    digest = int.from_bytes(sha256(image.words.tobytes()).digest()[:7], 'little')
+    for function, *arguments in (
+            ('init', '%0', place['image'], size, place['pointers'], image.pointers.size,
+             place['places'], place['entries'], len(called)),
+            ('save', '%0', '%1', image.changing, size, digest),
+            ('restore', '%0', '%1', image.changing, size, digest),
+            ('step', start, '%1', '%n'), ('start', start, '%1', '%2'), ('energy', start),
+            ('outputs', start, '%1')):
+        yield _function(f'{name}_{function}', found[function], 8 * image.start,
+                        [str(argument) for argument in arguments],
+                        'double' if function == 'energy' else 'i64')
+
+
+def _function(name: str, symbol: str, start: int, arguments: list[str], result: str) -> str:
+    """Return a function of C, with pointers as arguments, that calls a compiled function."""
+    pointers = [k for k in range(3) if f'%{k}' in arguments or (k == 0 and '%start' in arguments)]
+    taken = [f'ptr %p{k}' for k in pointers] + ['i64 %n'] * ('%n' in arguments)
+    passed = ', '.join('i64 ' + re.sub(r'^%(\d)$', r'%i\1', one) for one in arguments)
+    numbers = [f'  %i{k} = ptrtoint ptr %p{k} to i64' for k in pointers]
+    # The result, or what a failed call gives instead.
+    shown, end, failed = ('double', '', '0x7FF8000000000000') if result == 'double' else (
+        'i32', 'trunc i64 %value to i32', str(INTERNAL))
+    end = f'  %out = {end or "fadd double %value, -0.0"}'
+    return '\n'.join([
+        f'declare i32 @"{symbol}"(ptr, ptr{", i64" * len(arguments)})',
+        f'define {shown} @{name}({", ".join(taken)}) {{',
+        f'  %result = alloca {result}', '  %problem = alloca ptr', *numbers,
+        f'  %start = add i64 %i0, {start}',
+        f'  %status = call i32 @"{symbol}"(ptr %result, ptr %problem, {passed})',
+        f'  %value = load {result}, ptr %result', end, '  %ok = icmp eq i32 %status, 0',
+        f'  %shown = select i1 %ok, {shown} %out, {shown} {failed}', f'  ret {shown} %shown',
+        '}'])

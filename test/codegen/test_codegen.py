@@ -1,0 +1,380 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Test exported scenes: C programs that take the same steps as simulations, bit by bit."""
+
+import csv
+import ctypes
+from functools import cache
+import os
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from threading import Thread
+
+from helpers import long
+from hnn_vi_ros.codegen import compile_scene, entries, export, identifier, write_project
+from hnn_vi_ros.codegen.entries import INVALID_COMMAND, INVALID_STATE
+from hnn_vi_ros.codegen.project import FUNCTIONS
+from hnn_vi_ros.effects import JointCommand
+from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.files import prefixes
+from hnn_vi_ros.integrators import base, IN_DOUBT, NO_CONVERGENCE, NOT_FINITE, OK, REASONS
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation import build
+from messages import refused
+import numpy as np
+import pytest
+
+SERVO = {'kind': 'servo', 'coordinates': ['angle'], 'stiffness': 3.0, 'damping': 0.3,
+         'effort_limit': 2.0, 'position': [0.5]}
+ARM = {'kind': 'servo', 'coordinates': ['elbow', 'wrist_1'], 'stiffness': 40.0, 'damping': 4.0,
+       'position': [0.6, 0.0]}
+
+
+def attention():
+    """Return a scene with an attention network that was exported from torch."""
+    import torch
+    from hnn_vi_ros.learning import export as export_module
+    from torch import nn
+
+    class Attention(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.embed, self.last = nn.Linear(2, 4), nn.Linear(4, 1)
+            self.query, self.key, self.value = (nn.Linear(4, 4) for _ in range(3))
+
+        def forward(self, x):
+            h = self.embed(torch.stack(x.chunk(2, -1), -1))
+            weights = torch.softmax(self.query(h) @ self.key(h).transpose(1, 2) / 2.0, -1)
+            return self.last(torch.tanh(h + weights @ self.value(h))).sum((1, 2)) \
+                + 0.5 * (x**2).sum(-1)
+
+    torch.manual_seed(1)
+    path = Path(tempfile.mkdtemp(), 'attention.safetensors')
+    box = [(-2.0, 2.0)] * 3
+    export_module(Attention(), path, ['x', 'y', 'z'], {'q': box, 'p': box})
+    return Scene.build(hamiltonian={'kind': 'hnn', 'model': str(path)},
+                       integrator={'kind': 'implicit_midpoint'}, step_size=0.05,
+                       initial_state={'q': [0.5, -0.2, 0.1], 'p': [0.0, 0.3, 0.0]})
+
+
+def changed(name, **changes):
+    return lambda: load_scene(name).changed(changes)
+
+
+FORMULA = {'hamiltonian': {'kind': 'formula', 'coordinates': ['x'], 'H': 'p_x**2/2 + x**4/4'},
+           'integrator': {'kind': 'gauss4'}, 'step_size': 0.05,
+           'initial_state': {'q': [1.0], 'p': [0.0]}}
+SCENES = {
+    'pendulum': changed('pendulum'),
+    'servo': changed('pendulum', effects=[SERVO]),
+    'gauss8': changed('double_pendulum', integrator={'kind': 'gauss8'}, step_size=0.02),
+    'arm': changed('six_joint_arm', effects=[
+        ARM, {'kind': 'joint_friction', 'damping': {'elbow': 0.1}, 'friction': {'elbow': 0.5},
+              'speed': 0.01}]),
+    'four_bar': changed('four_bar'),
+    'gear': changed('gripper'),
+    'quadrotor': changed('quadrotor'),
+    'attention': attention,
+    'formula': lambda: Scene.build(**FORMULA),
+    'driven': changed('exact_damped_driven_pendulum'),
+    'pair': changed('double_pendulum', integrator={'kind': 'dop853', 'relative_tolerance': 1e-7}),
+}
+QUICK = 'servo', 'formula'
+
+
+@cache
+def exported(name):
+    """Return a scene, its code, and the folder and prefix of its files."""
+    scene = SCENES[name]()
+    code = compile_scene(scene, name)
+    folder = Path(tempfile.mkdtemp())
+    write_project(folder, name, code)
+    return scene, code, folder
+
+
+class Library:
+    """The functions of an exported scene, called by ctypes."""
+
+    def __init__(self, name):
+        self.scene, self.code, folder = exported(name)
+        library = ctypes.CDLL(str(folder / f'{name}.so'))
+        for function in FUNCTIONS:
+            setattr(self, function, getattr(library, f'{name}_{function}'))
+        self.energy.restype = ctypes.c_double
+
+    def state(self):
+        memory = np.zeros(self.code.image.words.size + 8, dtype=np.int64)
+        begin = -memory.ctypes.data // 8 % 8
+        own = memory[begin:begin + self.code.image.words.size]
+        assert self.init(address(own)) == 0
+        return own
+
+    def take(self, state, n, command=None):
+        numbers = None if command is None else address(np.array(command))
+        return self.step(address(state), numbers, ctypes.c_int64(n))
+
+    def values(self, state):
+        out = np.full(len(self.code.outputs), np.nan)
+        assert self.outputs(address(state), address(out)) == 0
+        return dict(zip((one.name for one in self.code.outputs), out.tolist(), strict=True))
+
+    def point(self, state):
+        """Return q and p."""
+        outputs = self.code.machine.outputs
+        return [*self.values(state).values()][:outputs.q_size + outputs.p_size]
+
+
+def address(array):
+    pointer = ctypes.c_void_p(array.ctypes.data)
+    pointer.array = array  # keeps the memory
+    return pointer
+
+
+def program(name):
+    """Return the example of a scene, compiled as standard C without warnings."""
+    _, _, folder = exported(name)
+    subprocess.run(['cc', '-std=c11', '-Wall', '-Wextra', '-Wpedantic', '-Werror', 'example.c',
+                    f'lib{name}.a', '-lm', '-o', 'example'], cwd=folder, check=True)
+    return folder / 'example'
+
+
+@pytest.mark.parametrize('name', [name if name in QUICK else long(name) for name in SCENES])
+def test_c_program_takes_the_steps_of_simulate_bit_by_bit(name):
+    steps, every = 100_000, 20_000
+    if name in ('arm', 'four_bar', 'gear'):
+        # They move for a while, and then rest or fail in both.
+        steps, every = 20_000, 4_000
+    lines = subprocess.run([program(name), str(steps), str(every)], capture_output=True, text=True,
+                           check=True).stdout.splitlines()
+    rows = np.array(list(csv.reader(lines[1:])), dtype=float)
+    simulation = build(SCENES[name]())
+    q, p = simulation.record(steps // every, every)
+    assert rows.shape[0] == 1 + steps // every
+    assert np.array_equal(rows[1:, :q.shape[1]], q)
+    assert np.array_equal(rows[1:, q.shape[1]:q.shape[1] + p.shape[1]], p)
+    last = dict(zip(lines[0].split(','), rows[-1], strict=True))
+    assert last['energy [J]'] == simulation.energy
+    assert last['gradients [1]'] == simulation.gradients
+    assert {key: last[f'work_{key} [J]'] for key in simulation.works} == simulation.works
+    # Nobody has rescued a step: the program cannot.
+    assert simulation.rescued == simulation.several_solutions == 0
+
+
+@pytest.mark.parametrize('name', [name if name in QUICK else long(name) for name in SCENES])
+def test_object_needs_the_mathematical_library_only(name):
+    _, code, folder = exported(name)
+    listed = subprocess.run(['nm', '-u', f'lib{name}.a'], cwd=folder, capture_output=True,
+                            text=True, check=True).stdout.split()
+    needed = {word for word in listed if word != 'U' and not word.endswith('.o:')}
+    assert needed <= {'sin', 'cos', 'sincos', 'tan', 'asin', 'acos', 'atan', 'atan2', 'exp',
+                      'exp2', 'expm1', 'log', 'log1p', 'log2', 'pow', 'sqrt', 'tanh', 'sinh',
+                      'cosh', 'hypot', 'fmod', 'floor', 'ceil', 'cbrt', 'memcpy', 'memmove',
+                      'memset', 'asinh', 'acosh', 'atanh', 'erf', 'erfc', 'log10'}
+    # No memory of its own changes.
+    sections = subprocess.run(['nm', f'lib{name}.a'], cwd=folder, capture_output=True, text=True,
+                              check=True).stdout.split()
+    assert not {'B', 'b', 'D', 'C'} & set(sections)
+    # Code and tables; the image is as large as the weights and the workspaces.
+    assert len(code.code) - code.image.words.nbytes < 300_000
+
+
+def test_commands_act_as_in_a_simulation():
+    library, simulation = Library('servo'), build(SCENES['servo']())
+    state, nan = library.state(), np.nan
+    for position, velocity in ((1.0, nan), (nan, 2.0), (nan, nan), (-0.5, 0.3)):
+        assert library.take(state, 50, [position, velocity]) == 0
+        if not np.isnan([position, velocity]).all():
+            simulation.set_command(JointCommand(
+                ['angle'], np.array([position]), np.array([velocity]), np.array([nan])))
+        simulation.advance(50)
+        assert library.point(state) == [*simulation.q, *simulation.p]
+        values = library.values(state)
+        assert values['angle_velocity'] == simulation.dH_dp[0]
+        assert values['angle_effort'] == simulation.motors.forces(
+            simulation.time, simulation.q, simulation.p, simulation.dH_dp)[0]
+
+
+@pytest.mark.long
+def test_efforts_expire_as_in_a_simulation():
+    library, simulation = Library('quadrotor'), build(SCENES['quadrotor']())
+    state = library.state()
+    for command in ([9.0, 0.01, 0.0, 0.0], [7.0, 0.0, -0.01, 0.001], None):
+        assert library.take(state, 70, command) == 0
+        if command:
+            simulation.set_command(command)
+        simulation.advance(70)
+        assert library.point(state) == [*simulation.q, *simulation.p]
+
+
+@pytest.mark.parametrize('number', [np.inf, -np.inf, 1e13])
+def test_invalid_command_changes_nothing(number):
+    library = Library('servo')
+    state = library.state()
+    before = state.copy()
+    assert library.take(state, 5, [number, np.nan]) == INVALID_COMMAND
+    assert np.array_equal(state, before)
+
+
+def test_saved_state_continues_bit_by_bit_elsewhere():
+    library = Library('servo')
+    state = library.state()
+    saved = np.zeros(1 + state.size - library.code.image.changing, dtype=np.int64)
+    library.take(state, 37, [0.7, np.nan])
+    assert library.save(address(state), address(saved)) == 0
+    library.take(state, 100)
+    other = library.state()
+    assert library.restore(address(other), address(saved)) == 0
+    library.take(other, 100)
+    assert library.values(other) == library.values(state)
+
+
+def test_state_saved_by_another_object_is_refused():
+    library, other = Library('servo'), Library('formula')
+    state, foreign = library.state(), other.state()
+    before = state.copy()
+    saved = np.zeros(1 + max(state.size, foreign.size), dtype=np.int64)
+    other.save(address(foreign), address(saved))
+    assert library.restore(address(state), address(saved)) == INVALID_STATE
+    assert np.array_equal(state, before)
+
+
+def test_start_begins_at_another_state():
+    library, simulation = Library('servo'), build(SCENES['servo']())
+    state = library.state()
+    assert library.start(address(state), address(np.array([0.1])), address(np.array([-1.0]))) == 0
+    simulation.restart([0.1], [-1.0])
+    library.take(state, 100)
+    simulation.advance(100)
+    assert library.point(state) == [*simulation.q, *simulation.p]
+    assert library.start(address(state), address(np.array([np.nan])),
+                         address(np.array([0.0]))) == NOT_FINITE
+
+
+def test_states_are_independent_in_threads():
+    library = Library('servo')
+    states = [library.state() for _ in range(4)]
+    threads = [Thread(target=library.take, args=(state, 20_000, [0.1 * k, np.nan]))
+               for k, state in enumerate(states)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for k, state in enumerate(states):
+        alone = library.state()
+        library.take(alone, 20_000, [0.1 * k, np.nan])
+        assert library.values(alone) == library.values(state)
+
+
+def test_failed_step_returns_its_status_and_leaves_the_state_before_it():
+    scene = Scene.build(**FORMULA).changed({'step_size': 50.0, 'on_failure': 'stop'})
+    SCENES['failing'] = lambda: scene
+    library = Library('failing')
+    state = library.state()
+    before = library.point(state)
+    assert library.take(state, 10) == NO_CONVERGENCE
+    assert library.point(state) == before
+    assert library.values(state)['time'] == 0.0
+
+
+@pytest.mark.parametrize('name', ['taylor', 'events', 'measurements', 'observer'])
+def test_scene_with_what_is_not_compiled_is_refused(name):
+    joints = ['angle1', 'angle2']
+    scene = load_scene('exact_double_pendulum').changed({
+        'taylor': {'integrator': {'kind': 'taylor'}},
+        'events': {'events': [{'when': 'angle1 = 0'}]},
+        'measurements': {'measurements': {'joint_states': {}}},
+        'observer': {'effects': [{'kind': 'observer', 'coordinates': joints}]}}[name])
+    with refused(HnnViRosError):
+        compile_scene(scene, 'refused')
+
+
+def test_without_a_compiler_the_archive_alone_is_written(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv('PATH', '/nowhere')
+    scene = tmp_path / 'my scene.yaml'
+    scene.write_text(Scene.build(**FORMULA).to_yaml())
+    assert export.main([str(scene), '--out', str(tmp_path / 'c')]) == 0
+    assert 'no C compiler cc: my_scene.so is not written' in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / 'c').iterdir()} == {
+        'libmy_scene.a', 'my_scene.h', 'example.c', 'CMakeLists.txt', 'README.md'}
+    monkeypatch.undo()
+    subprocess.run(['cc', 'example.c', 'libmy_scene.a', '-lm', '-o', 'example'],
+                   cwd=tmp_path / 'c', check=True)
+    with refused(HnnViRosError):
+        export.main([str(scene), '--out', str(tmp_path / 'c')])
+
+
+@pytest.mark.long
+def test_command_exports_for_another_processor(tmp_path):
+    # The compiler reads the name of the processor once in each process.
+    def run(name):
+        folder = tmp_path / name
+        subprocess.run([sys.executable, '-m', 'hnn_vi_ros', 'export', 'exact_pendulum', '--out',
+                        str(folder), '--cpu', name], check=True)
+        return folder
+    folder = run('x86-64')
+    assert 'for x86-64.' in (folder / 'exact_pendulum.h').read_text()
+    shown = subprocess.run(['objdump', '-d', 'libexact_pendulum.a'], cwd=folder,
+                           capture_output=True, text=True, check=True).stdout
+    # Registers of AVX are not in code for all x86-64.
+    assert '%ymm' not in shown and '%xmm' in shown
+    subprocess.run(['cmake', '-S', folder, '-B', folder / 'build'], check=True)
+    subprocess.run(['cmake', '--build', folder / 'build'], check=True)
+    subprocess.run([folder / 'build/exact_pendulum_example', '10', '1'], check=True)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which('valgrind') is None, reason='no valgrind')
+def test_valgrind_finds_no_error():
+    # Code for this processor may be unknown to valgrind; any x86-64 is known.
+    folder = Path(tempfile.mkdtemp(), 'c')
+    subprocess.run([sys.executable, '-m', 'hnn_vi_ros', 'export', 'pendulum', '--out', str(folder),
+                    '--cpu', 'x86-64'], check=True)
+    subprocess.run(['cc', '-g', 'example.c', 'libpendulum.a', '-lm', '-o', 'example'], cwd=folder,
+                   check=True)
+    done = subprocess.run(['valgrind', '-q', '--error-exitcode=9', './example', '100', '10'],
+                          cwd=folder, capture_output=True, text=True, env=os.environ)
+    assert done.returncode == 0 and done.stderr == ''
+
+
+def test_header_has_the_statuses_of_steps():
+    _, _, folder = exported('servo')
+    found = dict(re.findall(r'  SERVO_(\w+) = (\d+)', (folder / 'servo.h').read_text()))
+    known = vars(entries) | vars(base)
+    assert {name: int(number) for name, number in found.items()} == {
+        name: known[name] for name in found}
+    assert {*REASONS, IN_DOUBT, OK} <= {int(number) for number in found.values()}
+
+
+def test_header_is_standard_c_plus_plus():
+    _, _, folder = exported('servo')
+    (folder / 'own.cpp').write_text(
+        '#include "servo.h"\nint main() { static servo_state s; return servo_init(&s) || '
+        'servo_step(&s, nullptr, 10) || SERVO_INPUTS != 2 || SERVO_IN_VELOCITY_ANGLE != 1; }\n')
+    subprocess.run(['c++', '-std=c++14', '-Wall', '-Wextra', '-Wpedantic', '-Werror', 'own.cpp',
+                    'libservo.a', '-lm', '-o', 'own'], cwd=folder, check=True)
+    subprocess.run([folder / 'own'], check=True)
+
+
+@pytest.mark.long
+def test_node_of_the_page_fits_the_header():
+    SCENES['gripper'] = changed('gripper')
+    _, _, folder = exported('gripper')
+    page = (Path(__file__).parents[2] / 'docs/how-to/export-c.md').read_text()
+    node = re.search(r'```cpp\n(.*?)```', page, re.DOTALL)[1]
+    used = set(re.findall(r'\bGRIPPER_\w+|\bgripper_(?:init|step|outputs|state)\b', node))
+    assert len(used) > 8 and used <= set(re.findall(r'\w+', (folder / 'gripper.h').read_text()))
+    (folder / 'node.cpp').write_text(node)
+    headers = [f'-I{path}' for prefix in prefixes() for path in (prefix / 'include').glob('*')]
+    if any(option.endswith('/rclcpp') for option in headers):
+        subprocess.run(['c++', '-std=c++17', '-fsyntax-only', *headers, 'node.cpp'], cwd=folder,
+                       check=True)
+
+
+@pytest.mark.parametrize(('text', 'expected'), [
+    ('my scene', 'my_scene'), ('2 links', '_2_links'), ('ä-b', '__b'), ('', '_')])
+def test_identifier_is_one_of_c(text, expected):
+    assert identifier(text) == expected
