@@ -118,9 +118,9 @@ setup(
         'taylor': TAYLOR,
         # What `sweep --ray` takes besides.
         'ray': ['ray>=2.40,<3'],
-        'test': [*TRAIN, *SWEEP, *TAYLOR, 'gymnasium>=1.1,<2', 'hypothesis>=6.100',
-                 'pandas>=2.2', 'pin>=3.0', 'pytest>=7.4', 'pytest-timeout>=2.1',
-                 'pytest-xdist>=3.5', 'rosbags>=0.10', 'xarray>=2024.1'],
+        'test': [*TRAIN, *SWEEP, *TAYLOR, 'fmpy>=0.3.20,<1', 'gymnasium>=1.1,<2',
+                 'hypothesis>=6.100', 'pandas>=2.2', 'pin>=3.0', 'pytest>=7.4',
+                 'pytest-timeout>=2.1', 'pytest-xdist>=3.5', 'rosbags>=0.10', 'xarray>=2024.1'],
     },
     zip_safe=False,
     author='The hnn_vi_ros Authors',

@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 # flake8: noqa: F401
 """
-Code generation: the compiled step of a scene as a library, without Python.
+Code generation: the compiled step of a scene as a library or an FMU, without Python.
 
 ``image`` moves the memory of a simulation, ``entries`` are the functions that are exported,
 ``scene_code`` joins both to an object file, ``project`` writes it with what a C
-program needs.
+program needs, and ``fmu`` as an FMU.
 """
 
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
+    from hnn_vi_ros.codegen.fmu import write_fmu
     from hnn_vi_ros.codegen.project import identifier, write_project
     from hnn_vi_ros.codegen.scene_code import compile_scene, SceneCode
 

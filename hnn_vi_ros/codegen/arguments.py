@@ -15,14 +15,17 @@ PROCESSORS = {
 def export() -> Parser:
     """Return the parser of ``export``."""
     parser = Parser('export', (
-        'Write the compiled step of a scene as a C library. Programs that use it need '
+        'Write the compiled step of a scene as a C library or an FMU. Programs that use it need '
         'neither Python nor this package.'), [
             'hnn export pendulum --out pendulum_c',
+            'hnn export pendulum --fmu pendulum.fmu',
             'hnn export my_arm.yaml --out arm_c --cpu x86-64-v3'])
     complete_by(parser.add_argument('scene', metavar='SCENE', help=(
         'name of a shipped scene (see hnn list scenes), or a YAML file')), 'scene')
-    parser.add_argument('--out', type=Path, required=True, metavar='DIR', help=(
+    parser.add_argument('--out', type=Path, metavar='DIR', help=(
         'folder of the C library, its header, an example, CMakeLists.txt and README'))
+    parser.add_argument('--fmu', type=Path, metavar='FILE', help=(
+        'file of an FMI 3.0 unit for co-simulation (.fmu); needs a C compiler cc'))
     parser.add_argument('--cpu', choices=PROCESSORS, default='host', metavar='NAME', help=(
         f'processor that runs the code: {", ".join(PROCESSORS)} (default: host, this one, whose '
         'results are those of `simulate` bit by bit)'))

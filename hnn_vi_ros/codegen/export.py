@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Export a scene as a C library."""
+"""Export a scene as a C library or an FMU."""
 
 import os
 import shutil
@@ -16,17 +16,27 @@ def main(argv: list[str]) -> int:
     """Compile the scene, and write the files."""
     options = arguments.export().parse_args(argv)
     _choose_processor(options.cpu)
-    if options.out.exists() and not options.force:
-        raise ParameterError(f'--out {options.out}: exists already; name another one, or add '
-                             '--force')
+    if options.out is None and options.fmu is None:
+        raise ParameterError('name what to write: --out DIR or --fmu FILE')
+    for option, path in (('--out', options.out), ('--fmu', options.fmu)):
+        if path is not None and path.exists() and not options.force:
+            raise ParameterError(f'{option} {path}: exists already; name another one, or add '
+                                 '--force')
+    if options.fmu is not None and (options.fmu.suffix != '.fmu' or shutil.which('cc') is None):
+        raise ParameterError(f'--fmu {options.fmu}: needs a name that ends in .fmu, and a C '
+                             'compiler cc, which --out does not need')
     # Imported after the choice of the processor, which the compiler reads once.
+    from hnn_vi_ros.codegen.fmu import write_fmu
     from hnn_vi_ros.codegen.project import identifier, write_project
     from hnn_vi_ros.codegen.scene_code import compile_scene
     scene = load_scene(options.scene)
     name = identifier(scene.name)
     code = compile_scene(scene, name)
     try:
-        written = write_project(options.out, name, code)
+        written = [] if options.out is None else write_project(options.out, name, code)
+        if options.fmu is not None:
+            write_fmu(options.fmu, name, code)
+            written.append(options.fmu)
     except OSError as problem:
         raise ParameterError(f'{problem.filename}: cannot be written ({problem.strerror}); name '
                              'another place') from problem

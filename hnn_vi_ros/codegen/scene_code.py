@@ -45,6 +45,8 @@ class SceneCode(NamedTuple):
         Initial contents of a state.
     inputs, outputs : list of Variable
         Numbers of a command, and outputs, in order.
+    starts : list of (Variable, float)
+        Initial q and p; empty if they cannot be chosen one by one.
     machine : Machine
         The memory of which the image is a copy.
 
@@ -55,6 +57,7 @@ class SceneCode(NamedTuple):
     image: Image
     inputs: list[Variable]
     outputs: list[Variable]
+    starts: list[tuple[Variable, float]]
     machine: Machine
 
 
@@ -87,7 +90,12 @@ def compile_scene(scene: Scene, name: str) -> SceneCode:
     image = image_of(Block.of(words))
     text = '\n'.join(_assembly(name, image, found))
     code = object_code(text, [*found.values(), *image.entries.values()])
-    return SceneCode(parts.scene, code, image, wanted, given, machine)
+    start = [*simulation.q.tolist(), *simulation.p.tolist()]
+    bound = simulation.system.constraints is not None or simulation.hamiltonian.rotations
+    starts = [] if bound else [
+        (Variable(f'initial_{one.name}', one.unit, f'initial {one.text}'), value)
+        for one, value in zip(given, start, strict=False)]
+    return SceneCode(parts.scene, code, image, wanted, given, starts, machine)
 
 
 def _check(scene: Scene, simulation: Simulation) -> None:

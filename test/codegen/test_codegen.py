@@ -305,6 +305,10 @@ def test_without_a_compiler_the_archive_alone_is_written(monkeypatch, capsys, tm
                    cwd=tmp_path / 'c', check=True)
     with refused(HnnViRosError):
         export.main([str(scene), '--out', str(tmp_path / 'c')])
+    with refused(HnnViRosError):
+        export.main([str(scene)])
+    with refused(HnnViRosError):
+        export.main([str(scene), '--fmu', str(tmp_path / 'scene.zip')])
 
 
 @pytest.mark.long
