@@ -362,11 +362,11 @@ def test_steps_are_as_small_as_sharp_friction_needs():
     z, found = np.zeros(2), []
     for value in force:
         found.append(z[0])
-        for _ in range(100):  # 0.1 ms: a twentieth of the time in which friction changes its sign
+        for _ in range(100):  # 0.1 ms: a tenth of the time in which friction changes its sign
             middle = z + 5e-5 * np.array([z[1], 0.5 * (
-                value - 0.5 * z[1] - np.tanh(z[1] / 0.004))])
+                value - 0.5 * z[1] - np.tanh(z[1] / 0.002))])
             z = z + 1e-4 * np.array([middle[1], 0.5 * (
-                value - 0.5 * middle[1] - np.tanh(middle[1] / 0.004))])
+                value - 0.5 * middle[1] - np.tanh(middle[1] / 0.002))])
     q = np.array(found)[:, None] + 1e-4 * rng.normal(size=(len(t), 1))
     run = replace(smoothed('sharp', t, q, None, force[:, None], 40.0), inputs='held')
     rigid = fit_machine(sliding(prior='planar_chain', residual=False), [run])
@@ -374,7 +374,7 @@ def test_steps_are_as_small_as_sharp_friction_needs():
     assert rigid.numbers.stages[-1][1] < 1.1
     found = rigid.estimates(sliding().coordinates, None)
     for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
-                        ('dry friction of x', 1.0), ('width of dry friction of x', 0.004)):
+                        ('dry friction of x', 1.0), ('width of dry friction of x', 0.002)):
         # Four standard errors.
         value, high = found[name].value, found[name].interval[1]
         assert abs(value - truth) < 4.0 * (high - value) / 1.96

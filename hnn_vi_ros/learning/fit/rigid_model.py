@@ -204,7 +204,7 @@ class RigidUnknowns(ABC):
 
     @property
     def spare(self) -> list[int]:
-        """Return the indices of the numbers of weights, springs and rotors."""
+        """Return the indices of weights, springs and rotors."""
         return []
 
     @abstractmethod
@@ -272,7 +272,7 @@ class PriorUnknowns(RigidUnknowns):
 
     @property
     def spare(self) -> list[int]:
-        """Return the indices of the numbers of weights, springs and rotors, as in RigidUnknowns."""
+        """Return the indices of weights, springs and rotors, as in RigidUnknowns."""
         return [k for k, name in enumerate(self.prior.names) if self.prior.linear and (
             is_spring(name) or name.startswith(('gravity', 'motor_inertia')))]
 

@@ -349,6 +349,6 @@ def search(problem: FitProblem, values: np.ndarray, tolerance: float = TOLERANCE
     units = 1.0 / units_of(found.solve(values))
     best = least_squares(
         found.residuals, values, found.slopes, bounds=(low, high), x_scale=units,
-        method='dogbox', loss='soft_l1' if problem.robust else 'linear', f_scale=_SOFT, ftol=tolerance,
-        xtol=_STILL * tolerance, gtol=tolerance, max_nfev=evaluations)
+        method='dogbox', loss='soft_l1' if problem.robust else 'linear', f_scale=_SOFT,
+        ftol=tolerance, xtol=_STILL * tolerance, gtol=tolerance, max_nfev=evaluations)
     return found.solve(best.x)
