@@ -72,8 +72,10 @@ class RigidModel:
         least, most = unknowns.least * unknowns.scale, unknowns.most * unknowns.scale
         room = ABOVE * unknowns.scale
         start = np.minimum(np.maximum(start, least + room), most - room)
-        self.numbers = [Number(str(k), '', '', *map(float, one)) for k, one in enumerate(zip(
-            start, least, most, unknowns.scale, strict=True))]
+        self.numbers = [Number(str(k), '', '', x, low, high, size, True)
+                        for k, (x, low, high, size) in enumerate(zip(*(
+                            part.tolist() for part in (start, least, most, unknowns.scale)),
+                            strict=True))]
         self._own = deepcopy(unknowns.network)
         # Parameters that are left out stay at these values.
         self._base = np.zeros(len(start))

@@ -347,8 +347,11 @@ def search(problem: FitProblem, values: np.ndarray, tolerance: float = TOLERANCE
     low, high = np.array([[number.low, number.high] for number in problem.model.numbers]).T
     # Not from the projected derivatives: they would scale up directions of pure rounding.
     units = 1.0 / units_of(found.solve(values))
+    # Interior points crawl along a bound, where many numbers of bodies end.
+    closed = all(number.closed for number in problem.model.numbers)
     best = least_squares(
         found.residuals, values, found.slopes, bounds=(low, high), x_scale=units,
-        method='dogbox', loss='soft_l1' if problem.robust else 'linear', f_scale=_SOFT,
-        ftol=tolerance, xtol=_STILL * tolerance, gtol=tolerance, max_nfev=evaluations)
+        method='dogbox' if closed else 'trf', loss='soft_l1' if problem.robust else 'linear',
+        f_scale=_SOFT, ftol=tolerance, xtol=_STILL * tolerance, gtol=tolerance,
+        max_nfev=evaluations)
     return found.solve(best.x)

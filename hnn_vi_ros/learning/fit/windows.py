@@ -45,6 +45,8 @@ class Number:
         Initial guess and bounds.
     size : float, optional
         Usual size; default: that of the initial guess.
+    closed : bool
+        True if the model accepts the bounds themselves.
 
     """
 
@@ -55,6 +57,7 @@ class Number:
     low: float = -math.inf
     high: float = math.inf
     size: float | None = None
+    closed: bool = False
 
 
 class ModelParts(NamedTuple):
