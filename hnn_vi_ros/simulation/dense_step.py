@@ -79,8 +79,9 @@ class DenseStep:
         stages = getattr(simulation.integrator, 'stages', 0)
         # The paths of adaptive methods can be evaluated anywhere in the step; that of a pair
         # contains forces as well.
-        pair = isinstance(simulation.integrator, Dop853) and not simulation.system.layered
-        self._series = (bool(simulation.integrator.tolerances) and (plain or pair)
+        self._pair = (isinstance(simulation.integrator, Dop853) and not simulation.system.layered
+                      and simulation.rescued == rescued)
+        self._series = (bool(simulation.integrator.tolerances) and (plain or self._pair)
                         and simulation.rescued == rescued and self._start.q.ndim == 1)
         if (plain and isinstance(simulation.integrator, Gauss) and stages >= _MIN_STAGES
                 and simulation.rescued == rescued):
@@ -166,7 +167,7 @@ class DenseStep:
                 return look.q.copy(), look.p.copy()
         simulation = self._simulation
         time = theta * simulation.step_size
-        if not self._takes_state:
+        if not self._takes_state or (self._pair and not self._series):
             return simulation.clock_trial(self._before, time)
         if self._series or (
                 self._plain and self.polynomial.order >= simulation.integrator.order):

@@ -480,7 +480,7 @@ class Simulation:
         The internal steps have the same lengths as in a whole step of the clock.
         """
         with self._elsewhere(row) as own:
-            own.own_step[0], self.step_size = self.step_size, elapsed
+            own.own_step[:], self.step_size = self.step_size, elapsed
             self.advance(1)
             return self.q.copy(), self.p.copy()
 

@@ -27,7 +27,7 @@ def states(seed: int, count: int, d: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize('method', mostly_long(
-    ('rk4', 'variational_euler', 'implicit_midpoint'), 'rk4'))
+    ('rk4', 'variational_euler', 'implicit_midpoint', 'dop853'), 'rk4', 'dop853'))
 def test_steps_equal_those_of_simulate_bit_by_bit(method):
     scene = driven('exact_double_pendulum', method, 'angle2', {'kind': 'damping', 'rate': 0.3})
     z, u = states(0, 3, 2)

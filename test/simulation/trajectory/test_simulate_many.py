@@ -49,6 +49,25 @@ def test_many_trajectories_are_those_of_each_alone(kind, integrator, d, threads)
         assert np.abs(many.p[1:, i] - p_alone).max() <= tolerance
 
 
+@pytest.mark.parametrize('kind', ['kepler', 'pendulum'])
+@pytest.mark.parametrize('duration, samples', [(3.0, 10), (3.1, 7)])
+def test_trajectories_of_dop853_take_steps_of_their_own_whatever_the_threads(
+        kind, duration, samples):
+    """Bit by bit; between steps of the clock the dense output of one is rounded otherwise."""
+    d = {'kepler': 2, 'pendulum': 1}[kind]
+    scene = scene_of(kind, 'dop853', d, 0.3)
+    random = np.random.default_rng(0)
+    q, p = random.uniform(0.5, 1.5, (BLOCK + 5, d)), random.uniform(-0.5, 0.5, (BLOCK + 5, d))
+    runs = [simulate_many(scene, q, p, duration, samples=samples, threads=threads)
+            for threads in (1, 2, 3)]
+    for run in runs[1:]:
+        assert np.array_equal(run.q, runs[0].q) and np.array_equal(run.p, runs[0].p)
+    for i in (0, BLOCK - 1, BLOCK):
+        alone = simulate(scene, duration, initial_state=(q[i], p[i]), times=runs[0].t)
+        rounding = 0.0 if duration == 3.0 else 100 * EPS
+        assert np.abs(alone.q - runs[0].q[:, i]).max() <= rounding
+
+
 def test_energies_of_a_block_are_those_of_each_and_evaluated_once(monkeypatch):
     scene, calls = load_scene('harmonic_oscillator'), []
     energies = System.energies
