@@ -23,6 +23,9 @@ from studies.hard_cases_run import (
 
 # Limits: the rise of a damped system's energy from block to block, and the errors of a rod.
 RISE, LENGTH, RATE = 1e-9, 1e-10, 1e-9
+# Torques of a motor [N m], and steps of each. Limits of what no cause explains, as a share of the
+# largest energy of a cause, and of the fall of a heat [J].
+_TORQUES, _HELD, SHARE = (8.0, -8.0, 0.0, 4.0, -4.0), 1000, 1e-3
 # Its energy is the exact one to round-off at the steps of case 12: halving them changes nothing.
 _EXACT = 'gauss16'
 # Steps of the reference of a driven run, for one of its own.
@@ -261,6 +264,42 @@ def _run_driven(job: Job, simulation: Simulation, measured: Measured) -> Measure
     return measured
 
 
+def run_books(job: Job) -> Measured:
+    """
+    Run a set-up with motors, whose energies by cause are looked at after each command.
+
+    The share is the largest abs(H - H0 - W) of the largest work or heat of a cause; the fall is
+    the largest one of a heat between two commands.
+    """
+    hamiltonian, integrator, effects = job.parts()
+    simulation = Simulation(hamiltonian, integrator, job.set_up.step_size, job.set_up.q,
+                            job.set_up.p, effects, energy_by_cause=True)
+    measured, (ledger, before) = _start(job)[1], (simulation.ledger, simulation.causes)
+    watch, errors = watch_of(job, simulation), list[float]()
+    heats = [k for k, name in enumerate(ledger.names) if name.startswith('heat/')]
+    largest, fall = 0.0, 0.0
+    watch.update(look(simulation))
+    try:
+        for k in range(job.steps // _HELD):
+            simulation.set_command([_TORQUES[k % len(_TORQUES)]] * simulation.command_size)
+            simulation.advance(_HELD)
+            watch.update(look(simulation))
+            found = simulation.causes
+            errors.append(found[-1])
+            fall = max(fall, float((before - found)[heats].max()))
+            largest, before = max(largest, float(np.abs(found[:-1]).max())), found
+            _note(measured, simulation, simulation.q, simulation.p)
+    except StepFailure as failure:
+        measured.failure = failure
+    measured.alarms, measured.band = watch.alarms, float(np.abs(errors).max(initial=0.0))
+    measured.measures = {'share': measured.band / largest, 'fall': fall}
+    measured.broken += [f'{name} > {SHARE:g}' for name, value in measured.measures.items()
+                        if value > SHARE]
+    t, measured.error = _thinned(job, np.maximum.accumulate(np.abs(errors)))
+    measured.t = t * (len(errors) * _HELD / job.steps)
+    return measured
+
+
 def _compare(job: Job, simulation: Simulation, found: np.ndarray, path: np.ndarray,
              measured: Measured) -> None:
     """Compare the counts of events on a path from the start, (n, 2 d), with those on another."""
@@ -290,4 +329,4 @@ def _note(measured: Measured, simulation: Simulation, q: np.ndarray, p: np.ndarr
 
 _CHECKS: dict[str, Callable[[Job], Measured]] = {
     'motion': run_motion, 'dissipation': run_dissipation, 'constraint': run_constraint,
-    'repeatability': run_repeatability, 'counts': run_counts}
+    'repeatability': run_repeatability, 'counts': run_counts, 'books': run_books}

@@ -77,7 +77,8 @@ class Case(StrictModel):
     number: int
     title: str
     claim: str
-    check: Literal['motion', 'dissipation', 'constraint', 'repeatability', 'counts'] = 'motion'
+    check: Literal['motion', 'dissipation', 'constraint', 'repeatability', 'counts',
+                   'books'] = 'motion'
     gates: list[Literal['G1', 'G2', 'G3', 'G4', 'G5']] = ['G1', 'G2', 'G3', 'G4', 'G5']
     steps: Steps = 1_000_000
     quick_steps: Steps

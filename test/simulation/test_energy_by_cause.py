@@ -331,10 +331,3 @@ def test_books_of_a_geared_arm_close_with_the_order_of_its_method():
     # Order 2 divides both by 4, up to the next order; every kind of part moved.
     assert 3.0 < coarse / fine < 5.0 and falls <= 0.3 * fell < 1e-3
     assert coarse < 1e-3 * np.abs(parts).max() and (np.abs(parts) > 1e-5).all()
-
-
-@pytest.mark.long
-def test_books_of_a_geared_arm_close_over_a_million_steps():
-    worst, fall, parts = books_of(1e-3, 1000)
-    # As a share of the work of the motor; the error of each second adds up with one sign.
-    assert worst < 1e-3 * np.abs(parts).max() and fall < 1e-3
