@@ -12,6 +12,7 @@ from hnn_vi_ros.effects.base import EffectState, Force, motor_index, per_coordin
 from hnn_vi_ros.effects.commands import (
     Command, Commanded, indices_of, JointCommand, JointPath, LARGEST, NUMBERS, PATH, POSITION,
     printable, Reference, ServoTarget, VELOCITY)
+from hnn_vi_ros.effects.drives import find_drive
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians import check_finite, check_names_once, check_not_negative
 from hnn_vi_ros.integrators import bend_at, cubic, quintic, slope_at, value_at
@@ -96,11 +97,14 @@ class Servo(Force, Commanded):
         its readings.
     delay : float, optional
         Time from a command to its effect, >= 0 [s]; with a delay, paths are not accepted.
+    drive : str, optional
+        A drive of all joints, whose limit and back EMF are the defaults: see `effects.drives`.
 
     Raises
     ------
     ValueError
-        A parameter is out of its range, no coordinate is named, or one is named twice.
+        A parameter is out of its range, no coordinate is named, one is named twice, or the drive
+        is unknown.
 
     References
     ----------
@@ -114,7 +118,12 @@ class Servo(Force, Commanded):
                  damping: float | list[float] = 0.0,
                  effort_limit: float | list[float] | None = None,
                  position: list[float] | None = None, back_emf: float | list[float] = 0.0,
-                 offset: float | list[float] = 0.0, delay: float = 0.0):
+                 offset: float | list[float] = 0.0, delay: float = 0.0,
+                 drive: str | None = None):
+        if drive is not None:
+            row = find_drive(drive)
+            effort_limit = row.torque_limit if effort_limit is None else effort_limit
+            back_emf = row.back_emf if np.all(np.equal(back_emf, 0.0)) else back_emf
         limit = math.inf if effort_limit is None else effort_limit
         check_not_negative(stiffness=stiffness, damping=damping, back_emf=back_emf, delay=delay)
         if not all(one > 0.0 for one in np.ravel(limit)):

@@ -375,3 +375,10 @@ def test_references_of_a_servo_have_exact_tangents(integrator):
     run.pull_back(np.concatenate([np.zeros((4, 1, 4)), unit]), by_commands=slopes)
     assert (slopes * change).sum() == pytest.approx(tangent[0, 1], abs=1e-9)
     assert (slopes[1:3, 1] == 0.0).all()
+
+
+def test_drive_gives_the_limit_and_the_back_emf_of_its_voltage():
+    simulation = servo('x', drive='sts3215_so101', position=[1e6])
+    simulation.advance(1000)
+    # Full voltage: the no-load speed of the row, V / k_t, after many time constants.
+    assert simulation.p[0] / MASS == pytest.approx(12.0 / 2.51181, rel=1e-3)
