@@ -108,6 +108,9 @@ def _check(scene: Scene, simulation: Simulation) -> None:
         raise UnsupportedSystem(
             f'{scene.place("integrator")}: {scene.integrator.kind} with this H is not compiled, '
             'and cannot be exported; use another integrator, or a compiled H')
+    if any(getattr(effect, 'delay', 0.0) for effect, _ in simulation.motors.effects):
+        raise UnsupportedSystem(f'{scene.place("effects")}: a servo with a delay keeps commands, '
+                                'which cannot be exported; remove the delay')
     if OBSERVATION in simulation.motors.takes:
         raise UnsupportedSystem(f'{scene.place("effects")}: an observer takes observations, which '
                                 'cannot be exported; remove it')

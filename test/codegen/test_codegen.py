@@ -280,11 +280,13 @@ def test_failed_step_returns_its_status_and_leaves_the_state_before_it():
     assert library.values(state)['time'] == 0.0
 
 
-@pytest.mark.parametrize('name', ['taylor', 'events', 'measurements', 'observer'])
+@pytest.mark.parametrize('name', ['taylor', 'events', 'measurements', 'observer', 'delay'])
 def test_scene_with_what_is_not_compiled_is_refused(name):
     joints = ['angle1', 'angle2']
     scene = load_scene('exact_double_pendulum').changed({
         'taylor': {'integrator': {'kind': 'taylor'}},
+        'delay': {'effects': [{'kind': 'servo', 'coordinates': joints, 'stiffness': 1.0,
+                               'delay': 0.01}]},
         'events': {'events': [{'when': 'angle1 = 0'}]},
         'measurements': {'measurements': {'joint_states': {}}},
         'observer': {'effects': [{'kind': 'observer', 'coordinates': joints}]}}[name])
