@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Image of the memory that compiled code reads and writes, which can be placed anywhere."""
 
+from bisect import bisect
 import ctypes
 from typing import Any, NamedTuple
 
@@ -99,26 +100,22 @@ def image_of(memory: Block) -> Image:
     """Return the image of a block and all that it reaches, with their present contents."""
     walk = _Walk()
     start = walk.block(memory)
-    # The place of each span, by its first and last address.
-    parts, places, end, changing = [], [], 0, 0
+    parts, end, changing = list[bytes](), 0, 0
+    # First and last address of each span, and its place in the image.
+    places = list[tuple[int, int, int]]()
     for blocks in (True, False):
         changing = end
         for low, high in _merged(walk.spans[blocks]):
-            place = end + (low - end) % _LINE
-            parts.append(bytes(place - end) + ctypes.string_at(low, high - low))
-            places.append((low, high, place))
-            end = place + high - low
-            parts.append(bytes(-end % 8))
-            end += -end % 8
-    lows = np.array([low for low, _, _ in places])
+            gap, size = (low - end) % _LINE, high - low
+            places.append((low, high, end + gap))
+            parts += bytes(gap), ctypes.string_at(low, size), bytes(-(end + gap + size) % 8)
+            end = sum(map(len, parts[-3:]), end)
+    places.sort()
 
     def moved(address: int) -> int:
-        low, high, place = places[int(np.searchsorted(lows[order], address, 'right')) - 1]
+        low, high, place = places[bisect(places, (address + 1,)) - 1]
+        # Empty arrays point to nowhere.
         return place + address - low if low <= address <= high else 0
-    order = np.argsort(lows)
-    places = [places[k] for k in order]
-    lows = lows[order]
-    order = np.arange(len(lows))
     words = np.frombuffer(b''.join(parts), dtype=np.int64).copy()
     pointers = {moved(place) // 8: moved(target) for place, target in walk.pointers.items()}
     words[list(pointers)] = list(pointers.values())

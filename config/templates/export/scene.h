@@ -56,8 +56,8 @@ typedef struct { ${NAME}_ALIGNED int64_t words[$words]; } ${name}_state;
    filled before. */
 int32_t ${name}_init(${name}_state *state);
 
-/* Start from q (${NAME}_Q_SIZE numbers) and conjugate momenta p (${NAME}_P_SIZE numbers), with
-   everything else as it is. Joints of loops and constraints must fit together. */
+/* After init: start from other q (${NAME}_Q_SIZE numbers) and conjugate momenta p
+   (${NAME}_P_SIZE numbers). They must satisfy the loops and constraints of the scene. */
 int32_t ${name}_start(${name}_state *state, const double *q, const double *p);
 
 /* Apply a command (${NAME}_INPUTS numbers), then take n steps. NaN leaves a number as it is, and
