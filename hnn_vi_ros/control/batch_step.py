@@ -5,7 +5,7 @@
 from pathlib import Path
 from threading import RLock
 
-from hnn_vi_ros.effects import LoopManifold, NUMBERS, Servo
+from hnn_vi_ros.effects import EFFECTS, LoopManifold, NUMBERS
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.simulation import (
@@ -64,7 +64,7 @@ class BatchStep:
         parts = resolve(scene if isinstance(scene, Scene) else load_scene(scene)).copy()
         self.scene = parts.scene
         check_effects(parts.effects, parts.integrator)
-        if any(isinstance(effect, Servo) for effect in parts.effects):
+        if any(type(effect) is EFFECTS['servo'] for effect in parts.effects):
             raise UnsupportedSystem(f'{self.scene.name}: the effect servo follows positions, but '
                                     'controllers command forces; replace it by external_force')
         if parts.hamiltonian.rotations:

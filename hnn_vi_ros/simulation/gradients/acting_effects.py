@@ -3,9 +3,10 @@
 """Effects that do work in differentiable runs: forces, commands and damping."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from hnn_vi_ros.effects import (
-    Effect, effect_name, EFFECTS, Force, Joined, NUMBERS, per_coordinate, Place, Servo)
+    Effect, effect_name, EFFECTS, Force, Joined, NUMBERS, per_coordinate, Place)
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import Integrator
@@ -156,15 +157,16 @@ def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
 
 def on_numbers(effects: Sequence[Effect]) -> list[Effect]:
     """Return effects whose servo is commanded by plain numbers, unless other effects are."""
-    servo = next((one for one in effects if isinstance(one, Servo)), None)
+    servo: Any = next((one for one in effects if type(one) is EFFECTS['servo']), None)
     if servo is None or any(NUMBERS in getattr(one, 'takes', ()) for one in effects):
         return [*effects]
     if servo.delay:
         raise UnsupportedSystem(f'servo: its delay of {servo.delay:g} s is not differentiable; '
                                 'remove it, and delay the commands')
-    return [servo.on_numbers() if one is servo else one for one in effects]
+    taken = servo.on_numbers()
+    return [taken if one is servo else one for one in effects]
 
 
 def _is_known(kind: type) -> bool:
     """Return whether a force depends only on time, state and numeric commands."""
-    return issubclass(kind, Force) and (kind.knots == 0 or kind is Servo)
+    return issubclass(kind, Force) and (kind.knots == 0 or kind is EFFECTS['servo'])
