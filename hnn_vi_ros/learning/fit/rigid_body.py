@@ -28,7 +28,7 @@ from hnn_vi_ros.learning.fit.machine import (
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, parts_of_card, PriorUnknowns, RigidModel
 from hnn_vi_ros.learning.fit.shooting import made_up, projected, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows
+from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows, ParametricModel
 from hnn_vi_ros.models import chain_angles, PLANAR_CHAIN
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
@@ -58,8 +58,8 @@ _TOLERANCE = 1e-5
 # Cost of an initial guess, relative to the least, from which other angles are not tried.
 _HOPELESS = 100.0
 # Change of a number at half the step that matters: in standard errors, and relative to it for logs
-# without noise; most halvings.
-_MOVED, _EXACT, _HALVED = 0.2, 1e-5, 5
+# without noise; most halvings; residuals, in units of the noise, of which steps are no main part.
+_MOVED, _EXACT, _HALVED, _LACKING = 0.2, 1e-5, 5, 1.5
 
 
 def fit_rigid_body(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
@@ -113,7 +113,7 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
     least = min(cost for cost, _ in models)
     fitted = _without_idle_numbers(_with_finer_steps(_with_usual_widths(fit_numbers(
         [model for cost, model in models if not cost > _HOPELESS * least], thin, None, True,
-        tolerance=_TOLERANCE, finer=_finer_model))))
+        tolerance=_TOLERANCE, finer=_model_of_next))))
     model = fitted.problem.model
     assert isinstance(model, RigidModel)
     return FittedRigidBody(model.network_at(fitted.solution.values), {
@@ -157,6 +157,11 @@ def _with_finer_steps(fitted: FittedNumbers) -> FittedNumbers:
     found = refitted(fitted, model, fitted.solution.values, _TOLERANCE)
     return found._replace(stages=[*fitted.stages[:-1], (fitted.stages[-1][0], excess_of(
         found.solution, found.problem, found.sensor))])
+
+
+def _model_of_next(fitted: FittedNumbers) -> ParametricModel:
+    """Return the model for longer windows, with finer steps unless it lacks something else."""
+    return fitted.problem.model if fitted.stages[-1][1] > _LACKING else _finer_model(fitted)
 
 
 def _finer_model(fitted: FittedNumbers) -> RigidModel:

@@ -32,7 +32,7 @@ FAILED = 1e6
 TOLERANCE, _EVALUATIONS = 1e-8, 60
 # Relative step that ends a search, in units of its tolerance: it is relative to the largest
 # number, and others may be much smaller.
-_STILL = 1e-3
+_STILL = 0.1
 # Singular values of normalised columns below this are errors of rounding and differences.
 _RANK = 1e-6
 
