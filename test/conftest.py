@@ -28,7 +28,8 @@ settings.load_profile('any machine')
 # process at the end: those that take more than 20 s of CPU time without compiled kernels, and
 # those of nodes that take as long in wall time.
 LONGEST = (
-    'learning/test_prior_choice.py', 'learning/test_user_module.py', 'learning/test_export.py',
+    'learning/test_prior_choice.py', 'learning/test_position_fits.py',
+    'learning/test_input_courses.py', 'learning/test_user_module.py', 'learning/test_export.py',
     'learning/test_drive_friction.py', 'sweeps/test_sweep.py', 'learning/test_new_family.py',
     'learning/test_unchanged_arguments.py', 'studies/test_work_precision.py',
     'studies/test_hard_cases.py', 'project/test_planted_faults.py',

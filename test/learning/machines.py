@@ -3,10 +3,13 @@
 """Machines of these tests: their motions, and their networks as files and as compiled models."""
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 from helpers import difference
 from hnn_vi_ros.learning import EvenMotion, MotionSource, read_motions
+from hnn_vi_ros.learning.data.motions import smoothed
+from hnn_vi_ros.learning.families.choices import AUTO
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.model_files import describe_machine
@@ -14,6 +17,7 @@ from hnn_vi_ros.models import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
+from scipy.integrate import solve_ivp
 import torch
 
 
@@ -83,3 +87,37 @@ def slopes_along(loss: Callable[[], torch.Tensor], parameters: Sequence[torch.nn
         return found
     return sum(float((slope * move).sum()) for slope, move in zip(
         slopes, direction, strict=True)), difference(moved, step)
+
+
+@cache
+def carriage(seed: int, back: float, stiffness: float = 0.0, rest: float = 0.0) -> EvenMotion:
+    """Return a carriage of 2 kg, whose friction is 1 N ahead, and another back, every 10 ms."""
+    t = 0.01 * np.arange(500)
+    rng = np.random.default_rng(seed)
+    force = 3.0 * np.sin(t[:, None] * rng.uniform(1.0, 4.0, 3) + rng.uniform(0.0, 6.0, 3)).sum(1)
+
+    def rates(time: float, z: np.ndarray) -> list[float]:
+        side = np.tanh(z[1] / 0.05)
+        return [z[1], 0.5 * (np.interp(time, t, force) - 0.5 * z[1] - stiffness * (z[0] - rest)
+                             - (0.5 * (1.0 + side) + 0.5 * (1.0 - side) * back) * side)]
+    z = solve_ivp(rates, (0.0, t[-1]), np.zeros(2), t_eval=t, rtol=1e-8, atol=1e-8).y.T
+    noise = rng.normal(size=z.shape) * [2e-4, 2e-3]
+    return smoothed(f'run{seed}', t, *np.hsplit(z + noise, 2), force[:, None], 40.0)
+
+
+def sliding(**family: object) -> MachineConfig:
+    return machine_config('x', 'prismatic', {'hidden': [4], 'loss': {
+        'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
+        'windows': [{'duration': 0.3, 'steps': 2}]}}, **{'prior': AUTO, **family})
+
+
+@cache
+def double_well() -> EvenMotion:
+    """Return a driven mass of 0.5 kg, V = -6 q^2 + 225 q^4, by its positions every 10 ms."""
+    t = 0.01 * np.arange(1000)
+    force = (0.8 * np.sin(t[:, None] * [2.1, 5.3, 8.0] + [0.3, 1.0, 2.0])).sum(1)
+    z = solve_ivp(lambda time, z: [z[1], 2.0 * (
+        np.interp(time, t, force) - 0.35 * z[1] + 12.0 * z[0] - 900.0 * z[0]**3)], (0.0, t[-1]),
+        np.array([0.12, 0.0]), t_eval=t, rtol=1e-9, atol=1e-11).y.T
+    q = z[:, :1] + 3e-4 * np.random.default_rng(5).normal(size=(len(t), 1))
+    return smoothed('well', t, q, None, force[:, None], 40.0)

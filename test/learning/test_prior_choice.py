@@ -2,31 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models of machines that are chosen by what goes furthest, and what they have seen."""
 
-from dataclasses import replace
 from functools import cache
-import math
-from pathlib import Path
 
 from helpers import alarm_of
-from hnn_vi_ros.learning.data.motions import EvenMotion, of_positions, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import AUTO, Structure
-from hnn_vi_ros.learning.fit import rigid_body
-from hnn_vi_ros.learning.fit.config import guess_config, MachineConfig
-from hnn_vi_ros.learning.fit.fitted_rigid_body import covariance_of, rounding_of
-from hnn_vi_ros.learning.fit.following import LogSimulation
+from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import Fading
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
-from hnn_vi_ros.learning.fit.prediction import Prediction
-from hnn_vi_ros.learning.tasks import selection
-from hnn_vi_ros.learning.tasks.machine import as_selected, MACHINE
 from hnn_vi_ros.learning.tasks.selection import (
     best_of, Candidate, held_out, OF_VELOCITIES, RIGID, selected, trust_text)
 from hnn_vi_ros.models.domain import CandidateCard, Domain, DomainCard, SelectionCard
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.samples import GuardState
-from machines import machine_config
+from machines import carriage, double_well, machine_config, sliding
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -144,28 +135,6 @@ def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
                       rel=0.02))
 
 
-@cache
-def carriage(seed: int, back: float, stiffness: float = 0.0, rest: float = 0.0) -> EvenMotion:
-    """Return a carriage of 2 kg, whose friction is 1 N ahead, and another back, every 10 ms."""
-    t = 0.01 * np.arange(500)
-    rng = np.random.default_rng(seed)
-    force = 3.0 * np.sin(t[:, None] * rng.uniform(1.0, 4.0, 3) + rng.uniform(0.0, 6.0, 3)).sum(1)
-
-    def rates(time: float, z: np.ndarray) -> list[float]:
-        side = np.tanh(z[1] / 0.05)
-        return [z[1], 0.5 * (np.interp(time, t, force) - 0.5 * z[1] - stiffness * (z[0] - rest)
-                             - (0.5 * (1.0 + side) + 0.5 * (1.0 - side) * back) * side)]
-    z = solve_ivp(rates, (0.0, t[-1]), np.zeros(2), t_eval=t, rtol=1e-8, atol=1e-8).y.T
-    noise = rng.normal(size=z.shape) * [2e-4, 2e-3]
-    return smoothed(f'run{seed}', t, *np.hsplit(z + noise, 2), force[:, None], 40.0)
-
-
-def sliding(**family: object) -> MachineConfig:
-    return machine_config('x', 'prismatic', {'hidden': [4], 'loss': {
-        'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
-        'windows': [{'duration': 0.3, 'steps': 2}]}}, **{'prior': AUTO, **family})
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(('back', 'directed'), [(2.5, True), (1.0, False)])
 def test_friction_has_the_terms_that_held_out_motions_need(back: float, directed: bool):
@@ -175,31 +144,6 @@ def test_friction_has_the_terms_that_held_out_motions_need(back: float, directed
     assert ('friction with' in card.held_out) is directed
     assert card.candidates[0].name == RIGID
     assert any('plain' in one.name for one in card.candidates) is directed
-
-
-def test_more_friction_never_fits_windows_worse_than_less(monkeypatch):
-    """Accelerations gave a start at which windows diverged, or ended at a local minimum."""
-    first = rigid_body._first
-
-    def diverging(physical, samples):
-        numbers, loss = first(physical, samples)
-        more = physical.network.friction.choice.directed
-        return (np.nan * numbers if more else numbers), loss
-    monkeypatch.setattr(rigid_body, '_first', diverging)
-    errors = [[*fit_machine(sliding(prior='planar_chain', residual=False, friction=friction),
-                            [carriage(1, 2.5)]).losses.values()][-1]
-              for friction in ({}, {'directed': True, 'offset': True, 'load': True})]
-    # Its friction is 2.5 N back and 1 N ahead.
-    assert errors[1] < 0.5 * errors[0]
-
-
-def test_fit_of_a_weight_and_an_offset_that_are_one_force_is_not_lost_in_rounding():
-    """Their columns are the same: what they have in common was 1e13 N, with rounding of 1 mN."""
-    problem = fit_machine(sliding(prior='planar_chain', residual=False, friction={
-        'offset': True, 'directed': True}), [carriage(1, 1.0)])
-    card = problem.module.card()
-    assert abs(card.friction.offset[0]) < 1e3
-    assert card.prior.values['inertia1'] == pytest.approx(2.0, rel=0.05)
 
 
 def test_springs_are_added_where_held_out_motions_need_them():
@@ -216,168 +160,11 @@ def test_springs_are_added_where_held_out_motions_need_them():
     assert not chosen.family.springs
 
 
-@cache
-def double_well() -> EvenMotion:
-    """Return a driven mass of 0.5 kg, V = -6 q^2 + 225 q^4, by its positions every 10 ms."""
-    t = 0.01 * np.arange(1000)
-    force = (0.8 * np.sin(t[:, None] * [2.1, 5.3, 8.0] + [0.3, 1.0, 2.0])).sum(1)
-    z = solve_ivp(lambda time, z: [z[1], 2.0 * (
-        np.interp(time, t, force) - 0.35 * z[1] + 12.0 * z[0] - 900.0 * z[0]**3)], (0.0, t[-1]),
-        np.array([0.12, 0.0]), t_eval=t, rtol=1e-9, atol=1e-11).y.T
-    q = z[:, :1] + 3e-4 * np.random.default_rng(5).normal(size=(len(t), 1))
-    return smoothed('well', t, q, None, force[:, None], 40.0)
-
-
-def test_delay_at_the_end_of_its_search_is_no_evidence():
-    forces = selection._Forces('linear', 0.0)
-    for sign in (1.0, -1.0):
-        assert selection._best_delay(lambda one: 9.0 - sign * one.delay, forces) == forces
-    found = selection._best_delay(lambda one: 1.0 + (one.delay - 3.3)**2, forces)
-    assert found.delay == pytest.approx(3.3, abs=0.1)
-
-
 @pytest.mark.long
 def test_double_well_is_chosen_as_a_rigid_body_with_a_spring_and_no_delay():
     """Late forces of another course fitted better than without a spring."""
     chosen, card = selected(sliding(), [double_well()])
     assert card.chosen == RIGID and not chosen.data.delay and chosen.family.springs == 5
-
-
-def test_double_well_has_a_cubic_spring():
-    chosen = sliding(prior='planar_chain', residual=False, springs=5)
-    found = fit_machine(chosen, [double_well()]).estimates(sliding().coordinates, None)
-    assert {'inertia1', 'stiffness1', 'spring3_1', 'viscous friction of x'} <= {*found}
-    assert not [name for name in found if 'dry' in name or name.startswith(('spring2', 'spring5'))]
-    for name, truth in (('inertia1', 0.5), ('stiffness1', -12.0), ('spring3_1', 900.0)):
-        low, high = found[name].interval
-        # Four standard errors.
-        assert abs(found[name].value - truth) < 2.0 * (high - low) / 1.96
-
-
-@pytest.mark.parametrize('stiffness', [0.0, 60.0])
-def test_springs_that_positions_do_not_show_are_left_out(stiffness: float):
-    motions = of_positions([carriage(seed, 1.0, stiffness) for seed in (1, 2)])
-    config = sliding(prior='planar_chain', residual=False, springs=True)
-    prior = fit_machine(config, motions).module.card().prior
-    assert (prior.values['stiffness1'] == 0.0) is (stiffness == 0.0)
-
-
-def test_width_of_friction_is_a_number_of_the_fit():
-    """Fixed widths gave residuals of 5.8 times the noise, and numbers outside their intervals."""
-    motions = of_positions([carriage(seed, 1.0) for seed in (1, 2)])
-    rigid = fit_machine(sliding(prior='planar_chain', residual=False), motions)
-    found = rigid.estimates(sliding().coordinates, None)
-    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
-                        ('dry friction of x', 1.0), ('width of dry friction of x', 0.05)):
-        low, high = found[name].interval
-        assert low < truth < high
-    assert not [name for name in found if name.startswith('dry friction ') and name[-1] != 'x']
-
-
-@pytest.fixture(scope='module')
-def rounded():
-    run = of_positions([carriage(1, 1.0)])[0]
-    return fit_machine(sliding(prior='planar_chain', residual=False), [replace(
-        run, tau=0.05 * np.rint(run.tau / 0.05))])
-
-
-def test_prediction_is_differentiated_by_the_force_of_each_sample(rounded):
-    solution, model = rounded.numbers.solution, rounded.numbers.problem.model
-    weights = np.random.default_rng(0).normal(size=(*solution.residuals.shape, 2))
-    found = Prediction(model, solution.values, solution.windows).by_forces(
-        solution.starts, weights)[0, :, 0]
-    motion, = solution.windows.motions
-    for sample in (0, 3, 250, 498):
-        sums = []
-        for change in (1e-4, -1e-4):
-            tau = motion.tau + change * (np.arange(len(motion.tau)) == sample)[:, None]
-            log = LogSimulation(model.parts_at(solution.values), replace(
-                solution.windows, motions=[replace(motion, tau=tau)]))
-            sums.append((weights * log.predict(solution.starts)[..., None]).sum(axis=(0, 1, 2)))
-        # Differences of 2e-4 N have errors of 1e-8 by bends, and of 1e-9 by the solver.
-        assert found[sample] == pytest.approx((sums[0] - sums[1]) / 2e-4, rel=1e-4, abs=1e-7)
-
-
-def test_intervals_contain_the_rounding_of_forces(rounded):
-    numbers, (motion,) = rounded.numbers, rounded.numbers.solution.windows.motions
-    # Steps have the means of two forces, whose common step is half of theirs.
-    assert rounding_of(motion.tau) == pytest.approx([0.025 / math.sqrt(12.0)])
-    exact = replace(motion, tau=motion.tau + 1e-7 * np.random.default_rng(0).normal(
-        size=motion.tau.shape))
-    alone = covariance_of(numbers._replace(fits=[(length, replace(
-        solution, windows=replace(solution.windows, motions=[exact])), problem)
-        for length, solution, problem in numbers.fits]))
-    assert (np.diag(covariance_of(numbers)) > 1.05 * np.diag(alone)).all()
-    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
-                        ('dry friction of x', 1.0)):
-        # Four standard errors.
-        value, high = (number := rounded.estimates(sliding().coordinates, None)[name]
-                       ).value, number.interval[1]
-        assert abs(value - truth) < 4.0 * (high - value) / 1.96
-
-
-@pytest.mark.parametrize(('column', 'rounding'), [
-    (np.round(np.sin(np.arange(500.0)), 3), 1e-3), (np.sin(np.arange(500.0)), 0.0),
-    (0.00981 * np.round(1e3 * np.sin(np.arange(500.0))), 0.00981),
-    # Levels of a command, which are exact.
-    (np.arange(500.0) % 7.0, 0.0), (np.zeros(500), 0.0)])
-def test_rounding_of_a_column_is_that_of_its_common_step(column: np.ndarray, rounding: float):
-    assert rounding_of(column[:, None]) == pytest.approx([rounding / math.sqrt(12.0)])
-
-
-def test_weight_that_positions_do_not_show_is_left_out(rounded):
-    assert 'gravity1' not in rounded.estimates(sliding().coordinates, None)
-
-
-def test_intervals_are_wider_where_residuals_exceed_the_noise():
-    rigid = fit_machine(sliding(prior='planar_chain', residual=False),
-                        of_positions([carriage(1, 1.0)]))
-    (length, _), = stages = rigid.numbers.stages[-1:]
-    sizes = [np.ptp(replace(rigid, numbers=rigid.numbers._replace(
-        stages=[(length, excess)])).estimates(sliding().coordinates, None)['inertia1'].interval)
-        for excess in (1.0, 3.0)]
-    assert stages and sizes[1] == pytest.approx(3.0 * sizes[0], rel=1e-9)
-
-
-def test_width_that_a_log_does_not_tell_is_a_usual_one():
-    """Dry friction as wide as all speeds made viscous friction four times as uncertain."""
-    t = 0.05 * np.arange(480)
-    z = solve_ivp(lambda time, z: [z[1], -9.81 * np.sin(z[0]) - 0.05 * z[1] - 0.02 * np.tanh(
-        100.0 * z[1])], (0.0, t[-1]), [0.9, 0.0], t_eval=t, rtol=1e-9, atol=1e-9).y.T
-    q = z[:, :1] + 5e-3 * np.random.default_rng(0).normal(size=(len(t), 1))
-    config = machine_config('a', prior='planar_chain', residual=False)
-    rigid = fit_machine(config, [smoothed('swing', t, q, None, 0.0 * q, 8.0)])
-    found = rigid.estimates(config.coordinates, q)
-    assert not [name for name in found if 'width' in name]
-    for name, truth in (('viscous friction of a', 0.05), ('dry friction of a', 0.02)):
-        # Four standard errors.
-        value, high = found[name].value, found[name].interval[1]
-        assert abs(value - truth) < 4.0 * (high - value) / 1.96 < 0.02
-
-
-def test_steps_are_as_small_as_sharp_friction_needs():
-    """A carriage that reverses within a step: the numbers of coarse steps were 9 errors off."""
-    t, rng = 0.01 * np.arange(800), np.random.default_rng(4)
-    force = (2.5 * np.sin(t[:, None] * [2.1, 3.7, 5.3] + [0.3, 1.0, 2.0])).sum(1)
-    z, found = np.zeros(2), []
-    for value in force:
-        found.append(z[0])
-        for _ in range(100):  # 0.1 ms: a tenth of the time in which friction changes its sign
-            middle = z + 5e-5 * np.array([z[1], 0.5 * (
-                value - 0.5 * z[1] - np.tanh(z[1] / 0.002))])
-            z = z + 1e-4 * np.array([middle[1], 0.5 * (
-                value - 0.5 * middle[1] - np.tanh(middle[1] / 0.002))])
-    q = np.array(found)[:, None] + 1e-4 * rng.normal(size=(len(t), 1))
-    run = replace(smoothed('sharp', t, q, None, force[:, None], 40.0), inputs='held')
-    rigid = fit_machine(sliding(prior='planar_chain', residual=False), [run])
-    assert rigid.numbers.problem.model.step_size < 0.006
-    assert rigid.numbers.stages[-1][1] < 1.1
-    found = rigid.estimates(sliding().coordinates, None)
-    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
-                        ('dry friction of x', 1.0), ('width of dry friction of x', 0.002)):
-        # Four standard errors.
-        value, high = found[name].value, found[name].interval[1]
-        assert abs(value - truth) < 4.0 * (high - value) / 1.96
 
 
 @pytest.mark.parametrize('magnet', [0.0, 12.0])
@@ -418,106 +205,6 @@ def test_velocities_that_a_filter_delays_are_left_out():
     # The noise of the positions is a part of the errors.
     assert right.furthest['0.2'][0] < 1.2 * 0.02 and wrong.furthest['0.2'][0] > 5.0 * 0.02
     assert (right.name, wrong.name) == (RIGID, OF_VELOCITIES)
-
-
-@pytest.mark.parametrize('delay', [0.0, 2.0])
-def test_smooth_forces_at_rare_samples_bias_no_number(delay: float):
-    """
-    Chords of a force of 2.6 Hz at 20 Hz are too small by (2 pi f h)^2 / 12, 5 %.
-
-    With a wrong delay the fit has wrong friction, and with that another delay fits it best.
-    """
-    times, noise, truth = 0.05 * np.arange(400), 2e-3, [0.25, 4.0]
-
-    def force(t: np.ndarray | float) -> np.ndarray:
-        return sum(size * np.sin(2.0 * np.pi * f * t) for size, f in (
-            (1.0, 0.7), (1.5, 1.9), (1.2, 2.6)))
-
-    def rates(t: float, z: np.ndarray) -> list[float]:
-        return [z[1], (force(t) - truth[1] * np.sin(z[0]) - 0.08 * z[1]) / truth[0]]
-    q = solve_ivp(rates, (0.0, times[-1]), [0.3, 0.0], t_eval=times, rtol=1e-9, atol=1e-9).y[:1].T
-    q += noise * np.random.default_rng(1).normal(size=q.shape)
-    config = machine_config('a', 'revolute', {'hidden': [4], 'loss': {
-        'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
-        'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
-    motions = [smoothed('run', times, q, None, force(times + 0.05 * delay)[:, None], 8.0)]
-    chosen, card = selected(config, motions)
-    assert chosen.data.inputs == 'spline' and 'between samples as spline' in card.held_out
-    # The noise over the speed, 2e-3 / 0.5 s / sqrt(400), is .004 of a sample; found to 0.01.
-    assert chosen.data.delay == pytest.approx(delay, abs=0.02)
-    problem = fit_machine(chosen, as_selected(motions, chosen.data, chosen.data.delay))
-    for name, number in problem.estimates(chosen.coordinates, None).items():
-        if name in ('inertia1', 'gravity1'):
-            low, high = number.interval
-            true = truth[name == 'gravity1']
-            # Three standard errors; that of chords is fifteen.
-            assert abs(number.value - true) < 3.0 * (high - low) / (2.0 * 1.96)
-
-
-@pytest.mark.parametrize('delay', [-3.0, 2.0])
-def test_forces_that_act_earlier_or_later_than_logged_are_moved(delay: float):
-    """A tenth of a sample, 2 ms, is 0.018 of the faster force; chords add (w h)^2 / 8, 0.004."""
-    t = 0.02 * np.arange(800)
-
-    def force(t: np.ndarray | float) -> np.ndarray:
-        return np.sin(1.7 * t) + np.sin(9.0 * t)
-
-    def rates(t: float, z: np.ndarray) -> list[float]:
-        return [z[1], force(t) - 9.0 * np.sin(z[0]) - 0.3 * z[1]]
-    q = solve_ivp(rates, (0.0, t[-1]), [0.4, 0.0], t_eval=t, rtol=1e-8, atol=1e-8).y[:1].T
-    q += 3e-3 * np.random.default_rng(1).normal(size=q.shape)
-    config = machine_config('a', 'revolute', {'hidden': [4], 'loss': {
-        'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
-        'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
-    motions = [smoothed('run', t, q, None, force(t + 0.02 * delay)[:, None], 5.0)]
-    chosen, card = selected(config, motions)
-    assert chosen.data.delay == pytest.approx(delay, abs=0.1)
-    assert f'delayed by {chosen.data.delay:g} samples' in card.held_out
-    (moved,) = as_selected(motions, chosen.data, chosen.data.delay)
-    assert np.abs(moved.tau[5:-5, 0] - force(t[5:-5])).max() < 0.05
-    stated = config.model_copy(update={'data': config.data.model_validate(
-        {'kind': 'arrays', 'delay': 0.0})})
-    assert selected(stated, motions)[0].data.delay == 0.0
-
-
-@pytest.mark.long
-def test_chords_that_whole_motions_alone_show_are_found_in_a_chaotic_motion(tmp_path: Path):
-    """
-    At 100 Hz chords of forces of 0.5 to 1.9 Hz are too small by 0.01 to 0.1 %.
-
-    Short pieces do not show that; whole motions do, but those of 16 s have false minima.
-    """
-    times = 0.01 * np.arange(2000)
-    I1, I2, C, G1, G2 = 0.256, 0.15, 0.12, 1.6 * 0.4 * 9.81, 0.6 * 0.5 * 9.81
-
-    def forces(t: np.ndarray | float) -> np.ndarray:
-        return np.array([3.0 * np.sin(np.pi * t) + 2.0 * np.sin(2.4 * np.pi * t),
-                         1.5 * np.sin(1.4 * np.pi * t) + np.sin(3.8 * np.pi * t)])
-
-    def rates(t: float, z: np.ndarray) -> list[float]:
-        (a, b), v = np.split(z, 2)
-        mixed, bend = I2 + C * np.cos(b), C * np.sin(b)
-        mass = np.array([[I1 + 2.0 * mixed - I2, mixed], [mixed, I2]])
-        pull = G2 * np.sin(a + b)
-        return [*v, *np.linalg.solve(mass, forces(t) - [0.05 * v[0], 0.03 * v[1]] + [
-            bend * (2.0 * v[0] + v[1]) * v[1] - G1 * np.sin(a) - pull,
-            -bend * v[0]**2 - pull])]
-    q = solve_ivp(rates, (0.0, times[-1]), [0.5, 0.1, 0.0, 0.0], t_eval=times, rtol=1e-9,
-                  atol=1e-10).y[:2].T
-    q += 2e-3 * np.random.default_rng(9).normal(size=q.shape)
-    log = tmp_path / 'log.csv'
-    np.savetxt(log, np.column_stack([times, q, forces(times).T]), delimiter=',', comments='',
-               header='t,q1 [rad],q2 [rad],tau1 [N m],tau2 [N m]')
-    config, _ = guess_config([str(log)])
-    data = MACHINE.select(MACHINE.read(tmp_path / 'x.yaml', config, [str(log)], False))
-    fitted = MACHINE.fit(data, config, 'cpu')
-    assert MACHINE.describe(
-        data, fitted, config, 'x', 'train').card.mechanical.inputs == 'spline'
-    # Those of chords were 1.9, 2.1, 1.3, 1.7 and 3.8 half-widths off.
-    for truth, number in zip((I1, I2, C, G1, G2), fitted.estimates(
-            config.coordinates, None).values(), strict=False):
-        low, high = number.interval
-        assert abs(number.value - truth) < 1.5 * 0.5 * (high - low)
 
 
 @pytest.mark.long

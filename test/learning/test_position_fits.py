@@ -1,0 +1,179 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rigid bodies that are fitted to positions: friction, springs, steps and intervals."""
+
+from dataclasses import replace
+import math
+
+from hnn_vi_ros.learning.data.motions import of_positions, smoothed
+from hnn_vi_ros.learning.fit import rigid_body
+from hnn_vi_ros.learning.fit.fitted_rigid_body import covariance_of, rounding_of
+from hnn_vi_ros.learning.fit.following import LogSimulation
+from hnn_vi_ros.learning.fit.machine_fit import fit_machine
+from hnn_vi_ros.learning.fit.prediction import Prediction
+from machines import carriage, double_well, machine_config, sliding
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+
+def test_more_friction_never_fits_windows_worse_than_less(monkeypatch):
+    """Accelerations gave a start at which windows diverged, or ended at a local minimum."""
+    first = rigid_body._first
+
+    def diverging(physical, samples):
+        numbers, loss = first(physical, samples)
+        more = physical.network.friction.choice.directed
+        return (np.nan * numbers if more else numbers), loss
+    monkeypatch.setattr(rigid_body, '_first', diverging)
+    errors = [[*fit_machine(sliding(prior='planar_chain', residual=False, friction=friction),
+                            [carriage(1, 2.5)]).losses.values()][-1]
+              for friction in ({}, {'directed': True, 'offset': True, 'load': True})]
+    # Its friction is 2.5 N back and 1 N ahead.
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_fit_of_a_weight_and_an_offset_that_are_one_force_is_not_lost_in_rounding():
+    """Their columns are the same: what they have in common was 1e13 N, with rounding of 1 mN."""
+    problem = fit_machine(sliding(prior='planar_chain', residual=False, friction={
+        'offset': True, 'directed': True}), [carriage(1, 1.0)])
+    card = problem.module.card()
+    assert abs(card.friction.offset[0]) < 1e3
+    assert card.prior.values['inertia1'] == pytest.approx(2.0, rel=0.05)
+
+
+def test_double_well_has_a_cubic_spring():
+    chosen = sliding(prior='planar_chain', residual=False, springs=5)
+    found = fit_machine(chosen, [double_well()]).estimates(sliding().coordinates, None)
+    assert {'inertia1', 'stiffness1', 'spring3_1', 'viscous friction of x'} <= {*found}
+    assert not [name for name in found if 'dry' in name or name.startswith(('spring2', 'spring5'))]
+    for name, truth in (('inertia1', 0.5), ('stiffness1', -12.0), ('spring3_1', 900.0)):
+        low, high = found[name].interval
+        # Four standard errors.
+        assert abs(found[name].value - truth) < 2.0 * (high - low) / 1.96
+
+
+@pytest.mark.parametrize('stiffness', [0.0, 60.0])
+def test_springs_that_positions_do_not_show_are_left_out(stiffness: float):
+    motions = of_positions([carriage(seed, 1.0, stiffness) for seed in (1, 2)])
+    config = sliding(prior='planar_chain', residual=False, springs=True)
+    prior = fit_machine(config, motions).module.card().prior
+    assert (prior.values['stiffness1'] == 0.0) is (stiffness == 0.0)
+
+
+def test_width_of_friction_is_a_number_of_the_fit():
+    """Fixed widths gave residuals of 5.8 times the noise, and numbers outside their intervals."""
+    motions = of_positions([carriage(seed, 1.0) for seed in (1, 2)])
+    rigid = fit_machine(sliding(prior='planar_chain', residual=False), motions)
+    found = rigid.estimates(sliding().coordinates, None)
+    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
+                        ('dry friction of x', 1.0), ('width of dry friction of x', 0.05)):
+        low, high = found[name].interval
+        assert low < truth < high
+    assert not [name for name in found if name.startswith('dry friction ') and name[-1] != 'x']
+
+
+@pytest.fixture(scope='module')
+def rounded():
+    run = of_positions([carriage(1, 1.0)])[0]
+    return fit_machine(sliding(prior='planar_chain', residual=False), [replace(
+        run, tau=0.05 * np.rint(run.tau / 0.05))])
+
+
+def test_prediction_is_differentiated_by_the_force_of_each_sample(rounded):
+    solution, model = rounded.numbers.solution, rounded.numbers.problem.model
+    weights = np.random.default_rng(0).normal(size=(*solution.residuals.shape, 2))
+    found = Prediction(model, solution.values, solution.windows).by_forces(
+        solution.starts, weights)[0, :, 0]
+    motion, = solution.windows.motions
+    for sample in (0, 3, 250, 498):
+        sums = []
+        for change in (1e-4, -1e-4):
+            tau = motion.tau + change * (np.arange(len(motion.tau)) == sample)[:, None]
+            log = LogSimulation(model.parts_at(solution.values), replace(
+                solution.windows, motions=[replace(motion, tau=tau)]))
+            sums.append((weights * log.predict(solution.starts)[..., None]).sum(axis=(0, 1, 2)))
+        # Differences of 2e-4 N have errors of 1e-8 by bends, and of 1e-9 by the solver.
+        assert found[sample] == pytest.approx((sums[0] - sums[1]) / 2e-4, rel=1e-4, abs=1e-7)
+
+
+def test_intervals_contain_the_rounding_of_forces(rounded):
+    numbers, (motion,) = rounded.numbers, rounded.numbers.solution.windows.motions
+    # Steps have the means of two forces, whose common step is half of theirs.
+    assert rounding_of(motion.tau) == pytest.approx([0.025 / math.sqrt(12.0)])
+    exact = replace(motion, tau=motion.tau + 1e-7 * np.random.default_rng(0).normal(
+        size=motion.tau.shape))
+    alone = covariance_of(numbers._replace(fits=[(length, replace(
+        solution, windows=replace(solution.windows, motions=[exact])), problem)
+        for length, solution, problem in numbers.fits]))
+    assert (np.diag(covariance_of(numbers)) > 1.05 * np.diag(alone)).all()
+    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
+                        ('dry friction of x', 1.0)):
+        # Four standard errors.
+        value, high = (number := rounded.estimates(sliding().coordinates, None)[name]
+                       ).value, number.interval[1]
+        assert abs(value - truth) < 4.0 * (high - value) / 1.96
+
+
+@pytest.mark.parametrize(('column', 'rounding'), [
+    (np.round(np.sin(np.arange(500.0)), 3), 1e-3), (np.sin(np.arange(500.0)), 0.0),
+    (0.00981 * np.round(1e3 * np.sin(np.arange(500.0))), 0.00981),
+    # Levels of a command, which are exact.
+    (np.arange(500.0) % 7.0, 0.0), (np.zeros(500), 0.0)])
+def test_rounding_of_a_column_is_that_of_its_common_step(column: np.ndarray, rounding: float):
+    assert rounding_of(column[:, None]) == pytest.approx([rounding / math.sqrt(12.0)])
+
+
+def test_weight_that_positions_do_not_show_is_left_out(rounded):
+    assert 'gravity1' not in rounded.estimates(sliding().coordinates, None)
+
+
+def test_intervals_are_wider_where_residuals_exceed_the_noise():
+    rigid = fit_machine(sliding(prior='planar_chain', residual=False),
+                        of_positions([carriage(1, 1.0)]))
+    (length, _), = stages = rigid.numbers.stages[-1:]
+    sizes = [np.ptp(replace(rigid, numbers=rigid.numbers._replace(
+        stages=[(length, excess)])).estimates(sliding().coordinates, None)['inertia1'].interval)
+        for excess in (1.0, 3.0)]
+    assert stages and sizes[1] == pytest.approx(3.0 * sizes[0], rel=1e-9)
+
+
+def test_width_that_a_log_does_not_tell_is_a_usual_one():
+    """Dry friction as wide as all speeds made viscous friction four times as uncertain."""
+    t = 0.05 * np.arange(480)
+    z = solve_ivp(lambda time, z: [z[1], -9.81 * np.sin(z[0]) - 0.05 * z[1] - 0.02 * np.tanh(
+        100.0 * z[1])], (0.0, t[-1]), [0.9, 0.0], t_eval=t, rtol=1e-9, atol=1e-9).y.T
+    q = z[:, :1] + 5e-3 * np.random.default_rng(0).normal(size=(len(t), 1))
+    config = machine_config('a', prior='planar_chain', residual=False)
+    rigid = fit_machine(config, [smoothed('swing', t, q, None, 0.0 * q, 8.0)])
+    found = rigid.estimates(config.coordinates, q)
+    assert not [name for name in found if 'width' in name]
+    for name, truth in (('viscous friction of a', 0.05), ('dry friction of a', 0.02)):
+        # Four standard errors.
+        value, high = found[name].value, found[name].interval[1]
+        assert abs(value - truth) < 4.0 * (high - value) / 1.96 < 0.02
+
+
+def test_steps_are_as_small_as_sharp_friction_needs():
+    """A carriage that reverses within a step: the numbers of coarse steps were 9 errors off."""
+    t, rng = 0.01 * np.arange(800), np.random.default_rng(4)
+    force = (2.5 * np.sin(t[:, None] * [2.1, 3.7, 5.3] + [0.3, 1.0, 2.0])).sum(1)
+    z, found = np.zeros(2), []
+    for value in force:
+        found.append(z[0])
+        for _ in range(100):  # 0.1 ms: a tenth of the time in which friction changes its sign
+            middle = z + 5e-5 * np.array([z[1], 0.5 * (
+                value - 0.5 * z[1] - np.tanh(z[1] / 0.002))])
+            z = z + 1e-4 * np.array([middle[1], 0.5 * (
+                value - 0.5 * middle[1] - np.tanh(middle[1] / 0.002))])
+    q = np.array(found)[:, None] + 1e-4 * rng.normal(size=(len(t), 1))
+    run = replace(smoothed('sharp', t, q, None, force[:, None], 40.0), inputs='held')
+    rigid = fit_machine(sliding(prior='planar_chain', residual=False), [run])
+    assert rigid.numbers.problem.model.step_size < 0.006
+    assert rigid.numbers.stages[-1][1] < 1.1
+    found = rigid.estimates(sliding().coordinates, None)
+    for name, truth in (('inertia1', 2.0), ('viscous friction of x', 0.5),
+                        ('dry friction of x', 1.0), ('width of dry friction of x', 0.002)):
+        # Four standard errors.
+        value, high = found[name].value, found[name].interval[1]
+        assert abs(value - truth) < 4.0 * (high - value) / 1.96
