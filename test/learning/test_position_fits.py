@@ -75,9 +75,18 @@ def test_width_of_friction_is_a_number_of_the_fit():
 
 @pytest.fixture(scope='module')
 def rounded():
-    run = of_positions([carriage(1, 1.0)])[0]
-    return fit_machine(sliding(prior='planar_chain', residual=False), [replace(
-        run, tau=0.05 * np.rint(run.tau / 0.05))])
+    t, rng, z, found = 0.01 * np.arange(500), np.random.default_rng(3), np.zeros(2), []
+    force = 3.0 * np.sin(t[:, None] * [1.3, 2.1, 3.7] + [0.3, 1.0, 2.0]).sum(1)
+    for value in force:
+        found.append(z[0])
+        for _ in range(20):
+            middle = z + 2.5e-4 * np.array([z[1], 0.5 * (
+                value - 0.5 * z[1] - np.tanh(z[1] / 0.05))])
+            z = z + 5e-4 * np.array([middle[1], 0.5 * (
+                value - 0.5 * middle[1] - np.tanh(middle[1] / 0.05))])
+    q = np.array(found)[:, None] + 2e-4 * rng.normal(size=(len(t), 1))
+    return fit_machine(sliding(prior='planar_chain', residual=False), [replace(smoothed(
+        'rounded', t, q, None, 0.05 * np.rint(force[:, None] / 0.05), 40.0), inputs='held')])
 
 
 def test_prediction_is_differentiated_by_the_force_of_each_sample(rounded):
@@ -99,8 +108,7 @@ def test_prediction_is_differentiated_by_the_force_of_each_sample(rounded):
 
 def test_intervals_contain_the_rounding_of_forces(rounded):
     numbers, (motion,) = rounded.numbers, rounded.numbers.solution.windows.motions
-    # Steps have the means of two forces, whose common step is half of theirs.
-    assert rounding_of(motion.tau) == pytest.approx([0.025 / math.sqrt(12.0)])
+    assert rounding_of(motion.tau) == pytest.approx([0.05 / math.sqrt(12.0)])
     exact = replace(motion, tau=motion.tau + 1e-7 * np.random.default_rng(0).normal(
         size=motion.tau.shape))
     alone = covariance_of(numbers._replace(fits=[(length, replace(

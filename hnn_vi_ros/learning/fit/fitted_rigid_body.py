@@ -200,7 +200,8 @@ def rounding_of(values: np.ndarray) -> np.ndarray:
     Return the standard deviation of the rounding errors of columns (N, m), shape (m,).
 
     A column is rounded if its values are multiples of one number, and so many that they are
-    those of a measurement rather than levels of a command.
+    those of a measurement rather than levels of a command. Of forces that are held, that is: those
+    of linear courses are weighted means, whose common step is smaller.
     """
     found = np.zeros(values.shape[1])
     for k, column in enumerate(values.T):
