@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 import re
 import shutil
-import subprocess
 from string import Template
+import subprocess
 
 from hnn_vi_ros.codegen.scene_code import SceneCode, Variable
 from hnn_vi_ros.files import share_folder

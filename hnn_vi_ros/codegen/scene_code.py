@@ -8,7 +8,7 @@ import re
 from typing import NamedTuple
 
 from hnn_vi_ros.codegen.entries import (
-    EFFORTS, CommandTable, INTERNAL, Machine, OutputTable, POSITIONS, symbols, VELOCITIES)
+    CommandTable, EFFORTS, INTERNAL, Machine, OutputTable, POSITIONS, symbols, VELOCITIES)
 from hnn_vi_ros.codegen.image import Image, image_of
 from hnn_vi_ros.effects import EFFORT, Force, LARGEST, NUMBERS, OBSERVATION, POSITION, VELOCITY
 from hnn_vi_ros.errors import UnsupportedSystem

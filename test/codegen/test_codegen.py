@@ -41,6 +41,7 @@ def attention():
     from torch import nn
 
     class Attention(nn.Module):
+
         def __init__(self):
             super().__init__()
             self.embed, self.last = nn.Linear(2, 4), nn.Linear(4, 1)
