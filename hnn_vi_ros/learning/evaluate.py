@@ -36,7 +36,7 @@ from hnn_vi_ros.learning.judging.evaluation import (
     as_json, finite, judge, Judging, outside, table, TrajectoryBundle, verdict, whole_records)
 from hnn_vi_ros.learning.judging.predictors import (
     linear_model, names_of, parts_of, Predict, predicted_by, simulated)
-from hnn_vi_ros.learning.judging.residuals import errors_text, judged_along, STEP
+from hnn_vi_ros.learning.judging.residuals import errors_text, judged_along, resolving_step
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models import domain_of, load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
@@ -104,19 +104,18 @@ def _judged(arguments: Namespace) -> _Judgement:
                         'model')
     if card is not None and card.prediction_error is not None and card.prediction_error.noise:
         motions = of_positions(motions)
-    judged = card is not None and positions_alone(motions)
     known: dict[str, Any] = {} if card is None else {'noise': [], 'residuals': {}}
-    said = ''
-    if judged:
-        parts = parts._replace(step_size=min(STEP, motions[0].spacing))
+    said, judged = '', card if positions_alone(motions) else None
+    if judged is not None:
+        parts = parts._replace(step_size=min(parts.step_size, resolving_step(judged, motions)))
     _check_simulation(arguments.model, parts, motions)
-    if judged and card is not None:
+    if judged is not None:
         # As in training.
-        error = card.prediction_error
+        error = judged.prediction_error
         noise = np.array(error.noise) if error and error.noise else first_noise(motions)
         residuals, motions, _ = judged_along(KnownModel('the model', parts), motions, noise)
         known = {'noise': noise.tolist(), 'residuals': residuals}
-        said = '\n' + errors_text(residuals, noise, card.coordinates)
+        said = '\n' + errors_text(residuals, noise, judged.coordinates)
     others = _baselines(arguments, hamiltonian)
     with elapsed('simulating'):
         scores, fans = judge(parts, motions, judging.horizons, judging.every,

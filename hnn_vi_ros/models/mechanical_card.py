@@ -211,6 +211,8 @@ class MechanicalCard(StrictModel):
         'delay of the commands relative to the data, to be applied to similar data [s]'))
     inputs: Literal['held', 'linear', 'spline'] | None = Field(None, description=(
         'course of the commands between samples, as selected for the data; null: the default'))
+    step_size: Positive | None = Field(None, description=(
+        'step size with which sharp friction was fitted [s]; null: that of the data'))
 
     @model_validator(mode='after')
     def _check(self) -> 'MechanicalCard':

@@ -11,6 +11,7 @@ from hnn_vi_ros.learning.fit.fitted_rigid_body import covariance_of, rounding_of
 from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
 from hnn_vi_ros.learning.fit.prediction import Prediction
+from hnn_vi_ros.learning.tasks.machine import MACHINE, MachineData
 from machines import carriage, double_well, machine_config, sliding
 import numpy as np
 import pytest
@@ -176,7 +177,8 @@ def test_steps_are_as_small_as_sharp_friction_needs():
                 value - 0.5 * middle[1] - np.tanh(middle[1] / 0.002))])
     q = np.array(found)[:, None] + 1e-4 * rng.normal(size=(len(t), 1))
     run = replace(smoothed('sharp', t, q, None, force[:, None], 40.0), inputs='held')
-    rigid = fit_machine(sliding(prior='planar_chain', residual=False), [run])
+    config = sliding(prior='planar_chain', residual=False)
+    rigid = fit_machine(config, [run])
     assert rigid.numbers.problem.model.step_size < 0.006
     assert rigid.numbers.stages[-1][1] < 1.1
     found = rigid.estimates(sliding().coordinates, None)
@@ -185,3 +187,8 @@ def test_steps_are_as_small_as_sharp_friction_needs():
         # Four standard errors.
         value, high = found[name].value, found[name].interval[1]
         assert abs(value - truth) < 4.0 * (high - value) / 1.96
+    # Those with which it is judged as well: of its own motion only noise is left.
+    data = MachineData(config, ([run], [run]), '', False, [run], [run])
+    card = MACHINE.judge(data, MACHINE.describe(data, rigid, config, 'x', ''), rigid
+                         ).checkpoint.card
+    assert max(*card.prediction_error.residuals.values()) < [1.1]

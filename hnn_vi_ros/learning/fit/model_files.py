@@ -35,8 +35,9 @@ def described(config: Any, networks: Mapping[str, Layers], name: str, command: s
 def describe_machine(network: MechanicalNetwork, config: MachineConfig,
                      motions: Sequence[EvenMotion], description: str = '',
                      losses: Mapping[str, float] | None = None, name: str = 'draft',
-                     command: str = '', delay: float = 0.0, **entries: Any) -> Checkpoint:
-    """Return a trained network with its card; `delay` is the delay of the forces [s]."""
+                     command: str = '', delay: float = 0.0, step_size: float | None = None,
+                     **entries: Any) -> Checkpoint:
+    """Return a trained network with its card: delay of the forces, and step of the fit [s]."""
     q, v, tau = (np.concatenate([getattr(motion, key) for motion in motions])
                  for key in ('q_smooth', 'v_smooth', 'tau'))
     with torch.no_grad():
@@ -44,8 +45,8 @@ def describe_machine(network: MechanicalNetwork, config: MachineConfig,
     return described(
         config, network.networks(), name, command, family='mechanical', box=Box.of(q, p),
         mechanical=network.card([one.p_unit for one in config.coordinates]).model_copy(
-            update={'delay': delay, 'inputs': config.data.inputs}), dataset=description,
-        losses=dict(losses or {}), domain=DomainCard.of(q, v, tau), **entries)
+            update={'delay': delay, 'inputs': config.data.inputs, 'step_size': step_size}),
+        dataset=description, losses=dict(losses or {}), domain=DomainCard.of(q, v, tau), **entries)
 
 
 def with_prior(checkpoint: Checkpoint, **entries: Any) -> Checkpoint:

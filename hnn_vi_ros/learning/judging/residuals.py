@@ -10,6 +10,7 @@ from hnn_vi_ros.learning.fit.fitted_rigid_body import downsampled
 from hnn_vi_ros.learning.fit.growing import fits_by_length, with_states_of
 from hnn_vi_ros.learning.fit.shooting import Solution
 from hnn_vi_ros.learning.fit.windows import ParametricModel
+from hnn_vi_ros.models import ModelCard
 import numpy as np
 
 # Largest step size of a model that is judged; its error is far below that of most sensors [s].
@@ -64,6 +65,12 @@ def judged_along(model: ParametricModel, motions: Sequence[EvenMotion], noise: n
     return FollowedMotions(
         residuals, with_states_of(model, motions, longest[-1]) if longest else [*motions],
         fits[-1][1] if fits else None)
+
+
+def resolving_step(card: ModelCard, motions: Sequence[EvenMotion]) -> float:
+    """Return the step size with which a machine's model is judged [s]."""
+    assert card.mechanical is not None, 'of a machine'
+    return min(STEP, motions[0].spacing, card.mechanical.step_size or STEP)
 
 
 def followed(residuals: Mapping[str, Sequence[float]]) -> float:

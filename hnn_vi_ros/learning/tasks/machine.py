@@ -35,7 +35,8 @@ from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.predictors import (
     linear_model, own_effects, Predict, predicted_by)
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
-from hnn_vi_ros.learning.judging.residuals import errors_text, is_noise, judged_along, STEP
+from hnn_vi_ros.learning.judging.residuals import (
+    errors_text, is_noise, judged_along, resolving_step)
 from hnn_vi_ros.learning.tasks import OPEN_BY_MAP, TrainingTask
 from hnn_vi_ros.learning.tasks.selection import selected, trust_text
 from hnn_vi_ros.models import (
@@ -182,8 +183,9 @@ def describe(data: MachineData, fitted: Fitted, config: MachineConfig, name: str
              ) -> Checkpoint:
     """Return a trained network with its card."""
     config, description, estimates = data.chosen(config), data.description, {}
+    step_size = None
     if isinstance(fitted, FittedRigidBody) and fitted.numbers is not None:
-        opens = _opens_scale(config, data.train)
+        opens, step_size = _opens_scale(config, data.train), fitted.known().parts.step_size
         estimates = fitted.estimates(config.coordinates, _joined(data.train) if opens else None)
         if data.selection is None and fitted.is_driven(data.train):
             courses = fitted.courses(data.train, config.windows, config.data.inputs is not None)
@@ -193,7 +195,7 @@ def describe(data: MachineData, fitted: Fitted, config: MachineConfig, name: str
                 description += f'. {text}'
     found = describe_machine(
         fitted.module, config, data.train, description, fitted.losses, name, command,
-        data.delay * data.train[0].spacing, selection=data.selection)
+        data.delay * data.train[0].spacing, step_size, selection=data.selection)
     return with_prior(found, estimates=estimates) if estimates else found
 
 
@@ -209,12 +211,13 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
     horizons = [horizon for horizon in judging.horizons if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
     hamiltonian, effects = _parts_of(checkpoint)
+    step = resolving_step(checkpoint.card, test)
     parts = ModelParts(hamiltonian, ImplicitMidpoint(), effects, math.inf)
     names, open_scale = [one.name for one in config.coordinates], _scale_unit(config, data.train)
     said, known, residuals, longest = '', {}, dict[str, list[float]](), None
     if positions_alone(test):
         noise = first_noise(test) if fitted.noise is None else fitted.noise
-        parts = parts._replace(step_size=min(STEP, test[0].spacing))
+        parts = parts._replace(step_size=step)
         residuals, test, longest = judged_along(KnownModel('the model', parts), test, noise)
         known = {'residuals': residuals, 'noise': noise.tolist()}
         missing = '' if is_noise(residuals) else missing_force(
@@ -243,7 +246,7 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
         lambda path: draw_predictions(path, card.name, hamiltonian.coordinates,
                                       shown(fans, max(horizons))),
         longest, lambda model, place: machine_scene(
-            model, card, min(STEP, test[0].spacing), 'implicit_midpoint',
+            model, card, step, 'implicit_midpoint',
             any(motion.tau.any() for motion in data.train),
             {'q': test[0].q_smooth[0].tolist(), 'v': test[0].v_smooth[0].tolist()},
             place), open_scale)
