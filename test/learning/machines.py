@@ -11,6 +11,7 @@ from hnn_vi_ros.learning import EvenMotion, MotionSource, read_motions
 from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.families.choices import AUTO
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
+from hnn_vi_ros.learning.families.priors import PlanarChain
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.model_files import describe_machine
 from hnn_vi_ros.models import save_checkpoint
@@ -54,6 +55,9 @@ def shaken(network: MechanicalNetwork) -> MechanicalNetwork:
             if parameter.requires_grad:
                 parameter.add_(0.3 * torch.randn(parameter.shape, dtype=torch.float64,
                                                  generator=torch.Generator().manual_seed(1)))
+        if isinstance(network.prior, PlanarChain):
+            # Fits keep inertias of motors positive.
+            network.prior.raw.split(network.prior._sizes)[3].abs_()
     return network
 
 

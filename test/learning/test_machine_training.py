@@ -350,7 +350,7 @@ def test_runs_that_are_not_there_and_files_that_are_none_are_named(tmp_path):
             from_file(tmp_path / name, ArraysData(), 1)
         assert 'pickle' not in str(no.value)
         # What keys there are is asked before, when nothing is said of them.
-        assert _arrays(tmp_path / name, ArraysData()) == ArraysData()
+        assert _arrays(tmp_path / name, ArraysData(), False) == ArraysData()
     for name in ('nothing.npz', 'folder.npz'):
         with refused(DataError):
             from_file(tmp_path / name, ArraysData(), 1)

@@ -66,7 +66,7 @@ class PlanarChain(PriorModule):
     Parameters of models/planar_chain.py, mapped from unknowns that keep M positive definite.
 
     The matrix K of inertias and couplings is u L L^T, with exp(x) on the diagonal of the lower
-    triangular L; motor inertias are u exp(x), and gravities and springs u x, with the unit u.
+    triangular L; inertias of motors, gravities and springs are u x, with the unit u.
 
     Parameters
     ----------
