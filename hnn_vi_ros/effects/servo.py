@@ -96,7 +96,8 @@ class Servo(Force, Commanded):
         o, what the encoder reads at q = 0, for all joints or for each [m], [rad]; commands are in
         its readings.
     delay : float, optional
-        Time from a command to its effect, >= 0 [s]; with a delay, paths are not accepted.
+        Time from a command to its effect, >= 0 [s]; with a delay, paths are not accepted. A log's
+        `enabled` acts without it.
     drive : str, optional
         A drive of all joints, whose limit and back EMF are the defaults: see `effects.drives`.
 

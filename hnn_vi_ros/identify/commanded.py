@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files import write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum, RigidBodyTree
 from hnn_vi_ros.identify.intervals import Estimate, Estimates
-from hnn_vi_ros.learning import EvenMotion
+from hnn_vi_ros.learning import commands_and_off, EvenMotion
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -110,8 +110,8 @@ def _guess(hamiltonian: Hamiltonian, motions: Sequence[EvenMotion], delay: float
         p = momentum(hamiltonian, q, v, np.zeros_like(q))
         need = CubicSpline(t, p)(t, 1) + hamiltonian.gradient(q, p)[0]
         at = np.clip(np.floor((t - t[0] - delay) / motion.spacing + 1e-6).astype(int), 0, None)
-        command = motion.tau[at]
-        on = np.abs(command) <= LARGEST
+        commands, off = commands_and_off(motion)
+        command, on = commands[at], ~off
         rows.append(np.stack([
             np.where(on, command - q, 0.0), -v, -np.tanh(v / _SPEED), -motion.a_smooth,
             -1.0 * on, 1.0 * on], axis=-1))

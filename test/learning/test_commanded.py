@@ -198,7 +198,7 @@ def test_exact_tangents_of_commanded_windows_are_differences_of_simulations(
     np.testing.assert_array_equal(exact[0][:, 0, 1], starts[:, 1] + 0.1)
 
 
-def test_delayed_commands_act_by_their_mean_in_a_step():
+def test_delayed_commands_act_by_their_mean_in_a_step_and_motors_are_off_at_once():
     scene, t = servo_scene(), 0.02 * np.arange(31)
     command = np.arange(31.0)[:, None]
     command[5] = OFF
@@ -208,8 +208,10 @@ def test_delayed_commands_act_by_their_mean_in_a_step():
     forces = Prediction(free, np.zeros(0), cut_windows([log], 1.0)).log.forces[0, :, 0]
     # Steps of 10 ms and a delay of 13: three tenths of the fourth one are old.
     assert forces[:6] == pytest.approx([0.0, 0.0, 0.0, 0.7, 1.0, 1.7], abs=1e-12)
-    off = np.flatnonzero(forces == OFF)
-    assert off.tolist() == [11, 12]
+    # The motor is switched off from .10 s to .12 s, without this delay; meanwhile the command is
+    # the mean of its neighbours.
+    assert np.flatnonzero(forces == OFF).tolist() == [10, 11]
+    assert forces[12:14] == pytest.approx([5.0, 5.7], abs=1e-12)
 
 
 @pytest.mark.parametrize('names, command, enabled', [

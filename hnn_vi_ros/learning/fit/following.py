@@ -222,8 +222,10 @@ class LogSimulation:
             else:
                 if run not in tables:
                     edges = self.step_size * np.arange(len(motion.tau) * self.per_sample + 1)
-                    tables[run] = (constant_commands if motion.commanded else constant_forces)(
-                        motion, edges - self._delay, self.step_size, self.windows.rates)
+                    tables[run] = constant_commands(
+                        motion, edges, self.step_size, self._delay) if motion.commanded else \
+                        constant_forces(motion, edges - self._delay, self.step_size,
+                                        self.windows.rates)
                 table, duration = tables[run], self.step_size
             # Steps start at a force's start or well after it; the margin allows for rounding.
             row = np.floor(t / duration + _ROUNDED).astype(int)

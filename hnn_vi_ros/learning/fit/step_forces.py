@@ -65,20 +65,27 @@ def constant_forces(motion: EvenMotion, edges: np.ndarray, h: float, rates: bool
     return np.diff(total, axis=0) / h
 
 
-def constant_commands(motion: EvenMotion, edges: np.ndarray, h: float, rates: bool) -> np.ndarray:
-    """
-    Return the command of each step to servos, its mean in the step, or OFF.
-
-    A motor is off in a step if it is for most of it. Parameters are those of ``constant_forces``.
-    """
-    off = np.abs(motion.tau) > LARGEST
-    on = motion.tau.copy()
+def commands_and_off(motion: EvenMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands, also while motors are off, and where these are off, each (N, m)."""
+    on, off = motion.tau.copy(), np.abs(motion.tau) > LARGEST
     for column, idle in zip(on.T, off.T, strict=True):
         # A command that waits for the motor, or the last one.
         column[idle] = np.interp(np.flatnonzero(idle), np.flatnonzero(~idle), column[~idle]) \
             if not idle.all() else 0.0
-    mean, share = (np.diff(impulse(replace(motion, tau=part), edges), axis=0) / h
-                   for part in (on, off.astype(float)))
+    return on, off
+
+
+def constant_commands(motion: EvenMotion, edges: np.ndarray, h: float, delay: float) -> np.ndarray:
+    """
+    Return the command of each step to servos, its mean in the step, or OFF, shape (N, m).
+
+    A motor is off in a step if it is for most of it. Only positions are delayed [s]: a drive
+    that filters its goal switches its motor at once. Other parameters are those of
+    ``constant_forces``.
+    """
+    on, off = commands_and_off(motion)
+    mean, share = (np.diff(impulse(replace(motion, tau=part), times), axis=0) / h
+                   for part, times in ((on, edges - delay), (off.astype(float), edges)))
     return np.where(share > 0.5, OFF, mean)
 
 
