@@ -46,8 +46,8 @@ class ServoParameters(NamedTuple):
         See EffectState; without plain numbers, one that has expired.
     delay : float
         Delay of commands [s].
-    stiffness, damping, limit, back_emf, offset : np.ndarray, shape (n,)
-        k, c, F, b and o; F is infinite for no limit.
+    stiffness, damping, limit, back_emf, offset, punch : np.ndarray, shape (n,)
+        k, c, F, b, o and P; F is infinite for no limit.
     start : np.ndarray, shape (n,)
         Positions at which the joints are held before the first command; NaN for none.
 
@@ -64,12 +64,14 @@ class ServoParameters(NamedTuple):
     start: np.ndarray
     back_emf: np.ndarray
     offset: np.ndarray
+    punch: np.ndarray
 
 
 class Servo(Force, Commanded):
     """
-    A servo for each joint, f = k (q_r - q - o) + c (v_r - v), within -F to F, minus b v, v = H_p.
+    A servo for each joint, f = g + P tanh(2 g / P), within -F to F, minus b v, with v = H_p.
 
+    It has the gains of g = k (q_r - q - o) + c (v_r - v). P is the torque of the least voltage.
     The limit is that of the drive's voltage, of which the back EMF b v takes a part. Without a
     target the motor is off, and no force acts. A command sets q_r and v_r: a position with a
     velocity, by default zero; only a velocity, which only c follows; or a path, whose splines are
@@ -95,6 +97,9 @@ class Servo(Force, Commanded):
     offset : float or list of float, optional
         o, what the encoder reads at q = 0, for all joints or for each [m], [rad]; commands are in
         its readings.
+    punch : float or list of float, optional
+        P >= 0, the torque at rest of the least voltage that is added to a controller's, called
+        punch or minimum startup force, for all joints or for each [N], [N m].
     delay : float, optional
         Time from a command to its effect, >= 0 [s]; with a delay, paths are not accepted. A log's
         `enabled` acts without it.
@@ -120,13 +125,14 @@ class Servo(Force, Commanded):
                  effort_limit: float | list[float] | None = None,
                  position: list[float] | None = None, back_emf: float | list[float] = 0.0,
                  offset: float | list[float] = 0.0, delay: float = 0.0,
-                 drive: str | None = None):
+                 drive: str | None = None, punch: float | list[float] = 0.0):
         if drive is not None:
             row = find_drive(drive)
             effort_limit = row.torque_limit if effort_limit is None else effort_limit
             back_emf = row.back_emf if np.all(np.equal(back_emf, 0.0)) else back_emf
         limit = math.inf if effort_limit is None else effort_limit
-        check_not_negative(stiffness=stiffness, damping=damping, back_emf=back_emf, delay=delay)
+        check_not_negative(stiffness=stiffness, damping=damping, back_emf=back_emf, delay=delay,
+                           punch=punch)
         if not all(one > 0.0 for one in np.ravel(limit)):
             raise ValueError(f'effort_limit = {limit} must be positive')
         check_finite(position=position or 0.0, offset=offset)
@@ -136,7 +142,7 @@ class Servo(Force, Commanded):
         self.values: dict[str, float | list[float]] = {
             'stiffness': stiffness, 'damping': damping, 'effort_limit': limit,
             'position': math.nan if position is None else position,
-            'back_emf': back_emf, 'offset': offset}
+            'back_emf': back_emf, 'offset': offset, 'punch': punch}
 
     def on_numbers(self) -> 'Servo':
         """
@@ -182,7 +188,7 @@ class Servo(Force, Commanded):
     @inlined
     def add_force(parameters: ServoParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
-        """Add k (q_r - q - o) + c (v_r - v), within its limits, and -b v."""
+        """Add g + P tanh(2 g / P), within its limits, and -b v."""
         own, segment = parameters, _segment_at(parameters.reference, t)
         for k in range(own.columns.size):
             i, force = own.columns[k], 0.0
@@ -191,6 +197,8 @@ class Servo(Force, Commanded):
                 force += own.stiffness[k] * (position - (q[i] + own.offset[k]))
             if not math.isnan(rate):
                 force += own.damping[k] * (rate - velocity[i])
+                if own.punch[k] > 0.0:
+                    force += own.punch[k] * math.tanh(2.0 * force / own.punch[k])
                 f_p[i] += min(max(force, -own.limit[k]), own.limit[k]) \
                     - own.back_emf[k] * velocity[i]
 

@@ -306,6 +306,20 @@ def test_back_emf_takes_its_part_of_the_limit_of_the_voltage():
     assert off.p[0] == 1.0
 
 
+@pytest.mark.parametrize('integrator', ['implicit_midpoint', 'rk4'])
+def test_punch_adds_the_torque_of_the_least_voltage_within_the_limit(integrator):
+    simulation = servo('x', 'y', 'z', integrator=integrator, punch=[0.5, 0.5, 0.0],
+                       effort_limit=20.0, damping=0.0, position=[-0.1, 100.0, -0.1])
+    forces = simulation.motors.forces(0.0, simulation.q, simulation.p, simulation.dH_dp)
+    force = -0.1 * STIFFNESS
+    assert forces == pytest.approx([force + 0.5 * np.tanh(force / 0.25), 20.0, force], abs=1e-14)
+    # Full force but for 2 exp(-14.4); near the target it has three times the stiffness.
+    assert forces[0] == pytest.approx(force - 0.5, abs=1e-6)
+    near = simulation.motors.forces(0.0, np.array([-0.1 + 1e-5, 0.0, 0.0]), simulation.p,
+                                    simulation.dH_dp)[0]
+    assert near == pytest.approx(-3e-5 * STIFFNESS, rel=1e-6)
+
+
 def test_commands_are_in_readings_of_the_encoder():
     simulation = servo('x', offset=0.3, q=0.2, position=[0.5])
     simulation.advance(10)
@@ -350,7 +364,8 @@ def test_more_commands_than_wait_for_a_delay_are_refused():
         simulation.set_command(path([1.0], [0.0]))
 
 
-@pytest.mark.parametrize('given', [{'back_emf': -1.0}, {'delay': -0.1}, {'offset': NAN}])
+@pytest.mark.parametrize('given', [{'back_emf': -1.0}, {'delay': -0.1}, {'offset': NAN},
+                                   {'punch': [-0.1]}])
 def test_number_out_of_its_range_is_refused(given):
     with refused(ValueError):
         Servo(['x'], 1.0, **given)
