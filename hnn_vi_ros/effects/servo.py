@@ -14,7 +14,8 @@ from hnn_vi_ros.effects.commands import (
     printable, Reference, ServoTarget, VELOCITY)
 from hnn_vi_ros.effects.drives import find_drive
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.hamiltonians import check_finite, check_names_once, check_not_negative
+from hnn_vi_ros.hamiltonians import (
+    check_finite, check_names_once, check_not_negative, check_positive)
 from hnn_vi_ros.integrators import bend_at, cubic, quintic, slope_at, value_at
 from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -44,10 +45,10 @@ class ServoParameters(NamedTuple):
         See EffectState.
     command : np.ndarray
         See EffectState; without plain numbers, one that has expired.
-    delay : float
-        Delay of commands [s].
-    stiffness, damping, limit, back_emf, offset, punch : np.ndarray, shape (n,)
-        k, c, F, b, o and P; F is infinite for no limit.
+    delay, speed : float
+        Delay of commands [s], and u.
+    stiffness, damping, limit, back_emf, offset, punch, load : np.ndarray, shape (n,)
+        k, c, F, b, o, P and l; F is infinite for no limit.
     start : np.ndarray, shape (n,)
         Positions at which the joints are held before the first command; NaN for none.
 
@@ -58,6 +59,7 @@ class ServoParameters(NamedTuple):
     clock: np.ndarray
     command: np.ndarray
     delay: float
+    speed: float
     stiffness: np.ndarray
     damping: np.ndarray
     limit: np.ndarray
@@ -65,13 +67,15 @@ class ServoParameters(NamedTuple):
     back_emf: np.ndarray
     offset: np.ndarray
     punch: np.ndarray
+    load: np.ndarray
 
 
 class Servo(Force, Commanded):
     """
-    A servo for each joint, f = g + P tanh(2 g / P), within -F to F, minus b v, with v = H_p.
+    A servo for each joint, f - l abs(f) tanh(v / u), f = g + P tanh(2 g / P) - b v, v = H_p.
 
-    It has the gains of g = k (q_r - q - o) + c (v_r - v). P is the torque of the least voltage.
+    It has the gains of g = k (q_r - q - o) + c (v_r - v). P is the torque of the least voltage;
+    g + P tanh(2 g / P) is limited to -F to F. Friction of the gear takes the part l of the torque.
     The limit is that of the drive's voltage, of which the back EMF b v takes a part. Without a
     target the motor is off, and no force acts. A command sets q_r and v_r: a position with a
     velocity, by default zero; only a velocity, which only c follows; or a path, whose splines are
@@ -100,6 +104,11 @@ class Servo(Force, Commanded):
     punch : float or list of float, optional
         P >= 0, the torque at rest of the least voltage that is added to a controller's, called
         punch or minimum startup force, for all joints or for each [N], [N m].
+    load : float or list of float, optional
+        l, 0 to 1, friction in the gear relative to the motor's torque, for all joints or for each
+        [1]; that which does not depend on the torque is `joint_friction`.
+    speed : float, optional
+        u > 0 [rad/s], [m/s], as that of `joint_friction`.
     delay : float, optional
         Time from a command to its effect, >= 0 [s]; with a delay, paths are not accepted. A log's
         `enabled` acts without it.
@@ -125,24 +134,28 @@ class Servo(Force, Commanded):
                  effort_limit: float | list[float] | None = None,
                  position: list[float] | None = None, back_emf: float | list[float] = 0.0,
                  offset: float | list[float] = 0.0, delay: float = 0.0,
-                 drive: str | None = None, punch: float | list[float] = 0.0):
+                 drive: str | None = None, punch: float | list[float] = 0.0,
+                 load: float | list[float] = 0.0, speed: float = 0.01):
         if drive is not None:
             row = find_drive(drive)
             effort_limit = row.torque_limit if effort_limit is None else effort_limit
             back_emf = row.back_emf if np.all(np.equal(back_emf, 0.0)) else back_emf
         limit = math.inf if effort_limit is None else effort_limit
         check_not_negative(stiffness=stiffness, damping=damping, back_emf=back_emf, delay=delay,
-                           punch=punch)
+                           punch=punch, load=load)
+        check_positive(speed=speed)
+        if not all(one <= 1.0 for one in np.ravel(load)):
+            raise ValueError(f'load = {load} must be at most 1: friction stops what drives it')
         if not all(one > 0.0 for one in np.ravel(limit)):
             raise ValueError(f'effort_limit = {limit} must be positive')
         check_finite(position=position or 0.0, offset=offset)
         check_names_once(coordinates=coordinates)
-        self.names, self.delay = coordinates, float(delay)
+        self.names, self.delay, self.speed = coordinates, float(delay), float(speed)
         self.takes = frozenset({POSITION, VELOCITY} if delay else {POSITION, VELOCITY, PATH})
         self.values: dict[str, float | list[float]] = {
             'stiffness': stiffness, 'damping': damping, 'effort_limit': limit,
             'position': math.nan if position is None else position,
-            'back_emf': back_emf, 'offset': offset, 'punch': punch}
+            'back_emf': back_emf, 'offset': offset, 'punch': punch, 'load': load}
 
     def on_numbers(self) -> 'Servo':
         """
@@ -161,7 +174,8 @@ class Servo(Force, Commanded):
         joints = [coordinates[i] for i in columns]
         own = (per_coordinate(joints, name, value) for name, value in self.values.items())
         command = state.command if self.numbers else np.full(1, -math.inf)
-        return ServoParameters(columns, state.reference, state.clock, command, self.delay, *own)
+        return ServoParameters(columns, state.reference, state.clock, command, self.delay,
+                               self.speed, *own)
 
     def prepare(self, command: Command, parameters: ServoParameters, q: np.ndarray
                 ) -> Callable[[], None]:
@@ -188,7 +202,7 @@ class Servo(Force, Commanded):
     @inlined
     def add_force(parameters: ServoParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
-        """Add g + P tanh(2 g / P), within its limits, and -b v."""
+        """Add f = g + P tanh(2 g / P) - b v, the first two within limits, and its friction."""
         own, segment = parameters, _segment_at(parameters.reference, t)
         for k in range(own.columns.size):
             i, force = own.columns[k], 0.0
@@ -199,8 +213,9 @@ class Servo(Force, Commanded):
                 force += own.damping[k] * (rate - velocity[i])
                 if own.punch[k] > 0.0:
                     force += own.punch[k] * math.tanh(2.0 * force / own.punch[k])
-                f_p[i] += min(max(force, -own.limit[k]), own.limit[k]) \
+                force = min(max(force, -own.limit[k]), own.limit[k]) \
                     - own.back_emf[k] * velocity[i]
+                f_p[i] += force - own.load[k] * abs(force) * math.tanh(velocity[i] / own.speed)
 
 
 @inlined

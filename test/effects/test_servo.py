@@ -320,6 +320,20 @@ def test_punch_adds_the_torque_of_the_least_voltage_within_the_limit(integrator)
     assert near == pytest.approx(-3e-5 * STIFFNESS, rel=1e-6)
 
 
+def test_friction_of_the_gear_takes_a_part_of_the_torque_that_drives_or_brakes():
+    simulation = servo('x', 'y', 'z', load=[0.3, 0.3, 0.0], speed=0.5, back_emf=0.2, damping=0.0,
+                       effort_limit=2.0, position=[100.0, -100.0, 100.0])
+    v = np.array([0.8, 0.8, 0.8])
+    forces = simulation.motors.forces(0.0, simulation.q, MASS * v, v)
+    torque = np.array([2.0, -2.0, 2.0]) - 0.16
+    lost = np.array([0.3, 0.3, 0.0]) * np.abs(torque) * np.tanh(1.6)
+    assert forces == pytest.approx(torque - lost, abs=1e-14)
+    # Without a target, no torque passes through the gear.
+    off = servo('x', load=0.3, p=1.0)
+    off.advance(10)
+    assert off.p[0] == 1.0
+
+
 def test_commands_are_in_readings_of_the_encoder():
     simulation = servo('x', offset=0.3, q=0.2, position=[0.5])
     simulation.advance(10)
@@ -365,7 +379,8 @@ def test_more_commands_than_wait_for_a_delay_are_refused():
 
 
 @pytest.mark.parametrize('given', [{'back_emf': -1.0}, {'delay': -0.1}, {'offset': NAN},
-                                   {'punch': [-0.1]}])
+                                   {'punch': [-0.1]}, {'load': 1.1}, {'load': [0.1, -0.1]},
+                                   {'speed': 0.0}])
 def test_number_out_of_its_range_is_refused(given):
     with refused(ValueError):
         Servo(['x'], 1.0, **given)

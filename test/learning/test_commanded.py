@@ -169,7 +169,8 @@ def servo_scene() -> Scene:
         initial_state=([0.5, -0.3], [0.0, 0.0]), effects=[
             {'kind': 'joint_friction', 'friction': {'angle2': 0.2}, 'speed': 0.5},
             {'kind': 'servo', 'coordinates': ['angle2'], 'stiffness': [8.0], 'damping': 0.4,
-             'back_emf': 0.2, 'offset': [0.1], 'delay': 0.013, 'punch': 0.7}])
+             'back_emf': 0.2, 'offset': [0.1], 'delay': 0.013, 'punch': 0.7, 'load': 0.3,
+             'speed': 0.4}])
 
 
 def test_exact_tangents_of_commanded_windows_are_differences_of_simulations(
@@ -180,7 +181,7 @@ def test_exact_tangents_of_commanded_windows_are_differences_of_simulations(
     log = replace(smoothed('one', t, np.zeros((31, 2)), np.zeros((31, 2)), command, 40.0),
                   commanded=True, inputs='held')
     names = ('mass2', 'servo.stiffness.0', 'servo.damping', 'servo.back_emf', 'servo.offset.0',
-             'servo.delay', 'servo.punch')
+             'servo.delay', 'servo.punch', 'servo.load')
     free = free_scene(scene.parts(), names, {}, tmp_path, False)
     values, windows = np.array([number.start for number in free.numbers]), cut_windows([log], 0.3)
     starts = np.tile([0.5, -0.3, 0.3, -0.2], (len(windows.run), 1))
