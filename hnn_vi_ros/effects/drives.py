@@ -4,16 +4,16 @@
 Measured drives by name.
 
 Numbers were identified by the project Rhoban/bam on a pendulum, in its friction models m1 (Coulomb
-and viscous) and m2 (with the Stribeck curve); the friction of m3 to m6 depends on the load, which
-no effect here expresses. M. Duclusaud, G. Passault et al., Extended friction models for the
+and viscous) and m2 (with the Stribeck curve); the friction of m3 to m6 depends on the load as
+that of no effect here. M. Duclusaud, G. Passault et al., Extended friction models for the
 physics simulation of servo actuators, 2024.
 
 Those of sts3215_so101 were fitted here to positions of the servo of the arm SO-101 at 12 V, which
-swung .5 and 1.2 kg at .10 and .15 m with gains kp of 4 to 32: a voltage of .196 kp 12 V per radian
-of error, .028 s after the command. In 120 runs of 6 s that the fit did not use, simulated from
-their first sample with `servo` and `joint_friction` (speed .01), the mean absolute error of the
-angle is .031 rad; two repetitions of a run differ by .010 rad. Friction that depends on the load,
-and a least voltage, would reduce it to .024 rad.
+swung .5 and 1.2 kg at .10 and .15 m with gains kp of 4 to 32: a voltage of .190 kp 12 V per radian
+of error, .028 s after the command, while the motor is switched off at once. In 120 runs of 6 s
+that the fit did not use, simulated from their first sample with `servo` and `joint_friction`
+(steps of 2.5 ms), the mean absolute error of the angle is .026 rad (.025 in the 240 of the fit);
+two repetitions of a run differ by .010 rad.
 """
 
 from typing import NamedTuple
@@ -41,6 +41,8 @@ class Drive(NamedTuple):
         Viscous friction, without the back EMF [N m s/rad].
     speed, exponent : float or None
         Stribeck speed [rad/s] and exponent of the curve [1]; None for m1.
+    punch, load : float
+        Torque of the least voltage [N m], and friction relative to the torque [1]; see `servo`.
 
     """
 
@@ -54,6 +56,8 @@ class Drive(NamedTuple):
     damping: float
     speed: float | None = None
     exponent: float | None = None
+    punch: float = 0.0
+    load: float = 0.0
 
     @property
     def torque_limit(self) -> float | None:
@@ -84,8 +88,8 @@ DRIVES = {
                        4.0966475, 0.0, 1.29805795),
     'sts3215_7v4': Drive('params/feetech_sts3215_7_4V/m1.json', 7.4 * 0.97, 1.21164135, 2.67616633,
                          0.0284033635, 0.0523929608, 0.0, 0.0590851557),
-    'sts3215_so101': Drive('kscalelabs/sysid, March 2025', 12.0, 2.51181, 6.02558, 0.02383,
-                           0.12215, 0.0, 0.04488),
+    'sts3215_so101': Drive('kscalelabs/sysid, March 2025', 12.0, 2.51415, 5.17059, 0.02669,
+                           0.12955, 0.0, 0.0432, punch=0.21447, load=0.29806),
     'sts3215_12v': Drive('params/feetech_sts3215_12V/m1.json', 12.0 * 0.97, 1.4439859, 2.0295625,
                          0.0324599941, 0.195871178, 0.0, 0.0304735065),
 }

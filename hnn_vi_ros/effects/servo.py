@@ -113,7 +113,7 @@ class Servo(Force, Commanded):
         Time from a command to its effect, >= 0 [s]; with a delay, paths are not accepted. A log's
         `enabled` acts without it.
     drive : str, optional
-        A drive of all joints, whose limit and back EMF are the defaults: see `effects.drives`.
+        A drive of all joints, whose F, b, P and l are the defaults: see `effects.drives`.
 
     Raises
     ------
@@ -139,7 +139,9 @@ class Servo(Force, Commanded):
         if drive is not None:
             row = find_drive(drive)
             effort_limit = row.torque_limit if effort_limit is None else effort_limit
-            back_emf = row.back_emf if np.all(np.equal(back_emf, 0.0)) else back_emf
+            back_emf, punch, load = (
+                given if np.any(given) else own for given, own in (
+                    (back_emf, row.back_emf), (punch, row.punch), (load, row.load)))
         limit = math.inf if effort_limit is None else effort_limit
         check_not_negative(stiffness=stiffness, damping=damping, back_emf=back_emf, delay=delay,
                            punch=punch, load=load)

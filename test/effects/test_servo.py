@@ -4,6 +4,7 @@
 
 from helpers import EPS, long, plain_run, Uncompiled
 from hnn_vi_ros.effects import ExternalForce, JointCommand, JointPath
+from hnn_vi_ros.effects.drives import find_drive
 from hnn_vi_ros.effects.joint_limits import JointLimits
 from hnn_vi_ros.effects.servo import MOST_KNOTS, OFF, Servo
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -407,8 +408,18 @@ def test_references_of_a_servo_have_exact_tangents(integrator):
     assert (slopes[1:3, 1] == 0.0).all()
 
 
-def test_drive_gives_the_limit_and_the_back_emf_of_its_voltage():
+def test_drive_gives_the_limit_the_back_emf_and_the_friction_of_its_gear():
     simulation = servo('x', drive='sts3215_so101', position=[1e6])
+    row, v = find_drive('sts3215_so101'), np.ones(1)
+    torque = row.torque_limit - row.back_emf
+    assert simulation.motors.forces(0.0, simulation.q, MASS * v, v) == pytest.approx(
+        (1.0 - row.load) * torque)
+    near = servo('x', drive='sts3215_so101', position=[0.05], damping=0.0)
+    assert near.motors.forces(0.0, near.q, near.p, near.dH_dp) == pytest.approx(
+        0.9 + row.punch * np.tanh(1.8 / row.punch))
+    own = servo('x', drive='sts3215_so101', position=[1e6], load=0.1, back_emf=0.5)
+    assert own.motors.forces(0.0, own.q, MASS * v, v) == pytest.approx(
+        0.9 * (row.torque_limit - 0.5))
     simulation.advance(1000)
     # Full voltage: the no-load speed of the row, V / k_t, after many time constants.
-    assert simulation.p[0] / MASS == pytest.approx(12.0 / 2.51181, rel=1e-3)
+    assert simulation.p[0] / MASS == pytest.approx(row.no_load_speed, rel=1e-3)
