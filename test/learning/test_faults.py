@@ -50,6 +50,9 @@ def test_stuck_sensor_is_found_and_slow_one_is_read_once_for_each_value(rate):
     t, q = swing(rate, 5e-3)
     stuck = (t > 5.0) & (t < 5.4)
     assert np.array_equal(found(t, np.where(stuck, q[5 * rate], q)), stuck)
+    # A servo that sticks does what a stuck sensor does.
+    sticking = np.where(stuck, q[5 * rate], q)[:, None]
+    assert not faults(t, sticking, None, ['coordinate 1'], 'log', True)[0].any()
     held = np.repeat(q[:len(q) // 5], 5)
     assert found(t[:len(held)], held).sum() == 4 * len(held) // 5
 

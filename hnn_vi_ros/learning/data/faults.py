@@ -40,8 +40,8 @@ def times_text(t: np.ndarray) -> str:
     return f' (at {", ".join(f"{time:.6g}" for time in t[:4])}{", ..." * (len(t) > 4)} s)'
 
 
-def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, labels: Sequence[str], where: str
-           ) -> tuple[np.ndarray, list[str]]:
+def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, labels: Sequence[str], where: str,
+           sticks: bool = False) -> tuple[np.ndarray, list[str]]:
     """
     Find glitches and stuck sensors.
 
@@ -57,6 +57,8 @@ def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, labels: Sequence[
         Names of the coordinates, then of the velocities, for notes and error messages.
     where : str
         File and run, for error messages.
+    sticks : bool, optional
+        True if joints stick and start at once, as those of servos do: no sensor is stuck.
 
     Returns
     -------
@@ -77,7 +79,8 @@ def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, labels: Sequence[
     for name, (x, far) in zip(labels, columns, strict=False):
         x = unwrap_beside_glitches(t, x) if far == _FAR_POSITION else x
         found = _glitches(t, x, far)
-        stuck = _stuck_samples(x) if far == _FAR_POSITION else np.zeros(len(t), dtype=bool)
+        stuck = _stuck_samples(x) if far == _FAR_POSITION and not sticks else np.zeros(
+            len(t), dtype=bool)
         text = f'{name} jumps away and back in {found.sum()} samples{times_text(t[found])}'
         if count := _repeat_count(x):
             notes.append(f'{name} is repeated in {count} samples, of which the first is taken')

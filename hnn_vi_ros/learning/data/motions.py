@@ -411,7 +411,7 @@ def _without_faults(motion: Motion, parts: Sequence[np.ndarray], on_bad: str,
     for part in parts:
         wrong, notes = faults(motion.t[part], motion.q[part],
                               None if motion.v is None else motion.v[part], motion.labels,
-                              motion.where)
+                              motion.where, motion.commanded)
         if notes and on_bad == 'fail':
             raise DataError(f'{motion.where}: {notes[0]}; leave them out, or take data.on_bad: '
                             'drop or split')
