@@ -56,7 +56,7 @@ def object_code(text: str, symbols: Iterable[str]) -> bytes:
     codegen: Any = cpu_target.target_context.codegen()
     module = llvm.parse_assembly(text)
     exported = {function.name for function in module.functions if not function.is_declaration}
-    module.triple, module.data_layout = codegen.magic_tuple()[0], codegen._data_layout
+    module.triple, module.data_layout = codegen.magic_tuple()[0], str(codegen.target_data)
     wanted = set(symbols)
     for library in {id(own): own for own, name in _entries.values() if name in wanted}.values():
         module.link_in(kept_module(library))

@@ -64,7 +64,7 @@ def test_pointer_of_git_lfs_is_named_as_such(reader, tmp_path):
 def test_keys_of_a_fifo_are_left_to_its_reader_and_as_a_world_it_is_no_missing_one(tmp_path):
     os.mkfifo(tmp_path / 'pipe.yaml')
     data = ArraysData()
-    assert _arrays(tmp_path / 'pipe.yaml', data) is data
+    assert _arrays(tmp_path / 'pipe.yaml', data, False) is data
     with refused(WorldError):
         open_world(str(tmp_path / 'pipe.yaml'))
 

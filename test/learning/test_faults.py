@@ -50,11 +50,19 @@ def test_stuck_sensor_is_found_and_slow_one_is_read_once_for_each_value(rate):
     t, q = swing(rate, 5e-3)
     stuck = (t > 5.0) & (t < 5.4)
     assert np.array_equal(found(t, np.where(stuck, q[5 * rate], q)), stuck)
-    # A servo that sticks does what a stuck sensor does.
-    sticking = np.where(stuck, q[5 * rate], q)[:, None]
-    assert not faults(t, sticking, None, ['coordinate 1'], 'log', True)[0].any()
     held = np.repeat(q[:len(q) // 5], 5)
     assert found(t[:len(held)], held).sum() == 4 * len(held) // 5
+
+
+@pytest.mark.parametrize('rate', RATES)
+def test_servo_that_sticks_is_no_stuck_sensor(rate):
+    t, q = swing(rate, 5e-3)
+    stuck = (t > 5.9) & (t < 6.3)
+    first, *_, last = np.flatnonzero(stuck)
+    # It goes on from where it stuck.
+    x = np.where(stuck, q[first], np.where(t < 6.1, q, q + q[first] - q[last]))
+    assert found(t, x)[stuck].any()
+    assert not faults(t, x[:, None], None, ['coordinate 1'], 'log', True)[0].any()
 
 
 def test_many_faults_and_jumps_that_stay_are_refused():
