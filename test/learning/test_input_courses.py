@@ -59,7 +59,7 @@ def test_smooth_forces_at_rare_samples_bias_no_number(delay: float):
             assert abs(number.value - true) < 3.0 * (high - low) / (2.0 * 1.96)
 
 
-@pytest.mark.parametrize('delay', [-3.0, 2.0])
+@pytest.mark.parametrize('delay', [-3.0, pytest.param(2.0, marks=pytest.mark.long)])
 def test_forces_that_act_earlier_or_later_than_logged_are_moved(delay: float):
     """A tenth of a sample, 2 ms, is 0.018 of the faster force; chords add (w h)^2 / 8, 0.004."""
     t = 0.02 * np.arange(800)

@@ -121,7 +121,7 @@ def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
             'kind': 'trajectory', 'forward_steps': 40, 'forward_lbfgs_steps': 0, 'batch': 64,
             'windows': [{'duration': 0.1, 'steps': 40}]},
         'family': {'kind': 'mechanical', 'friction': {'coulomb': 0}}})
-    chosen, card = selected(config, [cart_and_pole(seed) for seed in (1, 2, 3)])
+    chosen, card = selected(config, [cart_and_pole(seed) for seed in (1, 2)])
     first, *_, alone = card.candidates
     assert first.name == RIGID and chosen.family.prior is not None
     assert all(own < other for horizon, errors in first.furthest.items()
