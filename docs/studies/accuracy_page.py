@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from studies.explore_page import write_explorer
-from studies.measuring import StudyRow
+from studies.measuring import cheapest, StudyRow
 from studies.pages import render
 from studies.results import read_results, Results, unwritable
 from studies.work_precision_figure import draw, draw_fronts
@@ -101,18 +101,11 @@ def as_page(results: _Results) -> str:
         name: list(part) if isinstance(part, Iterator) else part for name, part in made.items()})
 
 
-def _cheapest(
-        rows: Iterable[StudyRow], error: float, column: str = 'path_error') -> StudyRow | None:
-    """Return the fastest row with at most this error."""
-    good = [row for row in rows if row.finished and getattr(row, column) <= error]
-    return min(good, key=lambda row: row.seconds_per_simulated_second, default=None)
-
-
 def _cheapest_pair(rows: Sequence[StudyRow], error: float
                    ) -> tuple[StudyRow | None, StudyRow | None]:
     """Return our fastest row and the fastest peer; in chaotic motion the error is of energy."""
     column = 'path_error' if _has_paths(rows) else 'energy_band'
-    return _cheapest(_ours(rows), error, column), _cheapest(
+    return cheapest(_ours(rows), error, column), cheapest(
         (row for row in rows if row.is_peer), error, column)
 
 
@@ -162,7 +155,7 @@ def _answers(results: _Results) -> list[StudyRow]:
     """Return our cheapest row in the example for each error wanted."""
     entry = results[_example(results)]
     rows = entry.of(entry.shown[0])
-    found = (_cheapest(_ours(rows), error) for error in _ANSWERS)
+    found = (cheapest(_ours(rows), error) for error in _ANSWERS)
     return [best for best in found if best is not None]
 
 
@@ -219,7 +212,7 @@ def _first_order(results: _Results) -> list[dict[str, float]]:
         if horizon != results[name].horizons[0] or not own:
             continue
         best = min(own, key=lambda row: row.path_error)
-        other = _cheapest((row for row in _ours(rows) if row.method != _PAPER), best.path_error)
+        other = cheapest((row for row in _ours(rows) if row.method != _PAPER), best.path_error)
         if other is not None:
             found.append({'error': best.path_error, 'share': _ratio(other, best),
                           'growth': _growth(results[name], _PAPER)})

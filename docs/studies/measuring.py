@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rows of work-precision studies: one method, step size and horizon, with its time."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 import math
 import time
@@ -20,9 +20,10 @@ OK, ENERGY_ONLY, TOO_LONG = 'ok', 'energy only', 'too long'
 # Number of states of a peer for its energy error, and number of timed runs.
 _LOOKS, _RUNS = 10, 3
 # Tolerances of adaptive peers; the longest fixed step over the one that resolves the path, and
-# its halvings; time of a run of a peer after which no smaller tolerance or step follows [s].
+# its halvings; time of a run of a peer [s], and ratio to the fastest row with at most its error,
+# after which no smaller tolerance or step follows; time of timed runs after which none follows.
 TOLERANCES = tuple(10.0 ** -k for k in range(3, 14))
-_LONGEST, _HALVINGS, _LONGEST_RUN = 4.0, 8, 30.0
+_LONGEST, _HALVINGS, _LONGEST_RUN, _SLOWEST, _TIMED = 4.0, 8, 30.0, 12.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -144,13 +145,24 @@ def measure_rows(problem: InitialValueProblem, peers: Sequence[Peer], horizon: f
     # Each step of a peer divides the time between two of its looks.
     most = _LOOKS * math.ceil(reference.horizon / (_LOOKS * _LONGEST * study.known.step_size))
     steps = [reference.horizon / (most * 2 ** k) for k in range(_HALVINGS + 1)]
+    column = 'path_error' if reference.verified else 'energy_band'
     for peer in peers:
         for setting in TOLERANCES if peer.adaptive else steps:
             show(1.0, f'{peer.name} {setting:g}')
-            rows.append(peer_row(peer, setting, problem, reference))
-            if rows[-1].seconds_per_simulated_second * reference.horizon > _LONGEST_RUN:
+            rows.append(row := peer_row(peer, setting, problem, reference))
+            best = cheapest(rows, getattr(row, column), column)
+            if best is not None and row.seconds_per_simulated_second > min(
+                    _LONGEST_RUN / reference.horizon,
+                    _SLOWEST * best.seconds_per_simulated_second):
                 break
     return rows, reference
+
+
+def cheapest(rows: Iterable[StudyRow], error: float, column: str = 'path_error'
+             ) -> StudyRow | None:
+    """Return the fastest row with at most this error."""
+    good = [row for row in rows if row.finished and getattr(row, column) <= error]
+    return min(good, key=lambda row: row.seconds_per_simulated_second, default=None)
 
 
 def _label(cost: MethodCost) -> tuple[str, float]:
@@ -184,8 +196,8 @@ def peer_row(peer: Peer, setting: float, problem: InitialValueProblem, reference
     # A rotation has one column less in p than in q.
     energies = problem.hamiltonian.energy(
         *np.split(np.array([*states, end]), [problem.q.size], axis=1))
-    times = []
-    for _ in range(_RUNS):
+    times = list[float]()
+    while len(times) < _RUNS and sum(times) < _TIMED:
         start = time.process_time()
         peer.solve(states[0], horizon, setting)
         times.append(time.process_time() - start)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Study of accuracy and cost: rows, peers and references agree with other sources; its page."""
 
+from collections import Counter
 import dataclasses
 from pathlib import Path
 import re
@@ -17,7 +18,7 @@ from hnn_vi_ros.simulation.accuracy.cost import run_errors
 from messages import refused
 import numpy as np
 import pytest
-from studies import accuracy_page, explore_page, work_precision
+from studies import accuracy_page, explore_page, measuring, work_precision
 from studies.measuring import measure_rows, Peer, peer_row, StudyRow
 from studies.peers import create_peers, jax_energy, scipy_peers
 from studies.references import Floor, floor_of, make_reference, ModelDiscrepancy, true_hamiltonian
@@ -136,6 +137,27 @@ def test_peer_that_fails_is_a_row_with_its_reason():
     row = peer_row(peer, 0.1, problem, reference)
     assert row.failed and row.status == 'not finite after t = 0 s'
     assert np.isnan([row.path_error, row.seconds_per_simulated_second]).all()
+
+
+def test_slow_peers_are_stopped_after_a_row_and_others_are_measured_whole(monkeypatch):
+    """The clock is one of calls: a millisecond for the fast peer, a hundred for the slow one."""
+    problem, clock = problem_of('exact_pendulum'), [0.0]
+    (inner, _) = scipy_peers(problem.hamiltonian)
+    monkeypatch.setattr(cost, 'INTEGRATORS', {'rk4': INTEGRATORS['rk4']})
+    study = cost.measure_costs(problem, 1.0, 1.0)
+    study.costs.clear()
+    monkeypatch.setattr(measuring, 'measure_costs', lambda *_, **__: study)
+    monkeypatch.setattr(measuring.time, 'process_time', lambda: clock[0])
+
+    def peer(name, seconds):
+        def solve(z, duration, setting):
+            clock[0] += seconds * duration
+            return inner.solve(z, duration, setting)
+        return Peer(name, True, solve)
+
+    rows, _ = measure_rows(problem, [peer('a fast', 1e-3), peer('a slow', 0.1)], 1.0, 1.0)
+    counts = Counter(row.family for row in rows)
+    assert counts['a fast'] == len(measuring.TOLERANCES) and counts['a slow'] == 1
 
 
 def test_peers_refuse_a_network_that_is_not_of_tanh():
