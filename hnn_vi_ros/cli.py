@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+import gc
 from importlib import import_module
 import math
 import os
@@ -29,6 +30,8 @@ _ROS_WHEELS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces')
 _TRAINING = ('plotly', 'torch')
 # Period in which several SIGINT count as one [s].
 _INTERRUPT_PERIOD = 1.0
+# Number of new objects after which garbage is collected.
+_COLLECTED_AFTER = 50_000
 # Message for work that cannot be resumed.
 _STOPPED = 'stopped: nothing more is written; the same command starts from the beginning'
 # Exit status of a process terminated by SIGINT, as in shells.
@@ -117,6 +120,8 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     argv, shown = [*meant, *argv], f'hnn {name}'
     _end_at_signals(_is_node(module_of(name), argv))
     harden_streams()
+    # Imports create many objects and no garbage: collect seldom.
+    gc.set_threshold(_COLLECTED_AFTER, *gc.get_threshold()[1:])
     # Otherwise the viewer's library would write to standard error.
     os.environ.setdefault('RUST_LOG', 'off')
     # Threads of numpy's library wait for each other much longer than its small matrices take.
@@ -150,6 +155,8 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
         for line in status.splitlines():
             write_problem(line)
         status = 1
+    # The interpreter's last collections would take longer than all others.
+    gc.freeze()
     sys.exit(status)
 
 

@@ -9,7 +9,6 @@ import os
 from pathlib import Path
 import re
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import quoteattr
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files import no_file, package_file, parse_xml, SCHEME
@@ -130,6 +129,7 @@ def shapes_of(robot: Robot) -> tuple[str, str]:
         The text, and a line on missing shapes, '' if there are none.
 
     """
+    from xml.sax.saxutils import quoteattr  # slow to import
     files = {name: _shape_file(name, Path(robot.where))
              for name in {html.unescape(found[1:-1]) for found in _FILENAME.findall(robot.text)}}
 
