@@ -78,12 +78,14 @@ def _imports(path: Path) -> tuple[str, ...]:
     """Return the imports of a file from this package, names of modules and of their content."""
     def names() -> Iterator[str]:
         for match in _IMPORT.finditer(path.read_text(encoding='utf-8')):
+            place = _path(match[1])
+            # Only packages contain modules and export names.
+            if place is None or place.stem != '__init__':
+                yield match[1]
+                continue
             for name in re.findall(r'\w+(?= as |\s*[,)\n]|$)', match[2]):
-                full, place = f'{match[1]}.{name}', _path(match[1])
-                # Parsing takes a third of the time of a second start; only packages export.
-                lazy = place is not None and place.stem == '__init__'
-                exports = exported(place) if lazy else {}
-                yield full if _path(full) else exports.get(name, match[1])
+                full = f'{match[1]}.{name}'
+                yield full if _path(full) else exported(place).get(name, match[1])
     return tuple(names())
 
 
@@ -96,10 +98,13 @@ def _path(module: str) -> Path | None:
 
 
 def _digest(paths: Iterator[Path] | set[Path]) -> str:
-    digest = sha256()
-    for path in sorted(paths):
-        digest.update(path.relative_to(_ROOT).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()
+    return sha256(b''.join(sorted(map(_named_digest, paths)))).hexdigest()
+
+
+@cache
+def _named_digest(path: Path) -> bytes:
+    """Return the name of a file and the digest of its content: many digests contain it."""
+    return path.relative_to(_ROOT).as_posix().encode() + sha256(path.read_bytes()).digest()
 
 
 def reached(*values: object) -> set[FunctionType]:
