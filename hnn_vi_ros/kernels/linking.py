@@ -47,6 +47,7 @@ from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.ir import Return
 from numba.core.lowering import Lower
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime import rtsys
 from numba.core.runtime.context import NRTContext
 from numba.core.typed_passes import NativeLowering
 from numba.extending import register_jitable
@@ -463,6 +464,13 @@ class _Cache(FunctionCache):
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
         digest = digest_of(frozenset([self._py_func.__module__]))
         return (*super()._index_key(signature, codegen), digest)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load a compiled function without numba's compiler, whose set-up takes longer."""
+        # Compiled code allocates memory by it.
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Save a compiled function, or warn once that it cannot be saved."""
