@@ -246,6 +246,33 @@ def test_dop853_limited_by_stability_raises_an_alarm_that_names_an_implicit_meth
         assert all('gauss4' in alarm.message for alarm in watch.alarms)
 
 
+def test_oscillation_that_the_tolerance_resolves_is_not_stiff_until_it_has_decayed():
+    """A servo of 1e4 N m/rad and damping of 1 N m s/rad decays by exp(-t / 2)."""
+    simulation = plain_run('pendulum', Dop853(1e-6, 1e-6), 0.1, [0.4], [0.0], effect(
+        'servo', ['angle'], 1e4, 1.0, 100.0, [0.5]))
+    watch, kinds = Watch(RunFacts(simulation), (StabilityGuard,)), []
+    for _ in range(2):
+        # Amplitudes 7e-4 at t = 10 s, which the tolerance resolves, and 1e-12 at t = 50 s.
+        simulation.advance(100 if not kinds else 400)
+        watch.update(look(simulation))
+        kinds.append([alarm.kind for alarm in watch.alarms])
+    assert kinds == [[], ['stiff']]
+
+
+def test_steps_of_a_chain_whose_springs_oscillate_follow_the_tolerance_without_an_alarm():
+    """FPUT, omega = 50: 1000^(1/8) = 2.4 times as many steps for a thousandth of the error."""
+    scene, counts = load_scene('fput_chain'), []
+    for tolerance in (1e-6, 1e-9):
+        simulation = Simulation(scene.create_hamiltonian(), Dop853(tolerance, tolerance), 0.1,
+                                scene.initial_state.q, scene.initial_state.p)
+        watch = Watch(RunFacts(simulation), (StabilityGuard,))
+        simulation.advance(100)
+        watch.update(look(simulation))
+        assert not watch.alarms
+        counts.append(simulation.internal_steps[0])
+    assert 2.2 < counts[1] / counts[0] < 2.6
+
+
 def test_energy_drift_of_dop853_is_named_as_that_of_a_method_that_is_not_symplectic():
     scene = load_scene('exact_pendulum').changed({'integrator': {
         'kind': 'dop853', 'relative_tolerance': 0.03, 'absolute_tolerance': 0.03}})
