@@ -7,6 +7,7 @@ import math
 from types import FunctionType
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.integrators import is_finite, NOT_FINITE, OK, PhasePoint
 from hnn_vi_ros.kernels import (
     array_at, inlined, Kernel, load, Parameters, Part, part, symbol_of, Whole)
@@ -18,7 +19,7 @@ import numpy as np
 # Kinds of the numbers of a command.
 EFFORTS, POSITIONS, VELOCITIES = range(3)
 # Statuses besides those of steps.
-INVALID_COMMAND, INVALID_STATE, INTERNAL = 100, 101, 102
+INVALID_COMMAND, INVALID_STATE, INTERNAL, EVENT = range(100, 104)
 _ON_POSITION, _ON_VELOCITY = 1, 2
 _OPTIONS: dict[str, Any] = {'nogil': True, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True,
                             'pipeline_class': Whole}
@@ -26,6 +27,7 @@ _advance = Part(advance, targetoptions={'forceinline': True})
 # Entries bind these names to their own values; see symbols.
 kind: Any = None
 add_forces: Any = None
+fill_differences: Any = None
 
 
 class CommandTable(NamedTuple):
@@ -57,6 +59,27 @@ class CommandTable(NamedTuple):
     targets: np.ndarray
 
 
+class EventTable(NamedTuple):
+    """
+    Events: conditions whose difference changes its sign.
+
+    Parameters
+    ----------
+    directions : np.ndarray of int64, shape (k,)
+        1 for changes to positive values, -1 for those to negative ones, 0 for both.
+    before, now : np.ndarray, shape (k,)
+        Differences at the last state, and space for those after a step.
+    counts : np.ndarray, shape (k,)
+        Numbers of events so far.
+
+    """
+
+    directions: np.ndarray
+    before: np.ndarray
+    now: np.ndarray
+    counts: np.ndarray
+
+
 class OutputTable(NamedTuple):
     """
     Sources of the outputs.
@@ -66,13 +89,19 @@ class OutputTable(NamedTuple):
     q_size, p_size : int
         Numbers of columns of q and p.
     sources : tuple of np.ndarray
-        Arrays of which outputs are entries: q, p, velocities, forces of the motors and totals.
+        Arrays of which outputs are entries: q, p, velocities, forces of the motors, totals and
+        counts of events.
     table : np.ndarray of int64, shape (m, 2)
         Source of each output, and the index in it.
     scale : np.ndarray, shape (m, 2)
         Factor and offset of each output.
-    totals : np.ndarray, shape (4 + K,)
-        Steps and gradients so far, residual of the last step, H [J], and the work of each effect.
+    totals : np.ndarray, shape (7 + K,)
+        Steps and gradients so far, residual of the last step, H, H at the start and H minus this
+        and all works [J], distance from the domain of the model, and the work of each effect.
+    domain : np.ndarray, shape (4, m)
+        Bounds of q and p, or of q and v: low, high, half-widths and periods; m = 0 without.
+    domain_of : int
+        Source of the second half: 1 for p, 2 for velocities.
     work : np.ndarray, shape (K, 2)
         See EffectState.
     motors : tuple
@@ -90,6 +119,8 @@ class OutputTable(NamedTuple):
     table: np.ndarray
     scale: np.ndarray
     totals: np.ndarray
+    domain: np.ndarray
+    domain_of: int
     work: np.ndarray
     motors: tuple[Any, ...]
     forces: np.ndarray
@@ -109,6 +140,7 @@ class Machine(NamedTuple):
     nothing: np.ndarray
     inputs: CommandTable
     outputs: OutputTable
+    events: EventTable
 
 
 @part(forceinline=True)
@@ -151,20 +183,56 @@ def _restore(state: int, saved: int, first: int, size: int, digest: int) -> int:
 
 
 def _step(block: int, commands: int, n: int) -> int:
-    """Apply a command, if there is one, and take n steps; return the status."""
+    """Apply a command, if there is one, and take n steps, or those up to an event."""
     own = load(block, kind)
     if commands != 0:
         status = _put(own, array_at(commands, own.inputs.kinds.size))
         if status != OK:
             return status
-    outcome, done, gradients, residual, _, _, _ = _advance(
-        own.step, own.kernel, own.h, own.options, 0, n + 1, own.z, own.z1, own.memory,
-        own.nothing, own.nothing, n)
-    totals = own.outputs.totals
-    totals[0] += done
-    totals[1] += gradients
-    totals[2] = residual
-    return outcome
+    totals, watched, taken = own.outputs.totals, own.events.before.size > 0, 0
+    while taken < n:
+        outcome, done, gradients, residual, _, _, _ = _advance(
+            own.step, own.kernel, own.h, own.options, 0, n + 1, own.z, own.z1, own.memory,
+            own.nothing, own.nothing, 1 if watched else n - taken)
+        taken += done
+        totals[0] += done
+        totals[1] += gradients
+        totals[2] = residual
+        if outcome != OK:
+            return outcome
+        if watched and _happened(own, fill_differences):
+            return EVENT
+    return OK
+
+
+@part(forceinline=True)
+def _happened(own: Machine, fill: Any) -> bool:
+    """Count the events of a step: differences of opposite signs at its ends, or a new zero."""
+    events, found = own.events, False
+    _evaluate_differences(own, fill, events.now)
+    for k in range(events.now.size):
+        before, now = events.before[k], events.now[k]
+        rises = now > 0.0 or before < 0.0
+        if (before * now < 0.0 or (now == 0.0 and abs(before) > 0.0)) and (
+                events.directions[k] == 0 or (events.directions[k] > 0) == rises):
+            events.counts[k] += 1.0
+            found = True
+        events.before[k] = now
+    return found
+
+
+@part(forceinline=True)
+def _evaluate_differences(own: Machine, fill: Any, values: np.ndarray) -> None:
+    _update_velocity(own)
+    fill(own.z.q, own.z.p, own.outputs.sources[2],
+         own.kernel.energy(own.kernel.parameters, own.z.q, own.z.p), values)
+
+
+@part(forceinline=True)
+def _update_velocity(own: Machine) -> None:
+    if own.outputs.keeps_gradient == 0:
+        own.kernel.gradient(
+            own.kernel.parameters, own.z.q, own.z.p, own.z1.dH_dq, own.z1.dH_dp)
 
 
 @part(forceinline=True)
@@ -211,7 +279,34 @@ def _start(block: int, q: int, p: int) -> int:
     for k in range(outputs.p_size):
         own.z.p[k] = array_at(p, outputs.p_size)[k]
     _evaluate(own)
+    _evaluate_differences(own, fill_differences, own.events.before)
+    outputs.totals[4] = own.kernel.energy(own.kernel.parameters, own.z.q, own.z.p)
     return OK if is_finite(own.z) else NOT_FINITE
+
+
+def _tune(state: int, size: int, block: int, numbers: int, lows: int, count: int, powers: int,
+          rows: int) -> int:
+    """Change numbers of the scene; NaN stands for its own value."""
+    values, table = array_at(numbers, count), array_at(powers, 5 * rows)
+    low, words, own = array_at(lows, count), array_at(state, size), load(block, kind)
+    for k in range(count):
+        if not (math.isnan(values[k]) or low[k] <= values[k] <= LARGEST):
+            return INVALID_COMMAND
+    parts, z = own.outputs, own.z
+    change = -own.kernel.energy(own.kernel.parameters, z.q, z.p)
+    for k in range(rows):
+        # Each word with its contents in the scene, then a factor for each number in it.
+        word, value = int(table[5 * k]), values[int(table[5 * k + 2])]
+        before, power = table[5 * k + 3], table[5 * k + 4]
+        if k == 0 or table[5 * k] != table[5 * k - 5]:
+            words[word] = table[5 * k + 1]
+        if not math.isnan(value):
+            words[word] = value if words[word] == before and power == 1.0 else (
+                words[word] * (value / before)**power)
+    change += own.kernel.energy(own.kernel.parameters, z.q, z.p)
+    parts.totals[4] += change if math.isfinite(change) else 0.0
+    _evaluate(own)
+    return OK if is_finite(z) else NOT_FINITE
 
 
 def _energy(block: int) -> float:
@@ -225,18 +320,52 @@ def _outputs(block: int, values: int) -> int:
     own = load(block, kind)
     parts, z = own.outputs, own.z
     out, n, totals = array_at(values, parts.table.shape[0]), parts.q_size, parts.totals
-    if parts.keeps_gradient == 0:
-        own.kernel.gradient(own.kernel.parameters, z.q, z.p, own.z1.dH_dq, own.z1.dH_dp)
+    _update_velocity(own)
     parts.forces[:] = 0.0
     add_forces(parts.motors, own.inputs.clock[0], z.q[:n], z.p[:n], parts.sources[2][:n],
                parts.forces[0], parts.forces[1])
     totals[3] = own.kernel.energy(own.kernel.parameters, z.q, z.p)
+    totals[5] = totals[3] - totals[4]
     for k in range(parts.work.shape[0]):
-        totals[4 + k] = parts.work[k, 0] + parts.work[k, 1]
+        totals[7 + k] = parts.work[k, 0] + parts.work[k, 1]
+        totals[5] -= totals[7 + k]
+    totals[6] = _outside(parts, z)
     for k in range(out.size):
         value = parts.sources[parts.table[k, 0]][parts.table[k, 1]]
         out[k] = parts.scale[k, 0] * value + parts.scale[k, 1]
     return OK
+
+
+@part(forceinline=True)
+def _outside(parts: OutputTable, z: PhasePoint) -> float:
+    """Return the distance from the domain of the model in half-widths, 0 inside."""
+    excess, d = 0.0, parts.domain.shape[1] // 2
+    for k in range(2 * d):
+        low, high, period = parts.domain[0, k], parts.domain[1, k], parts.domain[3, k]
+        x, middle = z.q[k] if k < d else parts.sources[parts.domain_of][k - d], 0.5 * (low + high)
+        if period > 0.0:
+            # The revolution of an angle that is least outside.
+            x = middle + (x - middle + 0.5 * period) % period - 0.5 * period
+        beyond = max(low - x, x - high) / parts.domain[2, k]
+        if not beyond <= excess:
+            excess = beyond
+    return excess
+
+
+def _differences_of(conditions: Sequence[Any]) -> Any:
+    """Return a function that fills in the differences of conditions."""
+    fill: Any = part(forceinline=True)(lambda *_: None)
+    for k, condition in enumerate(conditions):
+        fill = _then(fill, inlined(condition), k)
+    return fill
+
+
+def _then(before: Any, condition: Any, k: int) -> Any:
+    @part(forceinline=True)
+    def fill(q: np.ndarray, p: np.ndarray, v: np.ndarray, H: float, values: np.ndarray) -> None:
+        before(q, p, v, H, values)
+        values[k] = condition((), q, p, v, H)
+    return fill
 
 
 def _forces_of(kinds: Sequence[type]) -> Any:
@@ -257,7 +386,8 @@ def _add_none(*_: Any) -> None:
     """Add no force."""
 
 
-def symbols(machine: types.Type, motors: Sequence[type]) -> dict[str, str]:
+def symbols(machine: types.Type, motors: Sequence[type], conditions: Sequence[Any]
+            ) -> dict[str, str]:
     """
     Return the symbols of the compiled functions of a scene, by the name of each.
 
@@ -267,12 +397,15 @@ def symbols(machine: types.Type, motors: Sequence[type]) -> dict[str, str]:
         Type of its Machine.
     motors : sequence of type
         Classes of the effects that take commands and are forces.
+    conditions : sequence of callable
+        Functions of the events; see Condition.
 
     """
     found = {}
-    for function in (_init, _save, _restore, _step, _start, _energy, _outputs):
+    for function in (_init, _save, _restore, _step, _start, _tune, _energy, _outputs):
         copy = FunctionType(function.__code__, {
-            **globals(), 'kind': machine, 'add_forces': _forces_of(motors)}, function.__name__)
+            **globals(), 'kind': machine, 'add_forces': _forces_of(motors),
+            'fill_differences': _differences_of(conditions)}, function.__name__)
         name = function.__name__[1:]
         arguments = (types.int64,) * function.__code__.co_argcount
         found[name] = symbol_of(numba.njit(**_OPTIONS)(copy), *arguments)

@@ -3,6 +3,7 @@
 """FMI 3.0: an exported scene as a functional mock-up unit for co-simulation."""
 
 from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
 import platform
 import subprocess
@@ -10,8 +11,13 @@ import tempfile
 from xml.sax.saxutils import quoteattr
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
-from hnn_vi_ros.codegen.project import filled, template_values, write_project
+from hnn_vi_ros.codegen.project import filled, parameter_variable, template_values, write_project
 from hnn_vi_ros.codegen.scene_code import SceneCode
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import simulate
+
+# Number of coordinates in the picture.
+_MOST_DRAWN = 8
 
 
 def write_fmu(path: Path, name: str, scene: SceneCode) -> None:
@@ -31,12 +37,17 @@ def write_fmu(path: Path, name: str, scene: SceneCode) -> None:
     ------
     FileNotFoundError
         There is no C compiler ``cc``.
+    StepFailure
+        A step fails in the motion that its picture shows.
 
     """
     token = f'{{{sha256(scene.code).hexdigest()[:32]}}}'
     values = template_values(name, scene) | {
         'token': token, 'starts': len(scene.starts),
-        'start_values': ''.join(f'{value!r}, ' for _, value in scene.starts)}
+        'early': str(bool(scene.scene.events)).lower(),
+        'start_values': ''.join(f'{value!r}, ' for _, value in scene.starts),
+        'numbers': len(scene.parameters),
+        'number_values': ''.join(f'{one.value!r}, ' for one in scene.parameters)}
     values |= _described(scene)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -48,27 +59,41 @@ def write_fmu(path: Path, name: str, scene: SceneCode) -> None:
         contents = {
             'modelDescription.xml': filled('modelDescription.xml', values).encode(),
             f'binaries/{platform.machine()}-linux/{name}.so': (folder / 'fmu.so').read_bytes(),
-            'documentation/index.html': filled('fmu.html', values).encode()}
+            'documentation/index.html': filled('fmu.html', values).encode(),
+            'documentation/trajectory.png': _picture(scene.scene)}
         with ZipFile(path, 'w', ZIP_DEFLATED) as file:
             for place, content in contents.items():
                 # Without the time, equal scenes give equal files.
                 file.writestr(ZipInfo(place), content, ZIP_DEFLATED)
 
 
+def _picture(scene: Scene) -> bytes:
+    """Return a picture of the first thousand steps."""
+    duration, file = min(scene.duration, 1000 * scene.known_step_size), BytesIO()
+    trajectory = simulate(scene, duration=duration)
+    trajectory.plot([one.name for one in trajectory.coordinates][:_MOST_DRAWN]).savefig(file)
+    return file.getvalue()
+
+
 def _described(scene: SceneCode) -> dict[str, str]:
     """Return the variables of modelDescription.xml, their units and their structure."""
-    rows = [('independent' if one.name == 'time' else 'output', one, '') for one in scene.outputs]
-    rows += [('input', one, ' start="NaN"') for one in scene.inputs]
-    rows += [('parameter', one, f' start="{value!r}"') for one, value in scene.starts]
-    outputs = [k for k, (causality, _, _) in enumerate(rows) if causality == 'output']
+    rows = [('independent' if one.name == 'time' else 'output', 'discrete' if one.name.startswith(
+        'event_') else 'continuous', one, '') for one in scene.outputs]
+    rows += [('input', 'continuous', one, ' start="NaN"') for one in scene.inputs]
+    rows += [('parameter', 'fixed', one, f' start="{value!r}"') for one, value in scene.starts]
+    rows += [(*(('parameter', 'tunable') if one.powers else ('local', 'constant')),
+              parameter_variable(one),
+              f' start="{one.value!r}"' + f' min="{one.low!r}"' * bool(one.powers))
+             for one in scene.parameters]
+    outputs = [k for k, (causality, *_) in enumerate(rows) if causality == 'output']
     lines = {
         'variables': [
             f'<Float64 name={quoteattr(one.name)} valueReference="{k}" causality="{causality}" '
-            f'variability="{"fixed" if causality == "parameter" else "continuous"}" '
+            f'variability="{variability}" '
             f'unit={quoteattr(one.unit)} description={quoteattr(one.text)}{start}/>'
-            for k, (causality, one, start) in enumerate(rows)],
+            for k, (causality, variability, one, start) in enumerate(rows)],
         'units': [f'<Unit name={quoteattr(unit)}/>'
-                  for unit in dict.fromkeys(one.unit for _, one, _ in rows)],
+                  for unit in dict.fromkeys(one.unit for _, _, one, _ in rows)],
         'structure': [f'<{kind} valueReference="{k}"/>'
                       for kind in ('Output', 'InitialUnknown') for k in outputs]}
     return {'description': quoteattr(scene.scene.description),

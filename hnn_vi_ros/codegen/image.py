@@ -30,6 +30,8 @@ class Image(NamedTuple):
         Symbol of the function whose address is in a word, by index.
     start : int
         Index of the first word of the value.
+    order : np.ndarray of int64
+        Index of the word of each number, in the order of ``numbers_at``.
 
     """
 
@@ -38,6 +40,7 @@ class Image(NamedTuple):
     pointers: np.ndarray
     entries: dict[int, str]
     start: int
+    order: np.ndarray
 
 
 class _Walk:
@@ -47,6 +50,8 @@ class _Walk:
         self.spans: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
         self.pointers: dict[int, int] = {}
         self.entries: dict[int, str] = {}
+        # Addresses and contents of numbers, in an order that does not depend on addresses.
+        self.numbers: list[tuple[np.ndarray, np.ndarray]] = []
         self._seen: set[int] = set()
 
     def array(self, array: np.ndarray) -> None:
@@ -59,6 +64,10 @@ class _Walk:
             self.block(memory)
         elif array.size:
             self.spans[False].append(np.lib.array_utils.byte_bounds(array))
+            if array.itemsize == 8:
+                offsets = np.tensordot(array.strides, np.indices(array.shape), 1)
+                self.numbers.append((array.ctypes.data + offsets.ravel(),
+                                     array.ravel().view(np.int64)))
 
     def block(self, memory: Block) -> int:
         """Add a block, and return the address of its value."""
@@ -93,7 +102,16 @@ class _Walk:
             # The fifth word of an array is its address; see flat.
             self.pointers[place + 32] = value.ctypes.data
             self.array(value)
+        elif isinstance(value, float):
+            self.numbers.append((np.array([place]), np.array(flat(value))))
         return place + 8 * len(flat(value))
+
+
+def numbers_at(memory: Block) -> np.ndarray:
+    """Return all numbers that a block reaches, as int64, in the same order for other arrays."""
+    walk = _Walk()
+    walk.block(memory)
+    return np.concatenate([contents for _, contents in walk.numbers])
 
 
 def image_of(memory: Block) -> Image:
@@ -121,7 +139,11 @@ def image_of(memory: Block) -> Image:
     words[list(pointers)] = list(pointers.values())
     entries = {moved(place) // 8: symbol for place, symbol in walk.entries.items()}
     words[list(entries)] = 0
-    return Image(words, changing // 8, np.array(sorted(pointers)), entries, moved(start) // 8)
+    addresses = np.concatenate([addresses for addresses, _ in walk.numbers])
+    lows, _, begins = np.array(places).T
+    own = np.searchsorted(lows, addresses, 'right') - 1
+    return Image(words, changing // 8, np.array(sorted(pointers)), entries, moved(start) // 8,
+                 (addresses - lows[own] + begins[own]) // 8)
 
 
 def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:

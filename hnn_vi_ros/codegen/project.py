@@ -9,12 +9,13 @@ import shutil
 from string import Template
 import subprocess
 
+from hnn_vi_ros.codegen.parameters import Parameter
 from hnn_vi_ros.codegen.scene_code import SceneCode, Variable
 from hnn_vi_ros.files import share_folder
 from hnn_vi_ros.kernels import processor
 from hnn_vi_ros.version import __version__
 
-FUNCTIONS = ('init', 'start', 'step', 'energy', 'outputs', 'save', 'restore')
+FUNCTIONS = ('init', 'start', 'tune', 'step', 'energy', 'outputs', 'save', 'restore')
 
 
 def identifier(text: str) -> str:
@@ -92,7 +93,14 @@ def template_values(name: str, scene: SceneCode) -> dict[str, object]:
         'q_size': scene.machine.outputs.q_size, 'p_size': scene.machine.outputs.p_size,
         'inputs': _enumerated(f'{upper}_IN', scene.inputs),
         'outputs': _enumerated(f'{upper}_OUT', scene.outputs),
+        'parameters': _enumerated(f'{upper}_PARAMETER', [
+            parameter_variable(one) for one in scene.parameters if one.powers]),
         'names': ', '.join(f'"{one.name} [{one.unit}]"' for one in scene.outputs)}
+
+
+def parameter_variable(parameter: Parameter) -> Variable:
+    """Return the name, unit and description of a number of a scene."""
+    return Variable(parameter.name, 'SI', f'{parameter.value:g} in the scene')
 
 
 def _enumerated(prefix: str, variables: list[Variable]) -> str:

@@ -2,20 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Object code of a scene: its compiled step, and the memory that it needs."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from hashlib import sha256
 import re
 from typing import NamedTuple
 
 from hnn_vi_ros.codegen.entries import (
-    CommandTable, EFFORTS, INTERNAL, Machine, OutputTable, POSITIONS, symbols, VELOCITIES)
+    CommandTable, EFFORTS, EventTable, INTERNAL, Machine, OutputTable, POSITIONS, symbols,
+    VELOCITIES)
 from hnn_vi_ros.codegen.image import Image, image_of
+from hnn_vi_ros.codegen.parameters import Parameter, parameters_of
 from hnn_vi_ros.effects import EFFORT, Force, LARGEST, NUMBERS, OBSERVATION, POSITION, VELOCITY
 from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import PhasePoint
 from hnn_vi_ros.kernels import Block, block, object_code, type_of
+from hnn_vi_ros.models import domain_of
 from hnn_vi_ros.phase_space import column_units, columns
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene import Condition, Scene
 from hnn_vi_ros.simulation import build, resolve, Simulation
 import numpy as np
 
@@ -47,6 +51,8 @@ class SceneCode(NamedTuple):
         Numbers of a command, and outputs, in order.
     starts : list of (Variable, float)
         Initial q and p; empty if they cannot be chosen one by one.
+    parameters : list of Parameter
+        Numbers of the scene, those that can be changed first.
     machine : Machine
         The memory of which the image is a copy.
 
@@ -58,6 +64,7 @@ class SceneCode(NamedTuple):
     inputs: list[Variable]
     outputs: list[Variable]
     starts: list[tuple[Variable, float]]
+    parameters: list[Parameter]
     machine: Machine
 
 
@@ -81,29 +88,33 @@ def compile_scene(scene: Scene, name: str) -> SceneCode:
     parts = resolve(scene)
     simulation = build(parts)
     _check(parts.scene, simulation)
+    start = [*simulation.q.tolist(), *simulation.p.tolist()]
+    conditions = [Condition(event.when) for event in parts.scene.events]
+    events = _events(simulation, parts.scene, conditions)
     inputs, wanted = _inputs(simulation)
     shared = simulation.shared()
-    outputs, given, motors = _outputs(simulation, *shared[4:6])
-    machine = Machine._make([*shared, np.empty((0, shared[4].q.size)), inputs, outputs])
+    z, z1 = shared[4:6]
+    outputs, given, motors = _outputs(simulation, z, z1, events, conditions)
+    machine = Machine._make([*shared, np.empty((0, z.q.size)), inputs, outputs, events])
     words = block(machine)
-    found = symbols(type_of(machine), motors)
+    found = symbols(type_of(machine), motors, [
+        condition.function(simulation.hamiltonian) for condition in conditions])
     image = image_of(Block.of(words))
-    text = '\n'.join(_assembly(name, image, found))
+    parameters = parameters_of(parts, simulation, Block.of(words), image)
+    text = '\n'.join(_assembly(name, image, found, [one for one in parameters if one.powers]))
     code = object_code(text, [*found.values(), *image.entries.values()])
-    start = [*simulation.q.tolist(), *simulation.p.tolist()]
     bound = simulation.system.constraints is not None or simulation.hamiltonian.rotations
     starts = [] if bound else [
         (Variable(f'initial_{one.name}', one.unit, f'initial {one.text}'), value)
         for one, value in zip(given, start, strict=False)]
-    return SceneCode(parts.scene, code, image, wanted, given, starts, machine)
+    return SceneCode(parts.scene, code, image, wanted, given, starts, parameters, machine)
 
 
 def _check(scene: Scene, simulation: Simulation) -> None:
     """Raise UnsupportedSystem for what is not part of the compiled step."""
-    for key in ('events', 'measurements'):
-        if getattr(scene, key):
-            raise UnsupportedSystem(f'{scene.place(key)}: {key} are not part of the compiled '
-                                    'step, and cannot be exported; remove them')
+    if scene.measurements:
+        raise UnsupportedSystem(f'{scene.place("measurements")}: measurements are not part of the '
+                                'compiled step, and cannot be exported; remove them')
     if not (simulation.system.kernel.compiled and simulation.system.integrator.compiled):
         raise UnsupportedSystem(
             f'{scene.place("integrator")}: {scene.integrator.kind} with this H is not compiled, '
@@ -114,6 +125,18 @@ def _check(scene: Scene, simulation: Simulation) -> None:
     if OBSERVATION in simulation.motors.takes:
         raise UnsupportedSystem(f'{scene.place("effects")}: an observer takes observations, which '
                                 'cannot be exported; remove it')
+
+
+def _events(simulation: Simulation, scene: Scene, conditions: Sequence[Condition]) -> EventTable:
+    """Return the events of a scene at its initial state, or raise SceneError."""
+    for k, condition in enumerate(conditions):
+        with scene.placed('events', k):
+            condition.check(simulation.hamiltonian)
+    directions = [('down', 'both', 'up').index(event.direction) - 1 for event in scene.events]
+    before = [float(condition.values(simulation.hamiltonian, simulation.q, simulation.p))
+              for condition in conditions]
+    return EventTable(np.array(directions, dtype=np.int64), np.array(before),
+                      *np.zeros((2, len(before))))
 
 
 def _inputs(simulation: Simulation) -> tuple[CommandTable, list[Variable]]:
@@ -145,8 +168,8 @@ def _inputs(simulation: Simulation) -> tuple[CommandTable, list[Variable]]:
         state.clock, state.reference.modes, state.reference.targets), names
 
 
-def _outputs(simulation: Simulation, z: PhasePoint, z1: PhasePoint
-             ) -> tuple[OutputTable, list[Variable], list[type]]:
+def _outputs(simulation: Simulation, z: PhasePoint, z1: PhasePoint, events: EventTable,
+             conditions: Sequence[Condition]) -> tuple[OutputTable, list[Variable], list[type]]:
     """Return the sources of the outputs, their names, and the classes of the motors' effects."""
     coordinates, system = simulation.hamiltonian.coordinates, simulation.system
     (q_names, p_names), (q_units, p_units) = columns(coordinates), column_units(coordinates)
@@ -174,27 +197,54 @@ def _outputs(simulation: Simulation, z: PhasePoint, z1: PhasePoint
     totals = [('gradients', '1', "gradients of H and products with H'' so far"),
               ('residual', '1', 'residual of the last implicit step'),
               ('energy', 'J', 'H(q, p)'),
+              ('initial_energy', 'J', 'H at the start'),
+              ('energy_error', 'J', 'H minus its initial value and all works'),
+              ('outside_domain', '1', 'distance from the domain of the training data in its '
+                                      'half-widths, 0 inside or without one'),
               *((f'work_{label}', 'J', f'work of {label}') for label in system.labels)]
     add(4, 0, 'time', 's', 'simulated time', factor=simulation.step_size)
     for k, words in enumerate(totals, 1):
         add(4, k, *words)
+    for k, condition in enumerate(conditions):
+        add(5, k, f'event_{k + 1}', '1', f'number of events so far: {condition.text}')
     forces = [(type(effect), own) for effect, own in simulation.motors.effects
               if isinstance(effect, Force)]
     table = np.array([row[1:] for row in rows])
     keeps, space, total = system.integrator.keeps_gradient, np.zeros((2, len(q_names))), np.zeros(
         len(totals) + 1)
+    total[4] = simulation.energy
+    domain, source = _domain(simulation.hamiltonian)
     return OutputTable(
-        len(q_names), len(p_names), (z.q, z.p, (z if keeps else z1).dH_dp, space[1], total),
-        table[:, :2].astype(np.int64), table[:, 2:].copy(), total, system.effect_state.work,
+        len(q_names), len(p_names), (
+            z.q, z.p, (z if keeps else z1).dH_dp, space[1], total, events.counts),
+        table[:, :2].astype(np.int64), table[:, 2:].copy(), total, domain, source,
+        system.effect_state.work,
         (*(own for _, own in forces), (), ())[:2], space, int(keeps)), [row[0] for row in rows], [
             kind for kind, _ in forces]
 
 
-def _assembly(name: str, image: Image, found: dict[str, str]) -> Iterator[str]:
+def _domain(hamiltonian: Hamiltonian) -> tuple[np.ndarray, int]:
+    """Return the domain of a model, and what its second half is about; see OutputTable."""
+    known = domain_of(hamiltonian)
+    if known is not None:
+        return np.array(known.bounds), 2
+    if hamiltonian.box is None or hamiltonian.gauge is not None:
+        return np.empty((4, 0)), 1
+    low, high = np.concatenate(hamiltonian.box).T
+    return np.array([low, high, 0.5 * (high - low), np.zeros(low.size)]), 1
+
+
+def _assembly(name: str, image: Image, found: dict[str, str], tuned: list[Parameter]
+              ) -> Iterator[str]:
     """Yield LLVM's assembly of the exported functions, which call those of entries by symbol."""
     called = list(image.entries.items())
+    powers = sorted((word, k) for k, one in enumerate(tuned) for word in one.powers)
+    rows = [(word, image.words[word:word + 1].view(np.float64)[0], k, tuned[k].value,
+             tuned[k].powers[word]) for word, k in powers]
     tables = {'image': image.words.tolist(), 'pointers': image.pointers.tolist(),
               'places': [place for place, _ in called],
+              'lows': np.array([one.low for one in tuned]).view(np.int64).tolist(),
+              'powers': np.array(rows, dtype=np.float64).ravel().view(np.int64).tolist(),
               'entries': [f'ptrtoint (ptr @"{symbol}" to i64)' for _, symbol in called]}
     for table, words in tables.items():
         listed = ', '.join(f'i64 {word}' for word in words)
@@ -210,6 +260,8 @@ def _assembly(name: str, image: Image, found: dict[str, str]) -> Iterator[str]:
             ('save', '%0', '%1', image.changing, size, digest),
             ('restore', '%0', '%1', image.changing, size, digest),
             ('step', start, '%1', '%n'), ('start', start, '%1', '%2'), ('energy', start),
+            ('tune', '%0', size, start, '%1', place['lows'], len(tuned), place['powers'],
+             len(rows)),
             ('outputs', start, '%1')):
         yield _function(f'{name}_{function}', found[function], 8 * image.start,
                         [str(argument) for argument in arguments],

@@ -73,6 +73,13 @@ class Domain:
         # The round-off of a nearly constant coordinate must not count as outside.
         self._half = np.maximum(0.5 * (self._high - self._low), 1e-9)
 
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return low and high bounds of q and v, half-widths, and the periods, 0 without one."""
+        d, period = len(self._names), np.zeros(2 * len(self._names))
+        period[self._turns] = 2.0 * np.pi
+        return self._low[:2 * d], self._high[:2 * d], self._half[:2 * d], period
+
     def excess(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> np.ndarray:
         """
         Return the distance of samples from the domain, in half-widths, shape (..., k); 0 inside.

@@ -13,7 +13,7 @@ from hnn_vi_ros.effects import Effect, EFFECTS, Joined
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, listed, SceneError
 from hnn_vi_ros.files import find_beside, import_named, NAMES_CODE, StrictModel
 from hnn_vi_ros.hamiltonians import (
-    DESCRIBED, GRAMMAR, Graph, Hamiltonian, HAMILTONIANS, momentum, Reader)
+    Code, DESCRIBED, GRAMMAR, Graph, Hamiltonian, HAMILTONIANS, momentum, Reader)
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.phase_space import columns
 import numpy as np
@@ -162,6 +162,15 @@ class Condition:
             raise ValueError(f'{self.text!r}: unknown quantity '
                              f'{unknown[0]!r}{did_you_mean(unknown[0], valid)}; valid: '
                              f'{listed(valid)}')
+
+    def function(self, hamiltonian: Hamiltonian) -> Callable[..., float]:
+        """Return left minus right side as a function of (), q, p, v and H, to be compiled."""
+        names, momenta = columns(hamiltonian.coordinates)
+        inputs = {'H': 'H'} | {f'{kind}_{name}': f'{kind}[{i}]'
+                               for kind in 'vp' for i, name in enumerate(momenta)}
+        inputs |= {name: f'q[{i}]' for i, name in enumerate(names)}
+        return Code(self._graph, [], inputs).function(
+            'condition', 'q, p, v, H', [], [self._difference])
 
     def values(self, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Test exported scenes: C programs that take the same steps as simulations, bit by bit."""
 
+from collections import Counter
 import csv
 import ctypes
 from functools import cache
+import math
 import os
 from pathlib import Path
 import re
@@ -16,14 +18,14 @@ from threading import Thread
 
 from helpers import long
 from hnn_vi_ros.codegen import compile_scene, entries, export, identifier, write_project
-from hnn_vi_ros.codegen.entries import INVALID_COMMAND, INVALID_STATE
+from hnn_vi_ros.codegen.entries import EVENT, INVALID_COMMAND, INVALID_STATE
 from hnn_vi_ros.codegen.project import FUNCTIONS
 from hnn_vi_ros.effects import JointCommand
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files import prefixes
 from hnn_vi_ros.integrators import base, IN_DOUBT, NO_CONVERGENCE, NOT_FINITE, OK, REASONS
-from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import build
+from hnn_vi_ros.scene import load_scene, Scene, with_numbers
+from hnn_vi_ros.simulation import build, watched
 from messages import refused
 import numpy as np
 import pytest
@@ -270,6 +272,66 @@ def test_states_are_independent_in_threads():
         assert library.values(alone) == library.values(state)
 
 
+def test_events_end_calls_after_their_steps():
+    scene = Scene.build(**FORMULA).changed({'events': [
+        {'when': 'x = 0', 'direction': 'down'}, {'when': 'v_x^2 + H/2 = p_x + 1'}]})
+    SCENES['events'] = lambda: scene
+    library, simulation = Library('events'), watched(build(scene), scene)
+    state, h, found = library.state(), scene.step_size, []
+    while (status := library.take(state, 400 - sum(found))) == EVENT:
+        found.append(round(library.values(state)['time'] / h) - sum(found))
+    assert status == OK
+    simulation.advance(400)
+    # The times of a simulation are in the steps after which calls end.
+    ends = {math.ceil(event.t / h) for event in simulation.events}
+    assert np.cumsum(found).tolist() == sorted(ends) and len(found) > 5
+    assert library.point(state) == [*simulation.q, *simulation.p]
+    values = library.values(state)
+    counts = Counter(event.when for event in simulation.events)
+    assert [values['event_1'], values['event_2']] == [
+        counts[one.when] for one in scene.events]
+    state = library.state()
+    assert library.take(state, 400) == EVENT
+    assert library.values(state)['time'] == found[0] * h
+
+
+def test_numbers_of_the_scene_can_be_changed():
+    library, changes = Library('servo'), {'effects.0.stiffness': 4.0, 'effects.0.damping': 0.5}
+    simulation = build(with_numbers(SCENES['servo'](), changes))
+    state, tuned = library.state(), [one for one in library.code.parameters if one.powers]
+    values = np.array([changes.get(one.name, np.nan) for one in tuned])
+    assert np.isfinite(values).sum() == 2
+    assert library.tune(address(state), address(values)) == OK
+    library.take(state, 200)
+    simulation.advance(200)
+    assert library.point(state) == [*simulation.q, *simulation.p]
+    assert library.values(state)['angle_effort'] == simulation.motors.forces(
+        simulation.time, simulation.q, simulation.p, simulation.dH_dp)[0]
+    before = state.copy()
+    for value in (-1.0, np.inf):
+        values[0] = value
+        assert library.tune(address(state), address(values)) == INVALID_COMMAND
+        assert np.array_equal(state, before)
+
+
+def test_alarms_are_outputs():
+    library, simulation = Library('servo'), build(SCENES['servo']())
+    state, (low, high) = library.state(), np.concatenate(simulation.hamiltonian.box).T
+    library.start(address(state), address(np.array([0.5])), address(np.array([30.0])))
+    simulation.restart([0.5], [30.0])
+    for _ in range(5):
+        library.take(state, 20)
+        simulation.advance(20)
+        values = library.values(state)
+        # Sums of three terms, each rounded.
+        assert values['energy_error'] == pytest.approx(
+            simulation.energy_balance, abs=4.0 * np.finfo(float).eps * abs(simulation.energy))
+        z = np.append(simulation.q, simulation.p)
+        assert values['outside_domain'] == pytest.approx(
+            (np.maximum(low - z, z - high) / (0.5 * (high - low))).max(), rel=1e-15)
+        assert values['outside_domain'] > 0.0
+
+
 def test_failed_step_returns_its_status_and_leaves_the_state_before_it():
     scene = Scene.build(**FORMULA).changed({'step_size': 50.0, 'on_failure': 'stop'})
     SCENES['failing'] = lambda: scene
@@ -281,14 +343,13 @@ def test_failed_step_returns_its_status_and_leaves_the_state_before_it():
     assert library.values(state)['time'] == 0.0
 
 
-@pytest.mark.parametrize('name', ['taylor', 'events', 'measurements', 'observer', 'delay'])
+@pytest.mark.parametrize('name', ['taylor', 'measurements', 'observer', 'delay'])
 def test_scene_with_what_is_not_compiled_is_refused(name):
     joints = ['angle1', 'angle2']
     scene = load_scene('exact_double_pendulum').changed({
         'taylor': {'integrator': {'kind': 'taylor'}},
         'delay': {'effects': [{'kind': 'servo', 'coordinates': joints, 'stiffness': 1.0,
                                'delay': 0.01}]},
-        'events': {'events': [{'when': 'angle1 = 0'}]},
         'measurements': {'measurements': {'joint_states': {}}},
         'observer': {'effects': [{'kind': 'observer', 'coordinates': joints}]}}[name])
     with refused(HnnViRosError):

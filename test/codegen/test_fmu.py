@@ -6,12 +6,14 @@ from contextlib import suppress
 import ctypes
 from functools import cache
 from pathlib import Path
+import re
 import tempfile
+from zipfile import ZipFile
 
 from helpers import long
-from hnn_vi_ros.codegen import compile_scene, write_fmu
+from hnn_vi_ros.codegen import compile_scene, export, write_fmu
 from hnn_vi_ros.effects import JointCommand
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import load_scene, Scene, with_numbers
 from hnn_vi_ros.simulation import build
 import numpy as np
 import pytest
@@ -20,10 +22,11 @@ fmpy = pytest.importorskip('fmpy', reason='fmpy is not installed')
 H = 0.01
 SERVO = {'kind': 'servo', 'coordinates': ['angle'], 'stiffness': 3.0, 'damping': 0.3,
          'effort_limit': 2.0, 'position': [0.5]}
-MASS = {'hamiltonian': {'kind': 'formula', 'coordinates': ['x'], 'H': 'p_x**2/2'},
+MASS = {'hamiltonian': {'kind': 'formula', 'coordinates': ['x'], 'H': 'p_x**2/(2*m) + c',
+                        'parameters': {'m': 1.0, 'c': 0.0}},
         'effects': [{'kind': 'external_force', 'coordinates': ['x'], 'timeout': 10.0}],
         'integrator': {'kind': 'stormer_verlet'}, 'step_size': H,
-        'initial_state': {'q': [1.0], 'p': [0.0]}}
+        'events': [{'when': 'x = 0'}], 'initial_state': {'q': [1.0], 'p': [0.0]}}
 SCENES = {'mass': lambda: Scene.build(**MASS),
           'pendulum': lambda: load_scene('pendulum').changed({'effects': [SERVO]})}
 
@@ -39,13 +42,13 @@ def unit(name):
 class Instance(fmpy.fmi3.FMU3Slave):
     """An instance of an FMU, with names instead of value references."""
 
-    def __init__(self, name, initialized=True):
+    def __init__(self, name, initialized=True, early=False):
         _, description, folder = unit(name)
         super().__init__(
             instanceName='one', guid=description.guid, unzipDirectory=folder,
             modelIdentifier=description.coSimulation.modelIdentifier)
         self.references = {v.name: v.valueReference for v in description.modelVariables}
-        self.instantiate(loggingOn=False)
+        self.instantiate(loggingOn=False, earlyReturnAllowed=early)
         if initialized:
             self.enterInitializationMode(startTime=0.0)
             self.exitInitializationMode()
@@ -57,10 +60,10 @@ class Instance(fmpy.fmi3.FMU3Slave):
         return self.getFloat64([self.references[name] for name in names])
 
 
-def refused(call, *arguments):
+def refused(call, *arguments, **named):
     """Expect an error of FMI."""
     with pytest.raises(Exception, match='(?i)error|status'):
-        call(*arguments)
+        call(*arguments, **named)
 
 
 @pytest.mark.parametrize('name', ['mass', long('pendulum')])
@@ -68,6 +71,9 @@ def test_fmpy_validates_and_simulates_it_with_the_same_bits(name):
     from fmpy.validation import validate_fmu
     path, _, _ = unit(name)
     assert validate_fmu(str(path)) == []
+    with ZipFile(path) as file:
+        assert file.read('documentation/trajectory.png').startswith(b'\x89PNG')
+        assert 'src="trajectory.png"' in file.read('documentation/index.html').decode()
     scene = SCENES[name]()
     simulation = build(scene)
     label = simulation.hamiltonian.coordinates[0].name
@@ -115,6 +121,51 @@ def test_initial_state_is_a_parameter():
     assert own.get('x')[0] == pytest.approx(3.0 + 2.0 * H, rel=1e-15)
     own.reset()
     assert own.get('x', 'initial_x', 'time') == [1.0, 1.0, 0.0]
+    own.freeInstance()
+
+
+def test_event_ends_a_communication_step_early_if_this_is_allowed():
+    own, other = Instance('mass', early=True), Instance('mass')
+    for one in (own, other):
+        one.put(effort_x=-1.0)
+    # x = 1 - t^2 / 2 is 0 at t = sqrt(2), in the step to 1.42.
+    ended = own.doStep(0.0, 300 * H)
+    assert ended[:3] == (False, False, True) and ended[3] == pytest.approx(1.42, rel=1e-12)
+    assert own.get('event_1', 'time') == [1.0, ended[3]]
+    assert own.doStep(ended[3], 158 * H)[2] is False
+    assert other.doStep(0.0, 300 * H)[2] is False
+    assert own.get(*own.references) == other.get(*other.references)
+    own.freeInstance()
+    other.freeInstance()
+
+
+def test_numbers_of_the_scene_are_tunable_parameters():
+    scene = SCENES['mass']()
+    own, m = Instance('mass'), 'hamiltonian.parameters.m'
+    kinds = {v.name: (v.causality, v.variability) for v in unit('mass')[1].modelVariables}
+    assert kinds[m] == ('parameter', 'tunable')
+    assert kinds['effects.0.timeout'] == ('local', 'constant')
+    own.put(effort_x=1.0, **{m: 2.0})
+    own.doStep(0.0, 10 * H)
+    state, before = own.getFMUState(), own.get(*own.references)
+    simulation = build(with_numbers(scene, {m: 2.0}))
+    simulation.set_command([1.0])
+    simulation.advance(10)
+    # 1 / (2 m) is a number of the code, 1/4 without rounding.
+    assert own.get('x', 'x_momentum') == [*simulation.q, *simulation.p]
+    error = own.get('energy_error')[0]
+    own.put(**{m: 8.0})
+    # The kinetic energy is a quarter, and its change is no error, up to the rounding of sums.
+    assert own.get('energy')[0] == before[own.references['energy']] / 4.0
+    assert own.get('energy_error')[0] == pytest.approx(error, abs=1e-16)
+    own.setFMUState(state)
+    assert own.get(*own.references) == before
+    for value in (0.0, np.nan, np.inf):
+        refused(own.put, **{m: value})
+    refused(own.setFloat64, [own.references['effects.0.timeout']], [1.0])
+    assert own.get(*own.references) == before
+    own.reset()
+    assert own.get(m) == [1.0]
     own.freeInstance()
 
 
@@ -190,6 +241,22 @@ def test_random_orders_of_calls_do_not_crash():
         for state in states:
             own.freeFMUState(state)
         own.freeInstance()
+
+
+@pytest.mark.long
+def test_master_of_the_page(tmp_path, monkeypatch, capsys):
+    page = (Path(__file__).parents[2] / 'docs/how-to/export-c.md').read_text()
+    scene, master = (re.search(f'```{kind}\n(.*?)```', page, re.DOTALL)[1]
+                     for kind in ('yaml', 'python'))
+    monkeypatch.chdir(tmp_path)
+    Path('mass.yaml').write_text(scene)
+    assert export.main(['mass.yaml', '--fmu', 'mass.fmu']) == 0
+    capsys.readouterr()
+    exec(compile(master, 'master.py', 'exec'), {})
+    left, right, momentum = map(float, capsys.readouterr().out.split())
+    # See the test of two units below.
+    assert left == -right and momentum == 0.0
+    assert right == pytest.approx(np.cos(np.sqrt(2.0) * 3.0), abs=3.0 * H)
 
 
 def test_master_steps_two_units_that_exchange_forces():

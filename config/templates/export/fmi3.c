@@ -13,17 +13,19 @@ typedef enum { OK, WARNING, DISCARD, ERROR, FATAL } Status;
 typedef enum { INSTANTIATED, INITIALIZATION, STEP, TERMINATED } Mode;
 typedef void (*Log)(void *environment, int status, const char *category, const char *message);
 
-/* Value references: outputs, then numbers of a command, then the initial q and p. */
+/* Value references: outputs, then numbers of a command, then the initial q and p, then numbers of
+   the scene, those that can be changed first. */
 enum {
   FIRST_INPUT = ${NAME}_OUTPUTS, FIRST_START = FIRST_INPUT + ${NAME}_INPUTS, STARTS = $starts,
-  REFERENCES = FIRST_START + STARTS
+  FIRST_NUMBER = FIRST_START + STARTS, FIRST_CONSTANT = FIRST_NUMBER + ${NAME}_PARAMETERS,
+  REFERENCES = FIRST_NUMBER + $numbers
 };
-static const double START[] = {$start_values 0.0};
+static const double START[] = {$start_values 0.0}, NUMBERS[] = {$number_values 0.0};
 
 /* All that changes, besides the state. */
 typedef struct {
   int64_t mode;
-  double begin, inputs[${NAME}_INPUTS + 1], start[STARTS + 1];
+  double begin, inputs[${NAME}_INPUTS + 1], start[STARTS + 1], numbers[${NAME}_PARAMETERS + 1];
 } Values;
 
 /* A stored state: its size, a checksum of the rest, and the rest. */
@@ -38,6 +40,7 @@ typedef struct {
   Values values;
   void *environment;
   Log log;
+  bool early;
 } Instance;
 
 static Status refuse(const Instance *own, const char *message)
@@ -56,6 +59,7 @@ static Status reset(Instance *own)
     own->values.inputs[k] = NAN;
   }
   memcpy(own->values.start, START, STARTS * sizeof(double));
+  memcpy(own->values.numbers, NUMBERS, ${NAME}_PARAMETERS * sizeof(double));
   return ${name}_init(own->state) == ${NAME}_OK ? OK : ERROR;
 }
 
@@ -80,7 +84,7 @@ EXPORT Instance *fmi3InstantiateCoSimulation(
   bool events, bool early, const uint32_t *required, size_t n, void *environment, Log log,
   void *intermediate)
 {
-  (void)resources, (void)visible, (void)early, (void)required, (void)n, (void)intermediate;
+  (void)resources, (void)visible, (void)required, (void)n, (void)intermediate;
   if (name == NULL || token == NULL || strcmp(token, "$token") != 0 || events) {
     return NULL;
   }
@@ -91,6 +95,7 @@ EXPORT Instance *fmi3InstantiateCoSimulation(
   own->state = aligned_alloc(64, sizeof *own->state);
   own->environment = environment;
   own->log = logging ? log : NULL;
+  own->early = early;
   if (own->state == NULL || reset(own) != OK) {
     fmi3FreeInstance(own);
     return NULL;
@@ -156,8 +161,10 @@ EXPORT Status fmi3GetFloat64(
   outputs[${NAME}_OUT_TIME] += own->values.begin;
   for (size_t k = 0; k < n; ++k) {
     const uint32_t i = references[k];
-    values[k] = i < FIRST_INPUT ? outputs[i] : i < FIRST_START ?
-      own->values.inputs[i - FIRST_INPUT] : own->values.start[i - FIRST_START];
+    values[k] = i < FIRST_INPUT ? outputs[i] :
+      i < FIRST_START ? own->values.inputs[i - FIRST_INPUT] :
+      i < FIRST_NUMBER ? own->values.start[i - FIRST_START] :
+      i < FIRST_CONSTANT ? own->values.numbers[i - FIRST_NUMBER] : NUMBERS[i - FIRST_NUMBER];
   }
   return OK;
 }
@@ -170,23 +177,31 @@ EXPORT Status fmi3SetFloat64(
                        "a terminated instance");
   }
   Values wanted = own->values;
-  bool moved = false;
+  bool moved = false, tuned = false;
   for (size_t k = 0; k < n; ++k) {
     const uint32_t i = references[k];
-    const bool starts = i >= FIRST_START;
-    if (i < FIRST_INPUT || isinf(values[k]) || (starts && (wanted.mode == STEP ||
-      isnan(values[k])))) {
-      return refuse(own, "fmi3SetFloat64: outputs cannot be set, initial values only before the "
-                         "first step, and values are finite");
+    const bool starts = FIRST_START <= i && i < FIRST_NUMBER;
+    if (i < FIRST_INPUT || i >= FIRST_CONSTANT || isinf(values[k]) ||
+      (starts && wanted.mode == STEP) || (i >= FIRST_START && isnan(values[k])))
+    {
+      return refuse(own, "fmi3SetFloat64: outputs and constants cannot be set, initial values "
+                         "only before the first step, and values are finite");
     }
-    *(starts ? &wanted.start[i - FIRST_START] : &wanted.inputs[i - FIRST_INPUT]) = values[k];
+    *(starts ? &wanted.start[i - FIRST_START] : i < FIRST_START ?
+      &wanted.inputs[i - FIRST_INPUT] : &wanted.numbers[i - FIRST_NUMBER]) = values[k];
     moved = moved || starts;
+    tuned = tuned || i >= FIRST_NUMBER;
   }
-  if (moved && ${name}_start(own->state, wanted.start, wanted.start + ${NAME}_Q_SIZE) !=
-    ${NAME}_OK)
+  if ((tuned && ${name}_tune(own->state, wanted.numbers) != ${NAME}_OK) ||
+    (moved && ${name}_start(own->state, wanted.start, wanted.start + ${NAME}_Q_SIZE) !=
+    ${NAME}_OK))
   {
-    ${name}_start(own->state, own->values.start, own->values.start + ${NAME}_Q_SIZE);
-    return refuse(own, "fmi3SetFloat64: H has no finite gradient at the initial state");
+    ${name}_tune(own->state, own->values.numbers);
+    if (moved) {
+      ${name}_start(own->state, own->values.start, own->values.start + ${NAME}_Q_SIZE);
+    }
+    return refuse(own, "fmi3SetFloat64: a parameter is out of its range, or H has no finite "
+                       "gradient at the state");
   }
   own->values = wanted;
   return OK;
@@ -217,9 +232,19 @@ EXPORT Status fmi3DoStep(
   {
     return refuse(own, "fmi3DoStep: communicationStepSize is no multiple of $step_size s");
   }
-  const int32_t status = ${name}_step(own->state, own->values.inputs, (int64_t)steps);
-  ${name}_outputs(own->state, outputs);
+  const double end = outputs[${NAME}_OUT_TIME] / ${NAME}_STEP_SIZE + steps;
+  double left = steps;
+  int32_t status;
+  do {
+    status = ${name}_step(own->state, left == steps ? own->values.inputs : NULL, (int64_t)left);
+    ${name}_outputs(own->state, outputs);
+    left = nearbyint(end - outputs[${NAME}_OUT_TIME] / ${NAME}_STEP_SIZE);
+  } while (status == ${NAME}_EVENT && left > 0.0 && !own->early);
   *last = own->values.begin + outputs[${NAME}_OUT_TIME];
+  if (status == ${NAME}_EVENT) {
+    *early = left > 0.0;
+    return OK;
+  }
   if (status == ${NAME}_INVALID_COMMAND) {
     return refuse(own, "fmi3DoStep: an input is out of its range");
   }
@@ -264,6 +289,9 @@ EXPORT Status fmi3SetFMUState(Instance *own, Stored *stored)
   {
     return refuse(own, "fmi3SetFMUState: the state is of another FMU, or damaged");
   }
+  /* Numbers change what is computed from them, which is restored after that. */
+  ${name}_tune(own->state, stored->values.numbers);
+  ${name}_restore(own->state, stored->saved);
   own->values = stored->values;
   return OK;
 }

@@ -31,7 +31,8 @@ enum {
   ${NAME}_ENDLESS = 11, /* internal steps became too many or too short */
   ${NAME}_INVALID_COMMAND = 100, /* a number is out of range; nothing is changed */
   ${NAME}_INVALID_STATE = 101, /* it was saved by another object */
-  ${NAME}_INTERNAL = 102 /* a formula divides by zero or has no value */
+  ${NAME}_INTERNAL = 102, /* a formula divides by zero or has no value */
+  ${NAME}_EVENT = 103 /* the last step taken had an event; the output time tells how many were */
 };
 
 /* Numbers of a command. */
@@ -44,6 +45,12 @@ $inputs
 enum {
 $outputs
   ${NAME}_OUTPUTS
+};
+
+/* Numbers of the scene that can be changed. */
+enum {
+$parameters
+  ${NAME}_PARAMETERS
 };
 
 enum { ${NAME}_Q_SIZE = $q_size, ${NAME}_P_SIZE = $p_size, ${NAME}_SAVED_WORDS = $saved };
@@ -60,9 +67,13 @@ int32_t ${name}_init(${name}_state *state);
    (${NAME}_P_SIZE numbers). They must satisfy the loops and constraints of the scene. */
 int32_t ${name}_start(${name}_state *state, const double *q, const double *p);
 
+/* Change numbers of the scene (${NAME}_PARAMETERS numbers); NaN stands for the value in the scene.
+   The energy changes by what this takes, which is no error of energy. */
+int32_t ${name}_tune(${name}_state *state, const double *parameters);
+
 /* Apply a command (${NAME}_INPUTS numbers), then take n steps. NaN leaves a number as it is, and
    a null pointer leaves all. A position or velocity acts until the next one, an effort for
-   $timeout. */
+   $timeout. An event ends the call after its step, with ${NAME}_EVENT. */
 int32_t ${name}_step(${name}_state *state, const double *commands, int64_t n);
 
 /* Return H(q, p) [J]; NaN if it fails. */
