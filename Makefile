@@ -15,6 +15,7 @@ SCENE ?= harmonic_oscillator
 DURATION ?= 20
 ARGS ?=
 NAME ?=
+CASE ?=
 OUT ?= docs/evidence
 # By default, do not disturb the ROS graph of others.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
@@ -39,6 +40,7 @@ help:
 	@echo 'make messages [ARGS=...]                       regenerate the tables of error messages'
 	@echo 'make bench [OUT=FOLDER] [ARGS=...]             measure the speed against other tools'
 	@echo 'make accuracy [OUT=FOLDER] [ARGS=...]          measure the cost of accuracy; hours'
+	@echo 'make hard-cases CASE=10                        run one hard case in short; a minute'
 	@echo 'make hard-cases [OUT=FOLDER] [ARGS=...]        run the hard cases in full; hours'
 	@echo 'make study [NAME=... ARGS=...]                 run another study; without NAME, list them'
 	@echo 'make docs                                      build the site into docs/_build/html'
@@ -96,13 +98,15 @@ bench:
 	exec .venv/bin/python -P -m benchmarks.bench --out '$(OUT)' $(ARGS)
 
 # The studies of docs/studies, of the package that was built. Hard cases keep what is measured in a
-# folder of their name, and go on from there after an interruption; accuracy keeps each scene.
+# folder of their name, and go on from there after an interruption; accuracy keeps each scene. One
+# case is short and changes no page.
 study: WORDS = $(NAME)
 accuracy: WORDS = work_precision --peers --docs '$(OUT)'
-hard-cases: WORDS = hard_cases --out hard_cases --docs '$(OUT)'
+hard-cases: WORDS = hard_cases $(if $(CASE),--quick --case $(CASE) --out hard_cases/quick,--out \
+	hard_cases --docs '$(OUT)')
 study accuracy hard-cases:
 	$(VENV) run train $(if $(filter accuracy,$@),bench)
-	$(BUILD)
+	$(if $(CASE),$(INSTALL),$(BUILD))
 	@$(ENVIRONMENT); $(ONE_THREAD); \
 	export PYTHONPATH="$(CURDIR)/docs$${PYTHONPATH:+:$$PYTHONPATH}"; \
 	exec .venv/bin/python -P -m studies $(WORDS) $(ARGS)

@@ -5,6 +5,7 @@
 from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed
 from itertools import groupby
+import math
 from pathlib import Path
 import time
 
@@ -50,6 +51,8 @@ def main(argv: list[str]) -> int:
     written = write_report(folder, cases, rows, expected)
     if arguments.docs is not None:
         written += write_page(arguments.docs, folder, cases)
+    if arguments.case:
+        print_rows(rows)
     for path in written:
         print(path)
     different = differences(rows, expected)
@@ -57,6 +60,17 @@ def main(argv: list[str]) -> int:
         print(f'not as expected: {line}')
     print(f'{len(rows)} rows, {len(different)} not as expected')
     return 1 if different else 0
+
+
+def print_rows(rows: Sequence[CaseRow]) -> None:
+    """Print a line for each run: how it ended, its energy band, its alarms and broken gates."""
+    names = [f'case {row.case} {row.hamiltonian} H, {row.set_up}'.removesuffix(', ') for row in rows]
+    widths = max(map(len, names)), max(len(row.method) for row in rows)
+    for name, row in zip(names, rows, strict=True):
+        band = f'band {row.band:.2g} J' if math.isfinite(row.band) else ''
+        why = '; '.join(filter(None, (row.alarm, row.failed and f'fails {row.failed}')))
+        print(f'{name:{widths[0]}}  {row.method:{widths[1]}}  {row.verdict:8}  {band:16}  {why}'
+              .rstrip())
 
 
 def run_jobs(jobs: Sequence[Job], folder: Folder, processes: int) -> None:

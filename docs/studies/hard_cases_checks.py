@@ -19,7 +19,8 @@ from studies.coarse_steps import counts, reference
 from studies.hard_cases_gates import Measured
 from studies.hard_cases_plan import Job
 from studies.hard_cases_run import (
-    blocks, FIRST, run_motion, scale_of, summarise, watch_of)
+    blocks, FIRST, run_motion, scale_of, summarise, watch_of, WATCHED)
+from studies.structure import BLOCKS
 
 # Limits: the rise of a damped system's energy from block to block, and the errors of a rod.
 RISE, LENGTH, RATE = 1e-9, 1e-10, 1e-9
@@ -165,8 +166,14 @@ def _broken(job: Job, simulation: Simulation, q: np.ndarray, p: np.ndarray) -> n
 
 
 def run_repeatability(job: Job) -> Measured:
-    """Run twice, and once with a snapshot on disk midway that another simulation resumes."""
+    """
+    Run twice, and once with a snapshot on disk midway that another simulation resumes.
+
+    Guards see the energy of a conservative run: bits that repeat do not make it stable.
+    """
     simulation, measured = _start(job)
+    watch = watch_of(job, simulation)
+    watch.update(look(simulation))
     start, half = simulation.energy, max(FIRST, job.steps // 2)
     first, rest = simulation.record(half, 1), simulation.record(half, 1)
     once = np.hstack([np.vstack(parts) for parts in zip(first, rest, strict=True)])
@@ -178,9 +185,14 @@ def run_repeatability(job: Job) -> Measured:
     if not np.array_equal(once[half:], resumed):
         measured.broken.append('other bits when resumed')
     d = simulation.hamiltonian.dimension
-    errors = simulation.hamiltonian.energy(once[:, :d], once[:, d:]) - start
     if simulation.conservative:
-        measured.band = energy_band(errors)
+        path = once[:, :d], once[:, d:]
+        energies = energies_of(simulation, *path)
+        measured.band = energy_band(energies[0] - start)
+        for part in np.array_split(np.arange(2 * half), BLOCKS):
+            watch.show(part + 1, tuple(z[part] for z in path),
+                       tuple(energy[part] for energy in energies), WATCHED)
+        measured.alarms = watch.alarms
     apart = np.abs(again - once).max(axis=1)
     apart[half:] = np.maximum(apart[half:], np.abs(resumed - once[half:]).max(axis=1))
     measured.t, measured.error = _thinned(job, apart)

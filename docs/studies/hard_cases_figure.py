@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of hard cases: the error over a run, one panel per set-up, and all energy bands."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
 from textwrap import fill
@@ -20,7 +20,7 @@ from studies.hard_cases_plan import Case
 from studies.hard_cases_results import CaseRow
 
 _OTHER = ('#555555', '*')
-_MARKS, _DPI, _COLUMNS, _PANELS = 6, 110, 2, 5
+_MARKS, _DPI, _COLUMNS, _PANELS = 6, 110, 2, 3
 _ROUNDING = 1e-17
 # Marks of the runs of each verdict, and their names.
 _VERDICTS: dict[str, dict[str, Any]] = {
@@ -57,7 +57,7 @@ _END: dict[str, Any] = {'marker': 'P', 'color': INK, 'markersize': 11.0, 'linest
 
 def draw_bands(path: Path, cases: Sequence[Case], rows: Sequence[CaseRow]) -> Path:
     """
-    Draw the energy band of every run into a PNG file, one small panel per case, on equal axes.
+    Draw the energy band of every run into a PNG file, one small panel per case with its methods.
 
     Parameters
     ----------
@@ -70,36 +70,76 @@ def draw_bands(path: Path, cases: Sequence[Case], rows: Sequence[CaseRow]) -> Pa
 
     """
     rows = [row for row in rows if '@' not in row.method and row.band == row.band]
-    met = {row.method for row in rows}
-    methods = [name for name in INTEGRATORS if name in met]
-    lines = math.ceil(len(cases) / _PANELS)
-    height = 2.6 * lines + 0.9
-    figure = Figure(figsize=(9.6, height), dpi=_DPI, facecolor='white')
+    cases = [case for case in cases if any(row.case == case.number for row in rows)]
+    met = {case.number: [name for name in INTEGRATORS if any(
+        (row.case, row.method) == (case.number, name) for row in rows)] for case in cases}
+    lines = [cases[i:i + _PANELS] for i in range(0, len(cases), _PANELS)]
+    most = [max(len(met[case.number]) for case in line) for line in lines]
+    # In inches: a line of panels, its title and ticks; labels of methods; the whole picture.
+    heights, label = [0.16 * number + 0.85 for number in most], 1.5
+    width, height = 9.6, sum(heights) + 0.8
+    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor='white')
     FigureCanvasAgg(figure)
-    figure.subplots_adjust(left=0.17, right=0.985, bottom=0.7 / height, top=1.0 - 0.95 / height,
-                           wspace=0.16, hspace=0.42)
-    grid = figure.subplots(lines, _PANELS, sharex=True, sharey=True, squeeze=False).ravel()
-    for ax in grid[len(cases):]:
-        ax.set_visible(False)
-    for ax, case in zip(grid, cases, strict=False):
-        ax.set_title(fill(f'{case.number}. {case.title}', 22), fontsize=7.5, color=INK)
+    for k, case in enumerate(cases):
+        line, column = divmod(k, _PANELS)
+        methods, panel = met[case.number], width / _PANELS
+        # The panels of a line have their upper edges at one height.
+        bottom = height - 0.1 - sum(heights[:line + 1]) + 0.16 * (most[line] - len(methods))
+        ax = figure.add_axes((
+            (column * panel + label) / width, bottom / height, (panel - label - 0.1) / width,
+            0.16 * len(methods) / height), xscale='log', xlim=(_ROUNDING, _CEILING),
+            ylim=(len(methods) - 0.5, -0.5))
+        ax.set_title(fill(f'{case.number}. {case.title}', 44), fontsize=8.5, color=INK,
+                     loc='right')
         ax.grid(color='#ececec', linewidth=0.6)
         ax.set_axisbelow(True)
         for verdict, style in _VERDICTS.items():
             ends = [(min(max(row.band, _ROUNDING), _CEILING), methods.index(row.method))
                     for row in rows if row.case == case.number and row.verdict == verdict]
             ax.plot(*np.reshape(ends, (-1, 2)).T, linestyle='', clip_on=False, **style)
-        ax.set(xscale='log', xlim=(_ROUNDING, _CEILING), ylim=(len(methods) - 0.5, -0.5))
         ax.set_xticks([1e-16, 1e-8, 1.0])
         ax.set_yticks(range(len(methods)), methods)
-        ax.tick_params(labelsize=7.0, length=2.0, labelbottom=True)
+        ax.tick_params(labelsize=7.5, length=2.0)
         ax.minorticks_off()
         ax.spines[['top', 'right']].set_visible(False)
     figure.supxlabel(f'energy band of the run, largest abs(H - H0) [J]; above {_CEILING:g} J '
-                     'drawn there. No mark: not run in this case', fontsize=8.5, color=INK)
+                     'drawn there', fontsize=9.0, color=INK, y=0.08 / height)
     figure.legend(handles=[Line2D([], [], label=_NAMES[verdict], linestyle='', **style)
                            for verdict, style in _VERDICTS.items()],
-                  loc='upper center', ncols=4, fontsize=8.5, frameon=False)
+                  loc='upper center', ncols=4, fontsize=9.0, frameon=False)
+    figure.savefig(path)
+    return path
+
+
+def draw_verdicts(path: Path, counts: Mapping[str, Mapping[str, int]]) -> Path:
+    """
+    Draw a bar for each method into a PNG file: its runs by verdict.
+
+    Parameters
+    ----------
+    path : Path
+        Output file.
+    counts : mapping of str to mapping of str to int
+        Number of runs of each verdict, by method.
+
+    """
+    figure = Figure(figsize=(7.4, 0.9 + 0.29 * len(counts)), dpi=_DPI, facecolor='white',
+                    layout='constrained')
+    FigureCanvasAgg(figure)
+    ax, ends = figure.add_subplot(), np.zeros(len(counts))
+    for verdict, style in _VERDICTS.items():
+        lengths = np.array([own.get(verdict, 0) for own in counts.values()])
+        bars = ax.barh(range(len(counts)), lengths, left=ends, height=0.74, label=_NAMES[verdict],
+                       color=style['color'])
+        ax.bar_label(bars, [str(length or '') for length in lengths], label_type='center',
+                     color='white', fontsize=8.5)
+        ends += lengths
+    ax.set_yticks(range(len(counts)), counts)
+    ax.set_xlabel('number of runs', color=INK)
+    ax.set_ylim(len(counts) - 0.4, -0.6)
+    ax.spines[['top', 'right']].set_visible(False)
+    figure.legend(loc='outside upper center', ncols=4, fontsize=8.5, frameon=False,
+                  handlelength=1.0, columnspacing=1.2)
     figure.savefig(path)
     return path
 
@@ -128,10 +168,15 @@ def draw_case(path: Path, case: Case, rows: Sequence[CaseRow]) -> Path:
     grid = np.atleast_1d(figure.subplots(lines, columns, squeeze=False)).ravel()
     for ax in grid[len(panels):]:
         ax.set_visible(False)
+    # One kind of time axis in all panels.
+    spans = [[row.t[-1] for row in rows if row.t and (row.hamiltonian, row.set_up) == panel]
+             for panel in panels]
+    log = case.check != 'motion' or any(
+        len(ends) > 0 and max(ends) > 100.0 * min(ends) for ends in spans)
     for ax, (hamiltonian, set_up) in zip(grid, panels, strict=False):
         title = ', '.join(part for part in (f'{hamiltonian} H', set_up) if part)
         _draw_panel(ax, case, title, [row for row in rows if (row.hamiltonian, row.set_up)
-                                      == (hamiltonian, set_up)])
+                                      == (hamiltonian, set_up)], log)
     handles = [_handle(method, _note(case, method, rows))
                for method in dict.fromkeys(row.method for row in rows if row.t)]
     if any(row.t and row.verdict == _STOPPED for row in rows):
@@ -167,12 +212,12 @@ def _note(case: Case, method: str, rows: Sequence[CaseRow]) -> str:
     return f' ({found.pop()} H only)'
 
 
-def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow]) -> None:
+def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow], log: bool) -> None:
     ax.set_title(title, fontsize=10, color=INK)
     ax.set(yscale='log', xlabel='t [s]', ylabel=_LABELS[case.check])
     ax.grid(which='major', color='#e3e3e3', linewidth=0.7)
     ax.spines[['top', 'right']].set_visible(False)
-    ends = []
+    drawn = False
     for k, row in enumerate(rows):
         if not row.t:
             continue
@@ -188,13 +233,13 @@ def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow]) -> No
             other[(other == 0.0) & (case.check != 'repeatability')] = math.nan
             ax.plot(t, other, **_style(row.method) | {
                 'linestyle': '--', 'marker': ''})
-        ends.append(float(t[-1]))
+        drawn = True
         if row.verdict == _STOPPED:
             ax.plot(t[-1], error[-1], **_END)
-    if not ends:
+    if not drawn:
         _say_stops(ax, rows)
         return
-    if case.check != 'motion' or max(ends) > 100.0 * min(ends):
+    if log:
         ax.set_xscale('log')
     if case.check == 'repeatability':
         ax.set_yscale('symlog', linthresh=_SMALLEST)

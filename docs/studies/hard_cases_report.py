@@ -14,7 +14,7 @@ from typing import Any
 from hnn_vi_ros.errors import listed, ParameterError
 from hnn_vi_ros.integrators import INTEGRATORS
 from studies.coarse_steps import committed, read_runs, table
-from studies.hard_cases_figure import draw_bands, draw_case
+from studies.hard_cases_figure import draw_bands, draw_case, draw_verdicts
 from studies.hard_cases_plan import Case, load_plan
 from studies.hard_cases_results import (
     CaseRow, CSV, differences, Expectation, expectations_file, Folder, FULL, Key,
@@ -23,7 +23,7 @@ from studies.pages import render
 
 MARKDOWN = 'hard_cases.md'
 PAGE, PICTURES, CARD = 'hard-cases.md', 'hard_cases', 'hard_cases.json'
-GRID, BANDS = 'grid.html', 'bands.png'
+GRID, BANDS, VERDICTS = 'grid.html', 'bands.png', 'verdicts.png'
 # Methods for comparison, in the last columns.
 BASELINES = ('explicit_euler', 'rk4')
 
@@ -90,11 +90,11 @@ def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
         page, grid = docs / PAGE, folder / GRID
         page.write_text(page_of(docs), encoding='utf-8')
         grid.write_text(grid_of(docs), encoding='utf-8')
-        bands = draw_bands(folder / BANDS, *_read(docs))
+        pictures = draw_summaries(docs)
     except OSError as problem:
         raise ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); give a '
                              'folder that can be written') from problem
-    return [page, grid, bands, *copies, card]
+    return [page, grid, *pictures, *copies, card]
 
 
 def page_of(docs: Path) -> str:
@@ -108,16 +108,17 @@ def page_of(docs: Path) -> str:
     return render(PAGE, cases=_parts(cases, rows, expected, card.get('notes', {})),
                   machine=card['machine'], runs=len(rows), silent=silent, baselines=BASELINES,
                   coarse=len(coarse), ends=ends, table=table(coarse),
-                  verdicts=Counter(row.verdict for row in rows), methods=_verdicts(rows))
+                  verdicts=Counter(row.verdict for row in rows))
 
 
-def _verdicts(rows: Sequence[CaseRow]) -> list[list[str]]:
-    """Return the methods with the numbers of their runs, and of those of each verdict."""
-    found: dict[str, Counter[str]] = {}
+def draw_summaries(docs: Path) -> list[Path]:
+    """Draw the verdicts by method and all energy bands, from the table that the docs hold."""
+    cases, rows = _read(docs)
+    counts: dict[str, Counter[str]] = {name: Counter() for name in _columns(rows)}
     for row in rows:
-        found.setdefault(row.method.partition('@')[0], Counter())[row.verdict] += 1
-    return [[f'`{name}`', str(found[name].total()), *(str(found[name][verdict]) for verdict in (
-        'stable', 'alarm', 'stopped', 'unstable'))] for name in _columns(rows)]
+        counts[row.method.partition('@')[0]][row.verdict] += 1
+    folder = docs / PICTURES
+    return [draw_verdicts(folder / VERDICTS, counts), draw_bands(folder / BANDS, cases, rows)]
 
 
 def grid_of(docs: Path) -> str:

@@ -22,7 +22,7 @@ from studies.structure import (
 # Steps at the start that are taken, and looked at, one by one.
 FIRST = 1000
 # States of a run that are recorded at most, and states of a block that the guards see.
-_STATES, _WATCHED = 1_000_000, 50
+_STATES, WATCHED = 1_000_000, 50
 # States at which single steps are judged; each costs a hundred uncompiled steps.
 _JUDGED = 2
 # Guards of the motion; a slow step says nothing about it.
@@ -85,7 +85,7 @@ def _run_all(job: Job, simulation: Simulation, measured: Measured) -> None:
             energies.append(energy - start)
             modified.append(others)
             steps = simulation.steps - stride(job) * np.arange(len(q) - 1, -1, -1)
-            watch.show(steps, (q, p), (energy, others), _WATCHED)
+            watch.show(steps, (q, p), (energy, others), WATCHED)
             measured.residual = max(measured.residual, simulation.residual)
             measured.largest = max(measured.largest, float(np.abs([q, p]).max()))
             _look(job, q, measured)

@@ -24,7 +24,7 @@ from studies.hard_cases_gates import failed_gates, limit_of, Measured, verdict
 from studies.hard_cases_plan import Job, load_plan, make_jobs
 from studies.hard_cases_results import (
     CaseRow, differences, Expectation, expectations_file, Folder, format_values, FULL, judge,
-    load_expectations, make_row, parse_values, QUICK, write_expectations)
+    load_expectations, make_row, parse_values, QUICK, read_csv, write_expectations)
 from studies.variants import Undersolved
 
 PLAN = load_plan()
@@ -102,6 +102,19 @@ def test_every_row_has_a_committed_verdict_and_limits_derived_from_what_was_meas
 def test_only_methods_that_keep_nothing_fail_without_a_word(run):
     for key, entry in load_expectations(expectations_file(), run).items():
         assert entry.verdict != 'unstable' or key[3] in CONTROLS, key
+
+
+# Explicit Euler's energy rises in every conservative case; each check must hear of it.
+@pytest.mark.parametrize('number', [1, 14, 15])
+def test_stable_is_never_a_run_whose_energy_left(number):
+    row = make_row(job(number, 'explicit_euler'), run_job(job(number, 'explicit_euler')), 0.0)
+    assert row.verdict == 'alarm' and 'under-resolved' in row.alarm
+
+
+def test_no_committed_run_of_explicit_euler_is_stable():
+    rows = read_csv(Path(__file__).parents[2] / 'docs/evidence/hard_cases/hard_cases.csv')
+    ends = {row.verdict for row in rows if row.method == 'explicit_euler'}
+    assert ends == {'alarm', 'stopped'}
 
 
 def test_all_twenty_cases_run_exact_and_learned_or_say_why_not():
@@ -320,7 +333,8 @@ def test_page_of_the_docs_is_written_with_its_pictures(short, tmp_path):
     grid = (tmp_path / 'hard_cases' / 'grid.html').read_text()
     assert grid.count('data-run="variational_euler, ') == 2
     assert 'href="#case-14-repeatability"' in grid
-    assert (tmp_path / 'hard_cases' / 'bands.png').is_file()
+    for name in ('bands', 'verdicts'):
+        assert (tmp_path / 'hard_cases' / f'{name}.png').is_file()
     assert '![case 14](hard_cases/case_14.png)' in page
     assert (tmp_path / 'hard_cases' / 'case_14.png').is_file()
 
@@ -333,7 +347,8 @@ def test_legend_and_panels_say_why_a_curve_is_absent():
              for number in (7, 12)}
     assert notes == {7: ['', '', ' (exact H only)'], 12: ['', '', ' (the reference)']}
     ax = Figure().subplots()
-    _draw_panel(ax, PLAN.cases[17], '', [replace(exact, t=(), alarm='no convergence at step 9')])
+    _draw_panel(ax, PLAN.cases[17], '', [replace(exact, t=(), alarm='no convergence at step 9')],
+                False)
     assert [text.get_text() for text in ax.texts] == [
         'variational_euler stopped:\nno convergence at step 9']
 
