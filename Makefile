@@ -31,13 +31,14 @@ RUNNABLE := install/hnn_vi_ros/lib/hnn_vi_ros
 ONE_THREAD := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 JAX_PLATFORMS=cpu \
 	XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'
 
-.PHONY: help build run test test-long messages bench accuracy hard-cases study docs clean distclean
+.PHONY: help build run test test-long messages keys bench accuracy hard-cases study docs clean distclean
 
 help:
 	@echo 'make run [SCENE=NAME|FILE] [DURATION=SECONDS]  simulate a scene (0: until Ctrl-C)'
 	@echo 'make test [ARGS=...]                           run the short tests (ARGS go to pytest)'
 	@echo 'make test-long                                 run the long tests; an hour'
 	@echo 'make messages [ARGS=...]                       regenerate the tables of error messages'
+	@echo 'make keys                                      regenerate the schema and the key reference'
 	@echo 'make bench [OUT=FOLDER] [ARGS=...]             measure the speed against other tools'
 	@echo 'make accuracy [OUT=FOLDER] [ARGS=...]          measure the cost of accuracy; hours'
 	@echo 'make hard-cases CASE=10                        run one hard case in short; a minute'
@@ -88,6 +89,12 @@ messages:
 	$(BUILD)
 	@$(ENVIRONMENT); $(PYTEST) -p xdist -n auto --dist loadfile --messages $(or $(ARGS),test)
 	@git diff --stat -- '*/messages.txt'
+
+keys:
+	$(VENV) run train docs
+	$(INSTALL)
+	@$(ENVIRONMENT); .venv/bin/python -P -m hnn_vi_ros.cli scene --schema > config/scene.schema.json; \
+	.venv/bin/python docs/tools/generate.py
 
 # -P: measure the installed build, not the sources.
 bench:

@@ -64,7 +64,8 @@ def main(argv: list[str]) -> int:
 
 def print_rows(rows: Sequence[CaseRow]) -> None:
     """Print a line for each run: how it ended, its energy band, its alarms and broken gates."""
-    names = [f'case {row.case} {row.hamiltonian} H, {row.set_up}'.removesuffix(', ') for row in rows]
+    names = [f'case {row.case} {row.hamiltonian} H, {row.set_up}'.removesuffix(', ')
+             for row in rows]
     widths = max(map(len, names)), max(len(row.method) for row in rows)
     for name, row in zip(names, rows, strict=True):
         band = f'band {row.band:.2g} J' if math.isfinite(row.band) else ''

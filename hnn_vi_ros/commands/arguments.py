@@ -8,7 +8,7 @@ from pathlib import Path
 from hnn_vi_ros.files import complete_by, Parser, seconds
 
 SHELLS = ('bash', 'zsh')
-LISTED = ('scenes', 'integrators', 'effects', 'models', 'tasks')
+LISTED = ('scenes', 'integrators', 'effects', 'hamiltonians', 'families', 'models', 'tasks')
 
 
 def _add_run(parser: Parser) -> None:
@@ -54,8 +54,11 @@ def run() -> Parser:
 def names() -> Parser:
     """Return the parser of ``list``."""
     parser = Parser('list', 'List names with descriptions.', [
-        'hnn list scenes', 'hnn list integrators'])
+        'hnn list scenes', 'hnn list effects damping'])
     parser.add_argument('what', choices=LISTED, metavar='WHAT', help=', '.join(LISTED))
+    parser.add_argument('name', nargs='?', metavar='NAME', help=(
+        'an integrator, effect, hamiltonian or family: print its keys with units and defaults, '
+        'and an example'))
     return parser
 
 

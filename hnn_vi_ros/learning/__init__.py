@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.data.sampling import steps_between
     from hnn_vi_ros.learning.data.sources import MotionSource, read_motions, source_of
     from hnn_vi_ros.learning.export_module import export
-    from hnn_vi_ros.learning.fit.config import load_machine
+    from hnn_vi_ros.learning.fit.config import family_schemas, load_machine
     from hnn_vi_ros.learning.fit.excitation import ExcitationData
     from hnn_vi_ros.learning.fit.following import LogSimulation
     from hnn_vi_ros.learning.fit.growing import fit_numbers, FittedNumbers

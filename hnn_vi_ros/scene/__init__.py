@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from hnn_vi_ros.scene.choices import (
         AutoChoice, Condition, JointSensorChoice, LearnedChoice, load_code)
     from hnn_vi_ros.scene.description import described_scene, ONE_RUN, only_scene
+    from hnn_vi_ros.scene.key_reference import (
+        definitions, describe, example, key_table, keys_of, references, SCENE_KEYS,
+        scene_schema)
     from hnn_vi_ros.scene.lists import (
         lacks_a_model, list_effects, list_integrators, list_scenes, LISTS)
     from hnn_vi_ros.scene.named_numbers import (

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names with one-line descriptions: integrators, effects, and shipped scenes, models, tasks."""
+"""Names with one-line descriptions: kinds of a scene, and shipped scenes, models, tasks."""
 
 from collections.abc import Callable
 
@@ -10,6 +10,7 @@ from hnn_vi_ros.files import parse_mapping, shipped_file, shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.models import load_checkpoint
 from hnn_vi_ros.scene.choices import summary
+from hnn_vi_ros.scene.key_reference import definitions
 from hnn_vi_ros.scene.scene import load_scene, Scene
 
 
@@ -76,7 +77,11 @@ def _tasks() -> dict[str, str]:
             for name, file in files.items()}
 
 
-# What `hnn list` shows.
+def _hamiltonians() -> dict[str, str]:
+    return {name: one['description'] for name, one in definitions('hamiltonians').items()}
+
+
+# The lists of `hnn list`, except that of families, which needs torch.
 LISTS: dict[str, Callable[[], dict[str, str]]] = {
     'scenes': list_scenes, 'integrators': list_integrators, 'effects': list_effects,
-    'models': _models, 'tasks': _tasks}
+    'hamiltonians': _hamiltonians, 'models': _models, 'tasks': _tasks}

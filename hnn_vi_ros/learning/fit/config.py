@@ -7,7 +7,7 @@ from functools import reduce
 from operator import or_
 import os
 from pathlib import Path
-from typing import Annotated, Literal, TYPE_CHECKING
+from typing import Annotated, Any, Literal, TYPE_CHECKING, get_args
 
 from hnn_vi_ros.errors import DataError, ModelError, offered
 from hnn_vi_ros.files import (
@@ -31,12 +31,12 @@ from hnn_vi_ros.models import CoordinateCard, FAMILIES, Kind, RIGID_BODY
 from hnn_vi_ros.phase_space import IN_DEGREES
 from pydantic import Field, field_validator, model_validator, ValidationError
 
+_OF_FIELDS: list[Any] = [row.trainer.schema for row in FAMILIES.values()
+                         if row.trained and issubclass(row.trainer, Trainable)]
 if TYPE_CHECKING:
     FieldFamily = FamilyChoice
 else:
-    FieldFamily = Annotated[reduce(or_, (
-        row.trainer.schema for row in FAMILIES.values()
-        if row.trained and issubclass(row.trainer, Trainable))), Field(discriminator='kind')]
+    FieldFamily = Annotated[reduce(or_, _OF_FIELDS), Field(discriminator='kind')]
 Widths = Annotated[list[Annotated[int, Field(ge=1, le=4096)]], Field(
     min_length=1, max_length=16, description='widths of the hidden layers, for each network')]
 Seed = Annotated[int, Field(ge=0, lt=2**63, description=(
@@ -269,6 +269,12 @@ AnyConfig = FieldConfig | MachineConfig | BodyConfig
 _SCHEMAS: dict[str, type[FieldConfig] | type[MachineConfig] | type[BodyConfig]] = {
     **{name: FieldConfig for name, row in FAMILIES.items() if row.trained},
     'mechanical': MachineConfig, RIGID_BODY: MachineConfig, 'lie_group': BodyConfig}
+
+
+def family_schemas() -> dict[str, type[FamilyChoice]]:
+    """Return the schema of the key `family` of a training configuration, by its kind."""
+    return {get_args(schema.model_fields['kind'].annotation)[0]: schema for schema in (
+        *_OF_FIELDS, *get_args(get_args(MachineFamily)[0]), LieGroupChoice)}
 
 
 def find_config(config: str) -> Path:
