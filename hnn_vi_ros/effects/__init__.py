@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         Potential, StepLayer)
     from hnn_vi_ros.effects.commands import (
         Command, Commanded, contents, EFFORT, JointCommand, JointPath, LARGEST, NUMBERS,
-        OBSERVATION, Observation, PATH, POSITION, printable, select, ServoTarget, VELOCITY,
+        OBSERVATION, Observation, PATH, PAYLOAD, POSITION, printable, select, ServoTarget, VELOCITY,
         whole_turns)
     from hnn_vi_ros.effects.damping import Damping
     from hnn_vi_ros.effects.elastic_gears import gear_effects
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.effects.learned_friction import LearnedFriction
     from hnn_vi_ros.effects.loops import ClosedChains, LoopManifold
     from hnn_vi_ros.effects.manifold import Manifold
+    from hnn_vi_ros.effects.payload_changes import PayloadChanges
     from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
     from hnn_vi_ros.effects.registry import effect_name, EFFECTS
     from hnn_vi_ros.effects.servo import OFF, Servo

@@ -25,11 +25,12 @@ class Place(IntEnum):
     """
     Place where an effect acts, from the innermost to the outermost.
 
-    An effect is added to H, or acts as a force at the method's nodes, between the two halves of
+    An effect acts between steps when a command arrives, is added to H, or acts as a force at the method's nodes, between the two halves of
     the step, before and after the step, on the resulting state to keep it on a manifold, or around
     all of these. Effects in the same place act in the scene's order, the first one innermost.
     """
 
+    COMMANDS = -1
     ENERGY = 0
     NODES = 1
     MIDDLE = 2
@@ -226,6 +227,10 @@ class Effect(ABC):
             A name or a length does not match the coordinates; the message lists the valid ones.
 
         """
+
+    def resolve_on(self, hamiltonian: Hamiltonian, state: EffectState) -> Parameters:
+        """Return the result of ``resolve`` on H; overridden where more of H is needed."""
+        return self.resolve(hamiltonian.coordinates, state)
 
     def stored_energy(self, parameters: Any, q: np.ndarray, x: float) -> dict[str, float]:
         """

@@ -8,6 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import listed
+from hnn_vi_ros.hamiltonians import Payload
 from hnn_vi_ros.kernels import inlined
 import numpy as np
 
@@ -81,10 +82,10 @@ class Observation(NamedTuple):
 
 
 # Plain numbers are forces, or the inputs of a learned input map.
-Command = Sequence[float] | np.ndarray | JointCommand | JointPath | Observation
+Command = Sequence[float] | np.ndarray | JointCommand | JointPath | Observation | Payload
 # Names of the contents of a command.
 NUMBERS, POSITION, VELOCITY, EFFORT, PATH = 'commands', 'position', 'velocity', 'effort', 'path'
-OBSERVATION = 'observation'
+OBSERVATION, PAYLOAD = 'observation', 'payload'
 # Upper bound on the numbers of a command in any unit, so that splines and forces stay finite.
 LARGEST = 1e12
 # Upper bounds on the observed position and velocity of a joint, so that numbers do not overflow.
@@ -97,6 +98,8 @@ def contents(command: Command) -> set[str]:
         return {PATH}
     if isinstance(command, Observation):
         return {OBSERVATION}
+    if isinstance(command, Payload):
+        return {PAYLOAD}
     if not isinstance(command, JointCommand):
         return {NUMBERS}
     found = {name for name in (POSITION, VELOCITY, EFFORT)

@@ -8,6 +8,7 @@ from typing import Self, TYPE_CHECKING
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.commands import (
     Command, Commanded, EFFORT, indices_of, JointCommand, LARGEST, NUMBERS)
+from hnn_vi_ros.effects.gravity_compensation import Compensated, GravityModelKind
 from hnn_vi_ros.hamiltonians import check_finite, check_names_once, check_positive
 from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models import Checkpoint
 
 
-class ExternalForce(Force, Commanded):
+class ExternalForce(Compensated, Force, Commanded):
     """
     The last commanded force on some coordinates, until the next command or its time-out.
 
@@ -49,6 +50,12 @@ class ExternalForce(Force, Commanded):
         that are forces.
     offset : float or list of float, optional
         Force at a command of zero, for all coordinates or for each [N], [N m].
+    gravity_compensation : str, optional
+        Add V' of a model to the commanded forces, also without a command: model for that of H,
+        with its payload; unloaded for that without a payload; urdf for that of a robot in
+        ``file``, with the joints and the gravity of H; default: none.
+    file : str, optional
+        The URDF of ``gravity_compensation: urdf``: a path, or package://PACKAGE/PATH.
 
     Raises
     ------
@@ -68,7 +75,12 @@ class ExternalForce(Force, Commanded):
     def __init__(self, coordinates: list[str] | None = None, timeout: float = 0.5,
                  model: str | None = None, member: int | None = None,
                  initial: list[float] | None = None, gain: float | list[float] = 1.0,
-                 offset: float | list[float] = 0.0):
+                 offset: float | list[float] = 0.0,
+                 gravity_compensation: GravityModelKind | None = None,
+                 file: str | None = None):
+        super().__init__(gravity_compensation, file)
+        if gravity_compensation and coordinates is None:
+            raise ValueError('gravity_compensation needs coordinates; a model has its own motors')
         check_positive(timeout=timeout)
         check_finite(gain=gain, offset=offset)
         if (coordinates is None) == (model is None):
@@ -92,17 +104,18 @@ class ExternalForce(Force, Commanded):
         """Return the force of a model with an input map that is in no file."""
         own = cls.__new__(cls)
         own.names, own.timeout, own.initial, own.model = (), timeout, None, checkpoint
-        own.gain, own.offset = 1.0, 0.0
+        own.gain, own.offset, own.gravity_compensation = 1.0, 0.0, None
         own._describe()
         return own
 
     def _describe(self) -> None:
         mapped = self.model is not None
         scaled = bool((np.ravel(self.gain) != 1.0).any() or np.any(self.offset))
-        self.held, self.feels_command, self.by_motors = not mapped, mapped or scaled, mapped
+        # The input map of a model, and gravity, depend on q.
+        self.depends_on_state = mapped or self.gravity_compensation is not None
+        self.feels_command, self.by_motors = mapped or scaled, mapped
+        self.held = not self.depends_on_state
         self.takes = frozenset({NUMBERS} if mapped else {NUMBERS, EFFORT})
-        # The input map of a model depends on q.
-        self.depends_on_state = mapped
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> 'InputParameters':
         """Return the command, the clock, the columns, and the function that adds forces."""
@@ -152,7 +165,10 @@ class ExternalForce(Force, Commanded):
     @inlined
     def add_force(parameters: 'InputParameters', t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
-        """Add the command if it is active at the start of the step."""
-        command = parameters.command
+        """Add the command if it is active at the start of the step, and what bears gravity."""
+        command, gravity = parameters.command, parameters.gravity
+        gravity.fill(gravity.model, q, gravity.forces)
+        for k in range(gravity.forces.size):
+            f_p[parameters.columns[k]] += gravity.forces[k]
         if parameters.clock[0] < command[command.size - 1]:
             parameters.add(parameters.own, command, q, p, f_p)

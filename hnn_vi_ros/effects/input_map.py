@@ -9,6 +9,7 @@ from hnn_vi_ros.effects.attitudes import rotate
 from hnn_vi_ros.effects.base import EffectState, motor_index
 from hnn_vi_ros.effects.body_forces import add_body_map, body_network, BodyNetwork
 from hnn_vi_ros.effects.commands import plus_motors
+from hnn_vi_ros.effects.gravity_forces import Compensation, no_compensation
 from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.kernels import kept, name_stably
 from hnn_vi_ros.models import (
@@ -102,6 +103,8 @@ class InputParameters(NamedTuple):
         The function that adds the forces of the numbers; see add_by_column.
     own : Columns, Axes, InputMap, InputMatrix or BodyNetwork
         Its first argument.
+    gravity : Compensation
+        V'(q) of the coordinates, empty for none.
 
     """
 
@@ -110,6 +113,7 @@ class InputParameters(NamedTuple):
     columns: np.ndarray
     add: Callable[..., None]
     own: Columns | Axes | InputMap | InputMatrix | BodyNetwork
+    gravity: Compensation = no_compensation(0)
 
     def hold(self, columns: np.ndarray, values: np.ndarray, timeout: float) -> None:
         """Apply numbers of a command; other numbers stay active until they expire."""

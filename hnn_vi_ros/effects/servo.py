@@ -6,13 +6,14 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from functools import partial
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.effects.base import EffectState, Force, motor_index, per_coordinate
 from hnn_vi_ros.effects.commands import (
     Command, Commanded, indices_of, JointCommand, JointPath, LARGEST, NUMBERS, PATH, POSITION,
     printable, Reference, ServoTarget, VELOCITY)
 from hnn_vi_ros.effects.drives import find_drive
+from hnn_vi_ros.effects.gravity_compensation import Compensated, GravityModelKind
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians import (
     check_finite, check_names_once, check_not_negative, check_positive)
@@ -20,6 +21,9 @@ from hnn_vi_ros.integrators import bend_at, cubic, quintic, slope_at, value_at
 from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.effects.gravity_forces import Compensation
 
 # Modes of a coordinate: no command yet, or it follows a position, a velocity, a path, or commands
 # that wait in the knots until their delay has passed.
@@ -51,6 +55,8 @@ class ServoParameters(NamedTuple):
         k, c, F, b, o, P and l; F is infinite for no limit.
     start : np.ndarray, shape (n,)
         Positions at which the joints are held before the first command; NaN for none.
+    gravity : Compensation
+        V'(q), zero for none.
 
     """
 
@@ -68,13 +74,15 @@ class ServoParameters(NamedTuple):
     offset: np.ndarray
     punch: np.ndarray
     load: np.ndarray
+    gravity: 'Compensation'
 
 
-class Servo(Force, Commanded):
+class Servo(Compensated, Force, Commanded):
     """
     A servo for each joint, f - l abs(f) tanh(v / u), f = g + P tanh(2 g / P) - b v, v = H_p.
 
-    It has the gains of g = k (q_r - q - o) + c (v_r - v). P is the torque of the least voltage;
+    It has the gains of g = k (q_r - q - o) + c (v_r - v) + V'(q), the last as
+    `gravity_compensation` says. P is the torque of the least voltage;
     g + P tanh(2 g / P) is limited to -F to F. Friction of the gear takes the part l of the torque.
     The limit is that of the drive's voltage, of which the back EMF b v takes a part. Without a
     target the motor is off, and no force acts. A command sets q_r and v_r: a position with a
@@ -114,6 +122,11 @@ class Servo(Force, Commanded):
         `enabled` acts without it.
     drive : str, optional
         A drive of all joints, whose F, b, P and l are the defaults: see `effects.drives`.
+    gravity_compensation : str, optional
+        model for V' of H, with its payload; unloaded for that without a payload; urdf for that of
+        a robot in ``file``, with the joints and the gravity of H; default: none.
+    file : str, optional
+        The URDF of ``gravity_compensation: urdf``: a path, or package://PACKAGE/PATH.
 
     Raises
     ------
@@ -135,7 +148,10 @@ class Servo(Force, Commanded):
                  position: list[float] | None = None, back_emf: float | list[float] = 0.0,
                  offset: float | list[float] = 0.0, delay: float = 0.0,
                  drive: str | None = None, punch: float | list[float] = 0.0,
-                 load: float | list[float] = 0.0, speed: float = 0.01):
+                 load: float | list[float] = 0.0, speed: float = 0.01,
+                 gravity_compensation: GravityModelKind | None = None,
+                 file: str | None = None):
+        super().__init__(gravity_compensation, file)
         if drive is not None:
             row = find_drive(drive)
             effort_limit = row.torque_limit if effort_limit is None else effort_limit
@@ -172,12 +188,13 @@ class Servo(Force, Commanded):
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> ServoParameters:
         """Return the columns of the joints, the commands, the clock and the numbers."""
+        from hnn_vi_ros.effects.gravity_forces import no_compensation
         columns = np.array([motor_index(coordinates, name) for name in self.names])
         joints = [coordinates[i] for i in columns]
         own = (per_coordinate(joints, name, value) for name, value in self.values.items())
         command = state.command if self.numbers else np.full(1, -math.inf)
         return ServoParameters(columns, state.reference, state.clock, command, self.delay,
-                               self.speed, *own)
+                               self.speed, *own, no_compensation(columns.size))
 
     def prepare(self, command: Command, parameters: ServoParameters, q: np.ndarray
                 ) -> Callable[[], None]:
@@ -206,13 +223,14 @@ class Servo(Force, Commanded):
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add f = g + P tanh(2 g / P) - b v, the first two within limits, and its friction."""
         own, segment = parameters, _segment_at(parameters.reference, t)
+        own.gravity.fill(own.gravity.model, q, own.gravity.forces)
         for k in range(own.columns.size):
             i, force = own.columns[k], 0.0
             position, rate, _ = _target_at(own, k, segment, t)
             if not math.isnan(position):
                 force += own.stiffness[k] * (position - (q[i] + own.offset[k]))
             if not math.isnan(rate):
-                force += own.damping[k] * (rate - velocity[i])
+                force += own.damping[k] * (rate - velocity[i]) + own.gravity.forces[k]
                 if own.punch[k] > 0.0:
                     force += own.punch[k] * math.tanh(2.0 * force / own.punch[k])
                 force = min(max(force, -own.limit[k]), own.limit[k]) \

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.rigid_body.gears import ElasticDrive
     from hnn_vi_ros.hamiltonians.rigid_body.loops import (
         ClosingJoint, fill_loops, LoopRows, Loops)
+    from hnn_vi_ros.hamiltonians.rigid_body.payload import Payload, payload_of
     from hnn_vi_ros.hamiltonians.rigid_body.robot import (
         Joint, JointCoordinate, JointUnits, RIGID, Robot, SLIDING, TURNING)
     from hnn_vi_ros.hamiltonians.rigid_body.small_tree import mass_kernels

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import ClassVar, NamedTuple, Self
 
 from hnn_vi_ros.hamiltonians.rigid_body.loops import Loops
+from hnn_vi_ros.hamiltonians.rigid_body.payload import Carrier
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.kernels import Functions, Kernel, Parameters
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
@@ -61,6 +62,8 @@ class Hamiltonian(ABC):
         The robot whose joints are the coordinates, if a URDF describes one.
     loops : Loops or None
         The closed chains of this robot.
+    carrier : Carrier or None
+        The body of this robot that carries a payload.
     invariants, known_invariants : mapping of str to callable
         Functions of q and p, of shape (d,), by name: those that a scene monitors, and those that
         are conserved besides H in the absence of effects.
@@ -82,6 +85,7 @@ class Hamiltonian(ABC):
     canonical: ClassVar[bool] = True
     robot: Robot | None = None
     loops: Loops | None = None
+    carrier: Carrier | None = None
     invariants: Mapping[str, Invariant] = MappingProxyType({})
     known_invariants: Mapping[str, Invariant] = MappingProxyType({})
     box: tuple[np.ndarray, np.ndarray] | None = None
@@ -118,6 +122,21 @@ class Hamiltonian(ABC):
 
     def check_state(self, q: np.ndarray, p: np.ndarray) -> None:  # noqa: B027
         """Raise ValueError if H is known to be undefined at a state, shape (d,) each."""
+
+    def gravity_model(self, kind: str, file: str | None) -> 'Hamiltonian':
+        """
+        Return a model whose H_q at p = 0 bears gravity; see ``gravity_compensation`` of effects.
+
+        Raises
+        ------
+        ValueError
+            H has no such model.
+
+        """
+        if kind != 'model' or self.rotations:
+            raise ValueError(f'gravity_compensation = {kind!r} needs the H of a URDF; give '
+                             'gravity_compensation: model of an H with scalar coordinates')
+        return self.copy()
 
     @property
     def dimension(self) -> int:

@@ -10,6 +10,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.closures import loops_in
 from hnn_vi_ros.hamiltonians.rigid_body.gears import drives_of, ElasticDrive, with_rotors
 from hnn_vi_ros.hamiltonians.rigid_body.loops import ClosingJoint, loops_of
+from hnn_vi_ros.hamiltonians.rigid_body.payload import Carrier, Payload
 from hnn_vi_ros.hamiltonians.rigid_body.robot import JointCoordinate, Robot
 from hnn_vi_ros.hamiltonians.rigid_body.tree import links_of, mass_matrix, tree_of
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
@@ -57,6 +58,9 @@ class RigidBodyTree(Hamiltonian):
         Motors that move joints through elastic gears. The rotor of a joint `elbow` is the
         coordinate `elbow_motor`, after those of the joints: its angle on the side of the joint.
         Commands to the joint act on it.
+    payload : Payload, optional
+        A rigid body that a link carries; commands can change it during a run, at constant
+        velocities, also from none (mass: 0.0).
 
     Raises
     ------
@@ -75,11 +79,14 @@ class RigidBodyTree(Hamiltonian):
                  gravity: Sequence[float] = (0.0, 0.0, -9.81), base: str | None = None,
                  rotor_inertia: dict[str, float] | None = None,
                  loops: list[ClosingJoint] | None = None, assemble: bool = False,
-                 drives: dict[str, ElasticDrive] | None = None):
+                 drives: dict[str, ElasticDrive] | None = None,
+                 payload: Payload | None = None):
         robot = read_urdf(Path(file))
         self.provenance = {'robot': robot.name}
         self._arguments = (joints, locked or {}, gravity, base or robot.root, rotor_inertia or {})
         self._drives: dict[str, ElasticDrive] = {}
+        if payload:
+            self.carrier = Carrier(payload, robot, locked or {}, base or robot.root)
         self._build(robot)
         links = tuple(JointCoordinate(
             joint.name, joint.units.q, joint.units.p, joint=joint, followers=tuple(
@@ -106,11 +113,49 @@ class RigidBodyTree(Hamiltonian):
         if self._drives:
             self.bodies, self.following = with_rotors(
                 self.bodies, self.following, [*self._drives.values()], len(self.joints))
+        if self.carrier is not None:
+            self.bodies = self.carrier.mount(self.bodies)
+
+    def copy(self) -> 'RigidBodyTree':
+        """Return the same robot with its own workspace, and with a payload of its own."""
+        other = super().copy()
+        if self.carrier is not None:
+            other.bodies = self.bodies._replace(inertia=self.bodies.inertia.copy())
+        return other
+
+    def payload_numbers(self, payload: Payload) -> np.ndarray:
+        """Return the inertia of a payload on its body; ValueError if it is impossible."""
+        assert self.carrier is not None, 'only a robot with a payload takes others'
+        return self.carrier.numbers(payload)
+
+    def change_payload(self, numbers: np.ndarray | None = None) -> None:
+        """Replace the payload by one of these numbers, by default by that of the scene."""
+        assert self.carrier is not None, 'only a robot with a payload takes others'
+        self.carrier.change(self.bodies, numbers)
 
     def with_numbers(self, numbers: Mapping[str, float]) -> 'RigidBodyTree':
         """Return H with other numbers of links; see ``Robot.with_numbers``."""
         other = self.copy()
         other._build(self.robot.with_numbers(numbers))
+        return other
+
+    def gravity_model(self, kind: str, file: str | None) -> 'RigidBodyTree':
+        """Return a robot without drives: this one, it without payload, or that of a URDF."""
+        if self.loops is not None:
+            raise ValueError('gravity_compensation does not support robots with loops; remove it')
+        if file is not None:
+            joints, *others = self._arguments
+            return RigidBodyTree(file, joints or [joint.name for joint in self.joints], *others,
+                                 loops=[])
+        other = self.copy()
+        other._drives, other.carrier = {}, None
+        other._build(self.robot)
+        other.coordinates = self.coordinates[:len(self.joints)]
+        if kind == 'model' and self.carrier is not None:
+            # The same memory, which changes of the payload write to.
+            other.carrier = self.carrier
+            other.bodies = other.bodies._replace(
+                inertia=self.bodies.inertia[:len(other.bodies.parent)])
         return other
 
     def masses(self, q: np.ndarray) -> np.ndarray:
@@ -120,4 +165,4 @@ class RigidBodyTree(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions for simulations."""
-        return tree_kernel(self.bodies, self.following)
+        return tree_kernel(self.bodies, self.following, self.carrier is None)

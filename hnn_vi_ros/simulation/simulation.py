@@ -11,9 +11,9 @@ from typing import Any, NoReturn
 import warnings
 
 from hnn_vi_ros.effects import (
-    Command, Effect, LoopManifold, NUMBERS, Observation, whole_turns)
+    Command, Effect, LoopManifold, NUMBERS, Observation, PAYLOAD, whole_turns)
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian, momentum, Payload
 from hnn_vi_ros.integrators import (
     arrays_of, BEYOND, DenseOutput, discard_history, IN_DOUBT, Integrator, is_finite, NO_SOLUTION,
     NOT_FINITE, OK, PairWork, path_in_legendre, PhasePoint, REASONS, step_failure, TaylorWork)
@@ -213,9 +213,22 @@ class Simulation:
         q = self.q.reshape(-1, self.hamiltonian.dimension)[0]
         if isinstance(command, Observation) and self.system.turning.any():
             command = self._at_nearest_turns(command, q + command.delay * self.dH_dp[:q.size])
-        self.motors.command(command, q, limited)
+        if isinstance(command, Payload):
+            self._change_payload(command)
+        else:
+            self.motors.command(command, q, limited)
         self._evaluate_gradient()
         self._update_gradient()
+
+    def _change_payload(self, payload: Payload) -> None:
+        """Replace the payload at constant velocities; the jump of the energy is its work."""
+        before, velocity = self.energy, self.hamiltonian.gradient(self.q, self.p)[1]
+        self.motors.command(payload, self.q)
+        self.p[...] = momentum(self.hamiltonian, self.q, velocity, self.p)
+        self.system.effect_state.work[self.system.labels.index(PAYLOAD), 0] += \
+            self.energy - before
+        for memory in self._memories:
+            discard_history(memory)
 
     def _at_nearest_turns(self, seen: Observation, q: np.ndarray) -> Observation:
         """Return an observation with periodic angles shifted by full turns to be nearest to q."""
@@ -656,7 +669,8 @@ class Simulation:
             f'memory{active}.{k}': workspace.kept for active, memory in enumerate(self._memories)
             for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
         return {name: array for place, group in groups.items()
-                for name, array in arrays_of(place, group) if name != 'live.step'}
+                for name, array in arrays_of(place, group) if name != 'live.step'
+                } | self.system.changing
 
     def _evaluate_gradient(self) -> None:
         self._kernel.gradient(

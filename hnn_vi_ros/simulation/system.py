@@ -13,10 +13,10 @@ import warnings
 from hnn_vi_ros.effects import (
     Account, add_effect, add_forces, ClosedChains, Command, Commanded, contents, Effect,
     effect_name, EffectError, EFFECTS, EffectState, EFFORT, Force, Joined, JointCommand, JointPath,
-    LoopManifold, Manifold, NUMBERS, OBSERVATION, PATH, Place, POSITION, ServoTarget, StepLayer,
-    Wrapped)
+    LoopManifold, Manifold, NUMBERS, OBSERVATION, PATH, PAYLOAD, PayloadChanges, Place, POSITION,
+    ServoTarget, StepLayer, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
-from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows
+from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows, RigidBodyTree
 from hnn_vi_ros.integrators import (
     check_method, Integrator, method_name, methods_that, NO_SOLUTION, PhasePoint, REASONS,
     REDUNDANT)
@@ -124,6 +124,9 @@ class Motors:
             if content == PATH and POSITION in self.takes:
                 raise ValueError('the scene accepts no path: its servo has a delay; command '
                                  'positions')
+            if content == PAYLOAD:
+                raise ValueError('the scene accepts no payload: its hamiltonian has none; add '
+                                 'payload: {link: LINK} to it')
             raise ValueError(f'the scene accepts no {content}: it has no {kind} of joints')
         if isinstance(command, JointCommand | JointPath):
             for i, name in enumerate(command.names):
@@ -312,6 +315,8 @@ class System:
     def __init__(self, hamiltonian: Hamiltonian, effects: Sequence[Effect],
                  integrator: Integrator, effect_state: EffectState | None = None,
                  by_joint: bool = False):
+        if hamiltonian.carrier is not None:
+            effects = [*effects, PayloadChanges(cast(RigidBodyTree, hamiltonian))]
         if hamiltonian.loops is not None:
             effects = [*effects, ClosedChains(hamiltonian.loops)]
         self._effects, self.method, self._by_joint = list(effects), integrator, by_joint
@@ -424,6 +429,12 @@ class System:
             rows.append(held[:-1].copy())
         held[:] = before
         return np.array(rows).reshape(-1, held.size - 1)
+
+    @property
+    def changing(self) -> dict[str, np.ndarray]:
+        """Return the numbers of H that commands change, by name: inertias with a payload."""
+        base = getattr(self.hamiltonian, 'base', self.hamiltonian)
+        return {} if base.carrier is None else {'payload.inertia': base.bodies.inertia}
 
     @property
     def cuts(self) -> int:
@@ -547,7 +558,7 @@ class System:
 
     def _resolve(self, index: int, hamiltonian: Hamiltonian) -> tuple:
         try:
-            return self._effects[index].resolve(hamiltonian.coordinates, self.effect_state)
+            return self._effects[index].resolve_on(hamiltonian, self.effect_state)
         except ValueError as problem:
             raise EffectError(index, str(problem)) from problem
 

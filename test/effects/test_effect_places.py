@@ -19,7 +19,8 @@ import numpy as np
 import pytest
 
 # What every effect is made of, and what solves all constraints together, or keeps loops closed.
-BASES = {'registry', 'base', 'commands', 'kernels', 'loops', 'manifold', 'wrapped'}
+BASES = {
+    'registry', 'base', 'commands', 'kernels', 'loops', 'manifold', 'payload_changes', 'wrapped'}
 
 
 class Kick(StepEffect):

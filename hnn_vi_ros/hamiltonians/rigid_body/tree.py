@@ -255,6 +255,11 @@ class _Body:
             centre @ centre * np.eye(3) - np.outer(centre, centre))
 
     @property
+    def row(self) -> list[float]:
+        """Return m, h and I; see Bodies."""
+        return [self.mass, *self.first, *self.second[np.tril_indices(3)]]
+
+    @property
     def fault(self) -> str:
         """Return the reason its mass, or its moments if it rotates, are invalid, '' if valid."""
         centre = self.first / self.mass if self.mass > 0.0 else np.zeros(3)
@@ -370,11 +375,10 @@ class _Builder:
         """Return the bodies, given the coordinate of each one's joint."""
         rows = self._rows
         placement = [[*body.rotation.ravel(), *body.origin] for body in rows]
-        inertia = [[body.mass, *body.first, *body.second[np.tril_indices(3)]] for body in rows]
         return Bodies(
             np.array([body.parent for body in rows]), np.array([0, *places]),
             np.array([int(body.slides) for body in rows]), np.array(placement),
-            np.array(inertia), np.array([0.0, *armature]), np.array(gravity, dtype=np.float64),
+            np.array([body.row for body in rows]), np.array([0.0, *armature]), np.array(gravity, dtype=np.float64),
             np.zeros(len(rows)))
 
 
@@ -382,6 +386,13 @@ def links_of(robot: Robot, locked: Mapping[str, float], base: str
              ) -> dict[str, tuple[int, np.ndarray, np.ndarray]]:
     """Return the body of each link, and the pose of its frame in that of the body."""
     return _Builder(robot, locked, base).links
+
+
+def inertia_row(link: Inertial, rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Return m, h and I of a link, given the pose of its frame in the frame of its body."""
+    body = _Body(0, False, True, np.eye(3), np.zeros(3))
+    body.add(link, rotation, origin)
+    return np.array(body.row)
 
 
 def frame_of(axis: np.ndarray) -> np.ndarray:

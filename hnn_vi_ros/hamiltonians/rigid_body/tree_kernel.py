@@ -13,8 +13,8 @@ from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 
-def tree_kernel(bodies: Bodies, following: Following | None = None) -> Kernel:
-    """Return the functions of H of some bodies, with their own workspace."""
+def tree_kernel(bodies: Bodies, following: Following | None = None, fixed: bool = True) -> Kernel:
+    """Return the functions of H of some bodies, which may change unless they are fixed."""
     d = len(bodies.parent) - 1
     # A bound of the moments of the weights: their sum times the largest possible distance.
     reach = np.zeros(d + 1)
@@ -23,7 +23,7 @@ def tree_kernel(bodies: Bodies, following: Following | None = None) -> Kernel:
     weights = (bodies.inertia[1:, 0] * reach[1:]
                + np.linalg.norm(bodies.inertia[1:, 1:4], axis=1))
     scale = float(np.linalg.norm(bodies.gravity) * weights.sum())
-    if d <= MOST_STRAIGHT:
+    if fixed and d <= MOST_STRAIGHT:
         kernel = small_tree_kernel(bodies, following)
     elif following is not None:
         kernel = following_kernel(bodies, following)

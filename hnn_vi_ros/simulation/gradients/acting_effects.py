@@ -146,6 +146,9 @@ def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
     """Raise UnsupportedSystem, naming differentiable effects, if an effect is not one of them."""
     for effect in effects:
         place = effect.place(integrator)
+        if getattr(effect, 'gravity_compensation', None):
+            raise UnsupportedSystem(f'{effect_name(effect)}: its gravity_compensation is not '
+                                    'differentiable yet; remove it')
         if place is Place.ENERGY or (place is Place.NODES and _is_known(type(effect))):
             continue
         if type(effect) is not EFFECTS['damping'] or place is not Place.AROUND:
