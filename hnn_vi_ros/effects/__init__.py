@@ -17,9 +17,9 @@ if TYPE_CHECKING:
         Effect, EffectError, EffectState, Force, InternalForce, Joined, per_coordinate, Place,
         Potential, StepLayer)
     from hnn_vi_ros.effects.commands import (
-        Command, Commanded, contents, EFFORT, JointCommand, JointPath, LARGEST, NUMBERS,
-        OBSERVATION, Observation, PATH, PAYLOAD, POSITION, printable, select, ServoTarget, VELOCITY,
-        whole_turns)
+        Command, Commanded, contents, EFFORT, JointCommand, JointPath, LARGEST, LINK_WRENCH,
+        LinkWrench, NUMBERS, OBSERVATION, Observation, PATH, PAYLOAD, POSITION, printable, select,
+        ServoTarget, VELOCITY, whole_turns)
     from hnn_vi_ros.effects.damping import Damping
     from hnn_vi_ros.effects.elastic_gears import gear_effects
     from hnn_vi_ros.effects.external_force import ExternalForce

@@ -61,6 +61,8 @@ class EffectState(NamedTuple):
     resting : np.ndarray, shape (K,)
         Internal variable of each effect: x of an InternalForce, and for an effect with rigid
         stops the sum of 2^k over the stops k on which coordinates rest. Bags have this name.
+    expiry : np.ndarray, shape (1,)
+        Expiry time of the wrench on a link [s].
     step : np.ndarray, shape (1,)
         Size of the attempted step [s], not part of snapshots; 1 before the first step.
     reference : Reference
@@ -75,6 +77,7 @@ class EffectState(NamedTuple):
     draws: np.ndarray
     gauge: np.ndarray
     resting: np.ndarray
+    expiry: np.ndarray
     step: np.ndarray
     reference: Reference
 
@@ -83,7 +86,7 @@ class EffectState(NamedTuple):
         """Return the state before the first step, with space for this many knots of a path."""
         return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects),
                    np.zeros(dimension + 1), np.zeros(3, dtype=np.int64),
-                   np.zeros((dimension, dimension)), np.zeros(effects), np.ones(1),
+                   np.zeros((dimension, dimension)), np.zeros(effects), np.zeros(1), np.ones(1),
                    Reference.empty(dimension, knots))
 
     def reset(self, stream: int, time: float = 0.0,
@@ -102,11 +105,12 @@ class EffectState(NamedTuple):
 
         """
         for array in (self.clock, self.work, self.pending, self.command, self.draws,
-                      self.resting, *self.reference):
+                      self.resting, self.expiry, *self.reference):
             array[...] = 0
         self.clock[0], self.draws[2], self.step[0] = time, stream, 1.0
         if held is not None:
             self.command[...] = held['live.command']
+            self.expiry[...] = held['live.expiry']
             for name, array in zip(Reference._fields, self.reference, strict=True):
                 array[...] = held[f'live.reference.{name}'][:len(array)]
 
@@ -231,6 +235,10 @@ class Effect(ABC):
     def resolve_on(self, hamiltonian: Hamiltonian, state: EffectState) -> Parameters:
         """Return the result of ``resolve`` on H; overridden where more of H is needed."""
         return self.resolve(hamiltonian.coordinates, state)
+
+    def changing(self, parameters: Any) -> dict[str, np.ndarray]:
+        """Return arrays of its own that commands change, by name, for snapshots."""
+        return {}
 
     def stored_energy(self, parameters: Any, q: np.ndarray, x: float) -> dict[str, float]:
         """

@@ -81,11 +81,30 @@ class Observation(NamedTuple):
     velocity: np.ndarray
 
 
+class LinkWrench(NamedTuple):
+    """
+    Command of a wrench on a link of a robot, effective immediately.
+
+    Parameters
+    ----------
+    frame : str
+        Name of the link, for its own axes; BASE/LINK for those of the base.
+    force, torque : sequence of float
+        Force at the origin of the link [N], and torque [N m].
+
+    """
+
+    frame: str
+    force: Sequence[float]
+    torque: Sequence[float]
+
+
 # Plain numbers are forces, or the inputs of a learned input map.
-Command = Sequence[float] | np.ndarray | JointCommand | JointPath | Observation | Payload
+Command = (Sequence[float] | np.ndarray | JointCommand | JointPath | Observation | Payload
+           | LinkWrench)
 # Names of the contents of a command.
 NUMBERS, POSITION, VELOCITY, EFFORT, PATH = 'commands', 'position', 'velocity', 'effort', 'path'
-OBSERVATION, PAYLOAD = 'observation', 'payload'
+OBSERVATION, PAYLOAD, LINK_WRENCH = 'observation', 'payload', 'wrench'
 # Upper bound on the numbers of a command in any unit, so that splines and forces stay finite.
 LARGEST = 1e12
 # Upper bounds on the observed position and velocity of a joint, so that numbers do not overflow.
@@ -98,8 +117,8 @@ def contents(command: Command) -> set[str]:
         return {PATH}
     if isinstance(command, Observation):
         return {OBSERVATION}
-    if isinstance(command, Payload):
-        return {PAYLOAD}
+    if isinstance(command, Payload | LinkWrench):
+        return {PAYLOAD if isinstance(command, Payload) else LINK_WRENCH}
     if not isinstance(command, JointCommand):
         return {NUMBERS}
     found = {name for name in (POSITION, VELOCITY, EFFORT)

@@ -43,6 +43,10 @@ class PayloadChanges(Effect, Commanded):
         """Return no columns."""
         return NoColumns(np.zeros(0, dtype=np.int64))
 
+    def changing(self, parameters: NoColumns) -> dict[str, np.ndarray]:
+        """Return the inertias of the bodies."""
+        return {'payload.inertia': self._robot.bodies.inertia}
+
     def begin(self, parameters: NoColumns) -> None:
         """Return to the payload of the scene."""
         self._robot.change_payload()

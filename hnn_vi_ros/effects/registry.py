@@ -14,6 +14,7 @@ from hnn_vi_ros.effects.joint_limits import JointLimits
 from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.effects.lugre_friction import LugreFriction
+from hnn_vi_ros.effects.link_wrench import WrenchOnLinks
 from hnn_vi_ros.effects.magnetic_field import MagneticField
 from hnn_vi_ros.effects.motor import Motor
 from hnn_vi_ros.effects.observer import Observer
@@ -36,6 +37,7 @@ EFFECTS: dict[str, type[Effect]] = {
     'quadratic_drag': QuadraticDrag,
     'periodic_drive': PeriodicDrive,
     'external_force': ExternalForce,
+    'link_wrench': WrenchOnLinks,
     'servo': Servo,
     'observer': Observer,
     'learned_dissipation': LearnedDissipation,

@@ -142,7 +142,8 @@ class Account(StepLayer):
             start, until = state.clock[0], state.command[state.command.size - 1]
             state.clock[0], state.clock[1] = plus(state.clock[0], state.clock[1], h)
             state.draws[0] += state.draws[1]
-            if internal > 0 or start < until <= state.clock[0]:
+            if internal > 0 or start < until <= state.clock[0] \
+                    or start < state.expiry[0] <= state.clock[0]:
                 # The gradient for the next step contains internal variables from before the step,
                 # or a command that has expired.
                 kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)

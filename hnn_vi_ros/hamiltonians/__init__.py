@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.rigid_body.robot import (
         Joint, JointCoordinate, JointUnits, RIGID, Robot, SLIDING, TURNING)
     from hnn_vi_ros.hamiltonians.rigid_body.small_tree import mass_kernels
-    from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, fill_frames, TreeWork
+    from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
+        Bodies, fill_frames, Following, TreeWork)
     from hnn_vi_ros.hamiltonians.rigid_body.tree import frame_of, MOST_JOINTS
     from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
     from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf, read_urdf

@@ -98,8 +98,7 @@ class RigidBodyTree(Hamiltonian):
         units = {link.name: (link.q_unit, link.p_unit) for link in links}
         self.coordinates = (*links, *(Coordinate(rotor_name(name), *units[name], rotor_of=name)
                                       for name in self._drives))
-        links_at = links_of(self.robot, self.robot.locked, base or robot.root) \
-            if loops or robot.closures else {}
+        links_at = self.links if loops or robot.closures else {}
         if loops is None:
             rows = {name: row for name, (row, *_) in links_at.items()}
             loops = loops_in(robot, rows, self.bodies, self.following)
@@ -122,6 +121,16 @@ class RigidBodyTree(Hamiltonian):
         if self.carrier is not None:
             other.bodies = self.bodies._replace(inertia=self.bodies.inertia.copy())
         return other
+
+    @property
+    def base(self) -> str:
+        """Return the name of the fixed link."""
+        return self._arguments[3]
+
+    @property
+    def links(self) -> dict[str, tuple[int, np.ndarray, np.ndarray]]:
+        """Return the body of each link, and the pose of its frame in that of the body."""
+        return links_of(self.robot, self.robot.locked, self.base)
 
     def payload_numbers(self, payload: Payload) -> np.ndarray:
         """Return the inertia of a payload on its body; ValueError if it is impossible."""

@@ -16,7 +16,8 @@ The node publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene, ~/state_s
 /diagnostics; if the scene or a parameter requires them, also robot_description, ~/markers,
 ~/odometry, ~/events, ~/joint_trajectory_state, ~/uncertainty, ~/prediction_error, ~/accuracy,
 ~/loop_forces, ~/energy_by_cause and /clock. It subscribes to ~/initial_state; with motors, to
-~/commands, ~/joint_commands, ~/joint_trajectory and ~/wrench; with an observer, to ~/observations.
+~/commands, ~/joint_commands, ~/joint_trajectory and ~/wrench; with an observer, to ~/observations;
+with a payload, to ~/payload.
 Services: ~/set_pause, ~/step, ~/reset, ~/start_recording, ~/stop_recording and those of its
 lifecycle. ~ is /hnn_simulator."""
 _REPLAY = """\

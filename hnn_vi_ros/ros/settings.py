@@ -167,6 +167,10 @@ class Settings:
     energy_change_limit: float = parameter(
         0.02, 'minimum lasting change of the energy minus work, relative to the energy scale, at '
         'which energy counts as lost or gained', '1', 1e-15, 1e6, changes=ALWAYS)
+    payload: str = parameter(
+        '', 'payload of a robot whose scene has one, such as {mass: 1.2, centre: [0, 0, 0.1]}, '
+        'with `inertia` as in the scene; velocities stay; empty: that of the scene',
+        changes=ALWAYS)
     frame_id: str = parameter('world', 'frame of `~/markers`')
 
 

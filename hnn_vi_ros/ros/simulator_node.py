@@ -91,6 +91,7 @@ class SimulatorNode(Simulator):
                 self.topics.count_subscribers, settings.discovery_time)
             prepared = await self.in_thread(lambda: self._prepare(settings, topics, discovery))
             self.run = Run(self, self.topics, prepared, settings, self.stop)
+            self.check(settings)
             subscribe_initial_states(self, self.topics, self.run, self._reset_to_state)
         except HnnViRosError:
             self._close_prepared()
@@ -154,6 +155,8 @@ class SimulatorNode(Simulator):
         """Raise ParameterError if changed parameters do not fit the current run, if any."""
         if self.run is not None:
             check_pace(settings.real_time_factor, self.run.sampler.tick)
+            if settings.payload:
+                self.run.payload_in(settings)
 
     def apply(self, settings: Settings) -> None:
         """Apply changed parameters to the current run, if any."""

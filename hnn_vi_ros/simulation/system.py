@@ -12,9 +12,9 @@ import warnings
 
 from hnn_vi_ros.effects import (
     Account, add_effect, add_forces, ClosedChains, Command, Commanded, contents, Effect,
-    effect_name, EffectError, EFFECTS, EffectState, EFFORT, Force, Joined, JointCommand, JointPath,
-    LoopManifold, Manifold, NUMBERS, OBSERVATION, PATH, PAYLOAD, PayloadChanges, Place, POSITION,
-    ServoTarget, StepLayer, Wrapped)
+    effect_name, EffectError, EFFECTS, EffectState, EFFORT, Force, Joined, JointCommand,
+    JointPath, LINK_WRENCH, LoopManifold, Manifold, NUMBERS, OBSERVATION, PATH, PAYLOAD,
+    PayloadChanges, Place, POSITION, ServoTarget, StepLayer, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows, RigidBodyTree
 from hnn_vi_ros.integrators import (
@@ -119,8 +119,8 @@ class Motors:
         """
         held = contents(command)
         for content in sorted(held - self.takes):
-            kind = 'observer' if content == OBSERVATION else (
-                'external_force' if content in (NUMBERS, EFFORT) else 'servo')
+            kind = {OBSERVATION: 'observer', NUMBERS: 'external_force', LINK_WRENCH: 'link_wrench',
+                    EFFORT: 'external_force'}.get(content, 'servo')
             if content == PATH and POSITION in self.takes:
                 raise ValueError('the scene accepts no path: its servo has a delay; command '
                                  'positions')
@@ -228,6 +228,7 @@ class JoinedHamiltonian(Hamiltonian):
     def __init__(self, base: Hamiltonian, joined: Sequence[tuple[Joined, tuple]]):
         self.base, self._joined = base, joined
         self.coordinates, self.robot = base.coordinates, base.robot
+        self.carrier = base.carrier
         self.box = base.box
         self.smooth = base.smooth and all(effect.smooth for effect, _ in joined)
         self.provenance, self.scheme = base.provenance, base.scheme
@@ -432,9 +433,9 @@ class System:
 
     @property
     def changing(self) -> dict[str, np.ndarray]:
-        """Return the numbers of H that commands change, by name: inertias with a payload."""
-        base = getattr(self.hamiltonian, 'base', self.hamiltonian)
-        return {} if base.carrier is None else {'payload.inertia': base.bodies.inertia}
+        """Return the arrays of the effects themselves that commands change, by name."""
+        return {name: array for effect, own in self.motors.effects
+                for name, array in effect.changing(own).items()}
 
     @property
     def cuts(self) -> int:

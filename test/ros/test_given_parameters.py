@@ -14,6 +14,7 @@ from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, POLICIES
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.settings import ALWAYS, PARAMETERS, Settings, START, UNCONFIGURED
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS
 from hnn_vi_ros.scene import load_scene
@@ -30,11 +31,12 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
-from recorded import record_run
+from recorded import assert_agrees, record_run
 from std_msgs.msg import String
 import yaml
 
-POLICY = Path(__file__).resolve().parents[2] / 'config' / 'security' / 'simulator.policy.xml'
+CONFIG = Path(__file__).resolve().parents[2] / 'config'
+POLICY, ROBOTS = CONFIG / 'security' / 'simulator.policy.xml', CONFIG / 'robots'
 Q = 'qos_overrides./hnn_simulator/q.publisher'
 
 
@@ -275,7 +277,7 @@ def test_parameters_of_another_node_are_checked_together_and_applied_where_they_
                 DescribeParameters, 'describe_parameters', names=[item.name]).descriptors
             assert described.description.startswith(item.description)
             assert described.read_only is (item.changes == START)
-            good = item.default if item.default != '' else 'any'
+            good = item.default if item.default != '' or item.changes == ALWAYS else 'any'
             result = other.set_parameters(**{item.name: good})
             assert result.successful is (item.changes == ALWAYS), result.reason
             if item.changes == UNCONFIGURED:
@@ -316,6 +318,31 @@ def test_limits_of_guards_can_be_changed_while_the_run_goes_on(tmp_path):
         other.spin(1.0)
     error = standard_error(process)
     assert 'under-resolved' in error
+
+
+def test_payload_can_be_set_while_the_run_goes_on_and_a_replay_repeats_it(tmp_path):
+    scene = tmp_path / 'arm.yaml'
+    scene.write_text(f"""
+hamiltonian: {{kind: urdf, file: {ROBOTS / 'two_joint_arm.urdf'}, payload: {{link: tool}}}}
+integrator: {{kind: generalized_leapfrog}}
+step_size: 0.005
+initial_state: {{q: [2.0, 0.5], p: [0.0, 0.0]}}
+""")
+    with simulating(tmp_path, scene=scene, record_path=tmp_path / 'bag',
+                    energy_by_cause=True) as (other, _):
+        other.spin_until(lambda: len(other.states) > 20)
+        for text in ('{mass: -1.0}', 'heavy', '{mass: 1.0, size: 2.0}'):
+            result = other.set_parameters(payload=text)
+            assert not result.successful and other.get_parameter('payload') == ''
+            assert_message(result.reason)
+        assert other.set_parameters(payload='{mass: 0.7, centre: [0.0, 0.0, 0.1]}').successful
+        other.spin_until(lambda: len(other.states) > 60)
+        # Back to that of the scene.
+        assert other.set_parameters(payload='').successful
+        other.spin_until(lambda: len(other.states) > 90)
+    assert_agrees(tmp_path / 'bag')
+    masses = [mass for _, _, mass in RecordedRun(tmp_path / 'bag').commands()]
+    assert [payload.mass for payload in masses] == [0.7, 0.0]
 
 
 def test_parameters_of_a_file_are_taken_and_integers_serve_as_doubles(tmp_path):

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 import re
 
+from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.files import share_folder
@@ -100,6 +101,29 @@ def test_run_of_dop853_agrees_bit_by_bit_also_from_inside_an_internal_step(tmp_p
     driven = scene.changed({'effects': [force]})
     assert_agrees(record_run(tmp_path / 'driven', driven, 100, commands={
         20: [[0.5]], 30: [[1.0]], 41: [[-1.0]]}, begin=begin))
+
+
+@pytest.mark.parametrize('begin', [None, 33])
+def test_payloads_and_wrenches_act_again_bit_by_bit(tmp_path, begin):
+    arm = load_scene('six_joint_arm')
+    names = [one.name for one in build(arm).hamiltonian.coordinates]
+    scene = arm.changed({
+        'hamiltonian': arm.hamiltonian.model_dump(exclude_none=True) | {
+            'payload': {'link': 'flange'}},
+        'energy_by_cause': True,
+        'effects': [{'kind': 'external_force', 'coordinates': names,
+                     'gravity_compensation': 'model'}, {'kind': 'link_wrench', 'timeout': 0.1}]})
+    load, push = InertiaStamped(), WrenchStamped()
+    load.header.frame_id, load.inertia.m, load.inertia.com.z = 'flange', 1.5, 0.1
+    push.header.frame_id, push.wrench.force.x, push.wrench.torque.y = 'base/tool', 20.0, 2.0
+    bag = record_run(tmp_path / 'bag', scene, 100, commands={
+        20: [push], 40: [load], 60: [push]}, begin=begin)
+    assert_agrees(bag)
+    *_, (_, last) = RecordedRun(bag).reported()
+    # The arm moves when the payload comes: its energy jumps, which is the work of that cause.
+    ledger = build(scene).ledger
+    assert abs(last[CAUSES][ledger.names.index('work/payload')]) > 0.01
+    assert abs(last[CAUSES][ledger.names.index('work/link_wrench')]) > 0.01
 
 
 def test_bag_without_samples_is_not_confirmed_and_says_why(tmp_path, driven):

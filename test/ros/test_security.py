@@ -138,7 +138,7 @@ def test_policy_lets_the_clock_in_and_holds_no_wildcard_and_no_right_to_call_oth
     profile = ElementTree.parse(POLICY).getroot().find('.//profile')
     heard = [name.text for name in profile.find("topics[@subscribe='ALLOW']")]
     assert heard == ['/clock', '~/commands', '~/initial_state', '~/joint_commands',
-                     '~/joint_trajectory', '~/observations', '~/wrench']
+                     '~/joint_trajectory', '~/observations', '~/payload', '~/wrench']
     assert {(group.tag, *group.attrib) for group in profile} == {
         ('topics', 'publish'), ('topics', 'subscribe'), ('services', 'reply'),
         ('actions', 'execute')}

@@ -223,7 +223,8 @@ def test_scene_report_names_effects(tmp_path):
     report = scene_report(scene, simulation, origin=5)
     assert report['effects'] == [
         {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT, 'model': None,
-         'member': None, 'initial': None, 'gain': 1.0, 'offset': 0.0}]
+         'member': None, 'initial': None, 'gain': 1.0, 'offset': 0.0,
+         'gravity_compensation': None, 'file': None}]
     assert report['conservative'] is False
     assert (report['origin'], report['first_step']) == (5, 0)
     assert report['hamiltonian'] == {'kind': 'free_particle', 'mass': MASS, 'names': ['x']}

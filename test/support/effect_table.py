@@ -181,8 +181,8 @@ TOO_LONG = {
     'damping': {'rate': [1.0, 2.0, 3.0]}, 'thermostat': {'temperature': 1.0, 'rate': [1.0] * 3},
     'learned_dissipation': {'model': 3}, 'learned_friction': {'model': 'three'},
 }
-# Refused with reference to the other effects of a scene.
-BESIDE = {'motor'}
+# Refused with reference to the other effects of a scene, or to H.
+BESIDE = {'link_wrench', 'motor'}
 
 # Each effect once in compiled code, with as few compilations as possible.
 COMPILED = {

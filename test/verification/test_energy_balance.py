@@ -19,8 +19,8 @@ import pytest
 STEPS = {1: 100, 2: 50, 4: 80, 10: 12, 12: 12, 14: 12, 16: 12}
 # The energies are of the order of 1 J; below that, what is left is mostly rounding.
 PLATEAU = 1e-11
-# Acts only when a machine is heard; test_observer.py has its order and its account.
-HEARD = {'observer'}
+# Act only when they are commanded; test_observer.py and test_link_wrench.py have their accounts.
+HEARD = {'link_wrench', 'observer'}
 SOME = 'generalized_leapfrog', 'stormer_verlet', 'implicit_midpoint', 'gauss4'
 SMOOTH = [row for row in EFFECT_ROWS if row.name != 'thermostat']
 

@@ -9,8 +9,9 @@ import math
 import time
 from typing import Any
 
-from hnn_vi_ros.errors import StepFailure, StoppedByEvent
-from hnn_vi_ros.files import dump_yaml
+from hnn_vi_ros.errors import ParameterError, StepFailure, StoppedByEvent
+from hnn_vi_ros.files import dump_yaml, parse_mapping
+from hnn_vi_ros.hamiltonians import Payload, payload_of
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.plumbing.graph import publisher_conflicts, RepetitionFilter
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, PaceClock
@@ -86,6 +87,8 @@ class Run:
         self._batch, self._last_step, self._waits = 1, math.inf, False
         # True if the guards are due; one sample after the figures, as both exceed a short tick.
         self._look_next = False
+        # Value of the parameter that acts; empty for the payload of the scene.
+        self._payload = ''
         self.sampler = Sampler(self.simulation, settings.publish_rate, prepared.origin)
         clock = PaceClock(node)
         self.pacer = Pacer(self.sampler.tick, settings.real_time_factor, clock, lambda: clock.led)
@@ -348,10 +351,29 @@ class Run:
         paused = self.status.paused
         self._begin(monitor)
         self.status.paused = paused
+        if self._payload:
+            self._topics.load(self.payload_in(self._settings))
         self.watch()
+
+    def payload_in(self, settings: Settings) -> Payload:
+        """Return the payload of the parameters, by default that of the scene."""
+        carrier, text = self.simulation.hamiltonian.carrier, settings.payload
+        try:
+            if carrier is None:
+                raise ValueError('the robot of the scene has none; add payload: {link: LINK}')
+            payload = carrier.payload if not text else payload_of({
+                'link': carrier.payload.link,
+                **parse_mapping(text, 'parameter payload', ParameterError)[0]})
+            carrier.numbers(payload)
+        except ValueError as problem:
+            raise ParameterError(f'parameter payload = {text[:80]!r}: {problem}') from problem
+        return payload
 
     def apply(self, settings: Settings) -> None:
         """Apply changed parameters."""
+        if settings.payload != self._payload:
+            self._payload = settings.payload
+            self._topics.load(self.payload_in(settings))
         if settings.real_time_factor != self._settings.real_time_factor:
             self.pacer.set_pace(settings.real_time_factor)
             self.start_clocks()

@@ -5,11 +5,12 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from hnn_vi_ros.effects import (
-    Command, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION, Observation, PATH, POSITION,
-    printable, VELOCITY)
+    Command, EFFORT, JointCommand, JointPath, LINK_WRENCH, LinkWrench, NUMBERS, OBSERVATION,
+    Observation, PATH, PAYLOAD, POSITION, printable, VELOCITY)
 from hnn_vi_ros.errors import listed
+from hnn_vi_ros.hamiltonians import Payload, payload_of
 from hnn_vi_ros.phase_space import Coordinate, leaders
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 import numpy as np
@@ -159,10 +160,39 @@ def read_path(message: JointTrajectory, stamp: int) -> JointPath:
                      np.array(times) / 1e9, positions, velocities, accelerations)
 
 
+def read_wrench(message: WrenchStamped, stamp: int) -> LinkWrench:
+    """Return a wrench on a link; its stamp is not used."""
+    return LinkWrench(message.header.frame_id, *([part.x, part.y, part.z] for part in (
+        message.wrench.force, message.wrench.torque)))
+
+
+_MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
+
+
+def read_payload(message: InertiaStamped, stamp: int) -> Payload:
+    """Return the payload on the link `frame_id`; its stamp is not used."""
+    own = message.inertia
+    return payload_of({'link': message.header.frame_id, 'mass': own.m,
+                       'centre': [own.com.x, own.com.y, own.com.z],
+                       'inertia': [getattr(own, name) for name in _MOMENTS]})
+
+
+def write_payload(payload: Payload) -> InertiaStamped:
+    """Return the message of a payload."""
+    message = InertiaStamped()
+    message.header.frame_id, message.inertia.m = payload.link, float(payload.mass)
+    own = message.inertia.com
+    own.x, own.y, own.z = map(float, payload.centre)
+    for name, value in zip(_MOMENTS, payload.inertia, strict=True):
+        setattr(message.inertia, name, float(value))
+    return message
+
+
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 OBSERVATIONS = Input('~/observations', JointState, frozenset({OBSERVATION}), read_observation,
                      qos_profile_sensor_data)
-WRENCH = Input('~/wrench', WrenchStamped, frozenset(), None, NEWEST)
+WRENCH = Input('~/wrench', WrenchStamped, frozenset({LINK_WRENCH}), read_wrench, NEWEST)
+PAYLOADS = Input('~/payload', InertiaStamped, frozenset({PAYLOAD}), read_payload, NEWEST)
 INITIAL_STATE = Input('~/initial_state', JointState, frozenset(), None, NEWEST)
 # A best-effort subscription also receives from reliable publishers, such as ros2_control.
 JOINT_COMMANDS = Input('~/joint_commands', JointState, frozenset({POSITION, VELOCITY, EFFORT}),
@@ -171,5 +201,5 @@ INPUTS = (
     Input('~/commands', Float64MultiArray, frozenset({NUMBERS}), read_numbers, NEWEST),
     JOINT_COMMANDS, OBSERVATIONS,
     Input('~/joint_trajectory', JointTrajectory, frozenset({PATH}), read_path, NEWEST),
-    WRENCH, INITIAL_STATE,
+    WRENCH, PAYLOADS, INITIAL_STATE,
 )

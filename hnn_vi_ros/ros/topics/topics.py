@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
+from hnn_vi_ros.hamiltonians import Payload
 from hnn_vi_ros.recording import BagTopics, Sample, serialize, Topic
 from hnn_vi_ros.ros.plumbing.graph import wait_for_delivery
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
@@ -14,7 +15,8 @@ from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import (
-    body_of, command_of, INITIAL_STATE, Input, INPUTS, JOINT_COMMANDS, OBSERVATIONS, WRENCH)
+    body_of, command_of, INITIAL_STATE, Input, INPUTS, JOINT_COMMANDS, OBSERVATIONS, PAYLOADS,
+    WRENCH, write_payload)
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import (
     ConfiguredRun, DIAGNOSTICS, JOINT_STATES, Output, OUTPUTS, ROBOT, SCENE)
@@ -223,6 +225,10 @@ class Topics:
         self._record(self._described[one.topic], stamp, serialize(message))
         if accepted is not None:
             accepted()
+
+    def load(self, payload: Payload) -> None:
+        """Change the payload as a message would."""
+        self._take(PAYLOADS, write_payload(payload))
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         # The bag records the equivalent command, so that the run can be simulated again from it.
