@@ -93,7 +93,7 @@ messages:
 keys:
 	$(VENV) run train docs
 	$(INSTALL)
-	@$(ENVIRONMENT); .venv/bin/python -P -m hnn_vi_ros.cli scene --schema > config/scene.schema.json; \
+	@$(ENVIRONMENT); .venv/bin/python -P -m hnn_vi_ros scene --schema > config/scene.schema.json; \
 	.venv/bin/python docs/tools/generate.py
 
 # -P: measure the installed build, not the sources.
