@@ -11,7 +11,8 @@ from typing import Any
 from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.models import EnergyError, NeuralHamiltonian
 from hnn_vi_ros.simulation import InitialValueProblem
-from hnn_vi_ros.simulation.accuracy.path_reference import best_reference, PathReference
+from hnn_vi_ros.simulation.accuracy.path_reference import (
+    best_reference, exact_path, PathReference, refined_path)
 from hnn_vi_ros.simulation.accuracy.trials import survey
 import numpy as np
 
@@ -111,8 +112,10 @@ def floor_of(reference: PathReference, hamiltonian: Hamiltonian, q0: np.ndarray,
     assert isinstance(hamiltonian, NeuralHamiltonian), 'only such were taught'
     energies = truth.energy(*np.split(reference.states, 2, axis=1))
     instants, path = reference.instants, math.nan
-    exact = make_reference(truth, q0, p0, instants.count * instants.gap)
-    if reference.verified and exact.verified:
+    problem = InitialValueProblem(truth, (), q0, p0)
+    exact = exact_path(problem, instants) or refined_path(problem, instants, survey(
+        problem, instants.count * instants.gap, instants.base), math.inf, shorten=False)
+    if reference.verified and exact is not None and exact.verified:
         path = float(np.abs(reference.states - exact.states[:len(reference.states)]).max())
     return Floor(reference.how, accuracy, ModelDiscrepancy(
         path, float(np.abs(energies - truth.energy(q0, p0)).max(initial=0.0)),

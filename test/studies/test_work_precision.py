@@ -4,6 +4,7 @@
 
 from collections import Counter
 import dataclasses
+import math
 from pathlib import Path
 import re
 
@@ -15,6 +16,8 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.models import EnergyError, NeuralHamiltonian
 from hnn_vi_ros.simulation.accuracy import cost
 from hnn_vi_ros.simulation.accuracy.cost import run_errors
+from hnn_vi_ros.simulation.accuracy.path_reference import best_reference
+from hnn_vi_ros.simulation.accuracy.trials import survey
 from messages import refused
 import numpy as np
 import pytest
@@ -113,6 +116,15 @@ def test_error_of_a_model_is_known_as_far_as_gradients_let_a_path_reach():
     errors = [floor_of(reference, problem.hamiltonian, problem.q, problem.p).model.path
               for reference in (part, whole)]
     assert 0.0 < errors[0] < errors[1]
+
+
+def test_error_of_a_model_does_not_depend_on_the_instants_of_the_reference():
+    problem, errors = problem_of('pendulum'), []
+    for base in (0.1, 1.0):
+        reference = best_reference(problem, 1.0, base, survey(problem, 1.0, base), math.inf)
+        errors.append(floor_of(reference, problem.hamiltonian, problem.q, problem.p).model.path)
+    # Paths are compared at hundreds of instants.
+    assert errors[0] == pytest.approx(errors[1], rel=0.01)
 
 
 def test_scipy_peer_is_measured_with_our_gradient():
