@@ -65,7 +65,8 @@ def modes_of(matrix: tuple[tuple[float, ...], ...]) -> Modes:
 def in_fours(matrix: np.ndarray) -> np.ndarray:
     """Return a matrix of shape (r, s) as ``add_up`` reads it: (ceil(r / 4), s, 4), zero-padded."""
     rows, several = matrix.shape
-    padded = np.pad(matrix, ((0, -rows % 4), (0, 0)))
+    padded = np.zeros((rows + -rows % 4, several), matrix.dtype)
+    padded[:rows] = matrix
     return np.ascontiguousarray(padded.reshape(-1, 4, several).transpose(0, 2, 1))
 
 

@@ -126,7 +126,7 @@ def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
         The file is missing, damaged, or not a model of this package.
 
     """
-    with _opened(Path(path)) as stream:
+    with opened(Path(path)) as stream:
         # This check precedes the reading of tensors.
         metadata = _metadata(path, stream)
         card = _card(path, metadata)
@@ -201,7 +201,7 @@ def _graph(path: str | Path, card: ModelCard, metadata: dict[str, Any],
 
 def file_digest(path: Path) -> str:
     """Return the SHA-256 of a model file, as in load_checkpoint; ModelError if unreadable."""
-    with _opened(path) as stream:
+    with opened(path) as stream:
         return hashlib.file_digest(stream, 'sha256').hexdigest()
 
 
@@ -280,7 +280,7 @@ def _tensors(path: Path, checkpoint: Checkpoint, prefix: str) -> dict[str, np.nd
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[BufferedReader]:
+def opened(path: Path) -> Iterator[BufferedReader]:
     try:
         with limited(path, MAX_BYTES) as stream:
             yield stream

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian with walls that keep states near its training box."""
 
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
+import hashlib
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -11,7 +12,7 @@ from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.kernels import (
     by_address, composed, Energy, Functions, functions_of, Gradient, HessianVector, inlined,
     Kernel, Parameters)
-from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.checkpoint import load_checkpoint, opened
 from hnn_vi_ros.models.ensemble import load_member
 import numpy as np
 
@@ -133,7 +134,17 @@ def load_learned(model: Path, confine: bool | None = None, member: int | None = 
         Member of an ensemble, from 1 on, instead of the mean of all.
 
     """
+    with opened(model) as stream:
+        digest = hashlib.file_digest(stream, 'sha256').hexdigest()
+    return _learned(model, digest, confine, member).copy()
+
+
+@lru_cache(maxsize=4)
+def _learned(model: Path, digest: str, confine: bool | None, member: int | None) -> Hamiltonian:
+    """Return the Hamiltonian of a file with this content, of which simulations have copies."""
     checkpoint = load_checkpoint(model, ensembles=True)
+    if checkpoint.sha256 != digest:
+        raise ModelError(f'{model}: changed while it was read; try again')
     try:
         learned = load_member(checkpoint, member)
         if checkpoint.card.confine if confine is None else confine:

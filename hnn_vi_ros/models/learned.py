@@ -5,6 +5,7 @@
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 import warnings
 
 from hnn_vi_ros.hamiltonians import compiled_kernel, Hamiltonian
@@ -47,23 +48,22 @@ class LearnedHamiltonian(Hamiltonian):
         self.provenance = {'model_sha256': checkpoint.sha256}
         if card.scheme is not None:
             self.scheme = card.scheme.integrator, card.scheme.step_size
+        # Results that copies share: they are the same function.
+        self._shared = dict[str, Any]()
 
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions for simulations."""
         kernel = self._kernel()
-        if self._scales is None:
+        if 'scales' not in self._shared:
             # Simulations also call by address, so that they share the functions compiled here.
             called, z, d = by_address(kernel), self._samples(), self.dimension
             slopes = rounding(lambda z: np.hstack(
                 [*called.slopes(*_flat(z)).reshape(2, -1, d)]), z)
             (values,) = rounding(lambda z: called.energies(*_flat(z))[:, None], z)
-            self._scales = (float(slopes[:d].max()), float(slopes[d:].max())), float(values)
-        gradient, energy = self._scales
+            self._shared['scales'] = (float(slopes[:d].max()), float(slopes[d:].max())), float(values)
+        gradient, energy = self._shared['scales']
         return kernel._replace(gradient_scale=gradient, energy_scale=energy)
-
-    # Measured once: copies are the same function.
-    _scales: tuple[tuple[float, float], float] | None = None
 
     def _packed(self, network: str, part: str = 'both') -> PackedPerceptron:
         """Return a network of (q, p), or of only q or p, for the loops of perceptron.py."""

@@ -5,7 +5,8 @@
 from pathlib import Path
 
 from ensembles import OSCILLATOR
-from helpers import EPS, exact, jacobian, mostly_long, python_step, symplectic_defect, Uncompiled
+from helpers import (
+    EPS, exact, jacobian, mostly_long, python_step, random_checkpoint, symplectic_defect, Uncompiled)
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.files import shipped_file, shipped_names
 from hnn_vi_ros.hamiltonians import Hamiltonian
@@ -200,3 +201,16 @@ def test_training_configuration_with_confine_makes_a_model_that_confines(tmp_pat
         f'{OSCILLATOR}hidden: [4]\nadam_steps: 2\nlbfgs_steps: 0\nconfine: true\n')
     train(['--config', 'config.yaml', '--out', 'm.safetensors'])
     assert isinstance(load_learned(Path('m.safetensors')), ConfinedHamiltonian)
+
+
+def test_file_of_a_model_is_analysed_once_until_it_changes(tmp_path):
+    file, state = tmp_path / 'm.safetensors', split(np.array([0.3, 0.2]))
+    save_checkpoint(file, random_checkpoint([2, 8, 1], seed=1))
+    first, second = load_learned(file), load_learned(file)
+    assert second is not first and second.checkpoint is first.checkpoint
+    assert second.energy(*state) == first.energy(*state)
+    # Simulations do not share workspaces.
+    assert second.kernel.parameters is not first.kernel.parameters
+    file.unlink()
+    save_checkpoint(file, random_checkpoint([2, 8, 1], seed=2))
+    assert load_learned(file).energy(*state) != first.energy(*state)

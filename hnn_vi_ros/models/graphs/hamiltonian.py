@@ -7,10 +7,10 @@ from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.graphs.derivatives import dependence, gradient, tangent
 from hnn_vi_ros.models.graphs.family_graphs import family_graph
-from hnn_vi_ros.models.graphs.graph import Builder, varied
+from hnn_vi_ros.models.graphs.graph import Builder, GraphNetwork, varied
 from hnn_vi_ros.models.graphs.operations import SWITCHES
 from hnn_vi_ros.models.graphs.perceptrons import fused, whole_perceptron
-from hnn_vi_ros.models.graphs.tape import Assembler
+from hnn_vi_ros.models.graphs.tape import Assembler, Tape
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.networks import perceptron
 from hnn_vi_ros.models.networks.perceptron_memory import pack
@@ -71,19 +71,26 @@ class GraphHamiltonian(LearnedHamiltonian):
         return not (depends[:d, d:].any() or depends[d:, :d].any())
 
     def _kernel(self) -> Kernel:
+        if 'program' not in self._shared:
+            self._shared['program'] = self._program()
+        program = self._shared['program']
+        if isinstance(program, GraphNetwork):
+            return self._kernel_of(
+                perceptron.energy, perceptron.gradient, perceptron.hessian_vector,
+                pack(*program.layers, program.activation))
+        # Imported lazily: it compiles.
+        from hnn_vi_ros.models.graphs import machine
+        return self._kernel_of(machine.energy, machine.gradient, machine.hessian_vector,
+                               machine.assembled(*program, self.dimension))
+
+    def _program(self) -> GraphNetwork | tuple[Assembler, list[Tape]]:
+        """Return the network that H is, or the instructions for H and its derivatives."""
         b, output = fused(*self._graph)
         network = whole_perceptron(b, output)
         if network is not None:
-            return self._kernel_of(
-                perceptron.energy, perceptron.gradient, perceptron.hessian_vector,
-                pack(*network.layers, network.activation))
-        # Imported lazily: it compiles.
-        from hnn_vi_ros.models.graphs import machine
+            return network
         x, v = b.input(2 * self.dimension), b.input(2 * self.dimension, 1)
         slopes = gradient(b, output, x)
         product = tangent(b, slopes, x, v)
         assembler = Assembler(b, [x, v])
-        tapes = [assembler.tape(k) for k in (output, slopes, product)]
-        return self._kernel_of(
-            machine.energy, machine.gradient, machine.hessian_vector,
-            machine.assembled(assembler, tapes, self.dimension))
+        return assembler, [assembler.tape(k) for k in (output, slopes, product)]
