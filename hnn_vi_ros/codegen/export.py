@@ -6,7 +6,7 @@ import os
 import shutil
 
 from hnn_vi_ros.codegen import arguments
-from hnn_vi_ros.codegen.arguments import PROCESSORS
+from hnn_vi_ros.codegen.arguments import COMPILERS, HOST, PROCESSORS
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.scene import load_scene
 from llvmlite.binding import get_host_cpu_features
@@ -15,23 +15,25 @@ from llvmlite.binding import get_host_cpu_features
 def main(argv: list[str]) -> int:
     """Compile the scene, and write the files."""
     options = arguments.export().parse_args(argv)
-    _choose_processor(options.cpu)
+    _choose_processor(options.cpu, options.target)
+    compiler = COMPILERS[options.target]
     if options.out is None and options.fmu is None:
         raise ParameterError('name what to write: --out DIR or --fmu FILE')
     for option, path in (('--out', options.out), ('--fmu', options.fmu)):
         if path is not None and path.exists() and not options.force:
             raise ParameterError(f'{option} {path}: exists already; name another one, or add '
                                  '--force')
-    if options.fmu is not None and (options.fmu.suffix != '.fmu' or shutil.which('cc') is None):
+    compiles = shutil.which(compiler) is not None
+    if options.fmu is not None and not (compiles and options.fmu.suffix == '.fmu'):
         raise ParameterError(f'--fmu {options.fmu}: needs a name that ends in .fmu, and a C '
-                             'compiler cc, which --out does not need')
+                             f'compiler {compiler}, which --out does not need')
     # Imported after the choice of the processor, which the compiler reads once.
     from hnn_vi_ros.codegen.fmu import write_fmu
     from hnn_vi_ros.codegen.project import identifier, write_project
     from hnn_vi_ros.codegen.scene_code import compile_scene
     scene = load_scene(options.scene)
     name = identifier(scene.name)
-    code = compile_scene(scene, name)
+    code = compile_scene(scene, name, options.target)
     try:
         written = [] if options.out is None else write_project(options.out, name, code)
         if options.fmu is not None:
@@ -42,17 +44,23 @@ def main(argv: list[str]) -> int:
                              'another place') from problem
     for path in written:
         print(path)
-    if shutil.which('cc') is None:
-        print(f'no C compiler cc: {name}.so is not written')
+    if not compiles:
+        print(f'no C compiler {compiler}: {name}.so is not written')
     return 0
 
 
-def _choose_processor(name: str) -> None:
+def _choose_processor(name: str, target: str) -> None:
     """Set the processor for which functions are compiled, or raise ParameterError."""
-    if name == 'host':
+    if target != HOST:
+        if name != 'host':
+            raise ParameterError(f'--cpu {name}: chooses among processors of {HOST}; remove it, '
+                                 f'or --target {target}')
+        # Code for all processors of this kind uses no instruction by its name.
+        name = 'generic'
+    elif name == 'host':
         return
     features = get_host_cpu_features()
-    missing = [feature for feature in PROCESSORS[name] if not features.get(feature)]
+    missing = [feature for feature in PROCESSORS.get(name, ()) if not features.get(feature)]
     if missing:
         raise ParameterError(f'--cpu {name}: this processor has no {", ".join(missing)}, and the '
                              'initial state is computed here; choose an older one')

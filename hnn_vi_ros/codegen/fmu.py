@@ -5,12 +5,12 @@
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
-import platform
 import subprocess
 import tempfile
 from xml.sax.saxutils import quoteattr
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
+from hnn_vi_ros.codegen.arguments import COMPILERS
 from hnn_vi_ros.codegen.project import filled, parameter_variable, template_values, write_project
 from hnn_vi_ros.codegen.scene_code import SceneCode
 from hnn_vi_ros.scene import Scene
@@ -36,7 +36,7 @@ def write_fmu(path: Path, name: str, scene: SceneCode) -> None:
     Raises
     ------
     FileNotFoundError
-        There is no C compiler ``cc``.
+        There is no C compiler for its system.
     StepFailure
         A step fails in the motion that its picture shows.
 
@@ -53,12 +53,12 @@ def write_fmu(path: Path, name: str, scene: SceneCode) -> None:
         folder = Path(temporary)
         write_project(folder, name, scene)
         (folder / 'fmi3.c').write_text(filled('fmi3.c', values), encoding='utf-8')
-        subprocess.run(['cc', '-std=c11', '-O2', '-shared', '-fPIC', '-fvisibility=hidden',
-                        'fmi3.c', f'lib{name}.a', '-Wl,--exclude-libs,ALL', '-lm', '-o', 'fmu.so'],
-                       cwd=folder, check=True)
+        subprocess.run([COMPILERS[scene.target], '-std=c11', '-O2', '-shared', '-fPIC',
+                        '-fvisibility=hidden', 'fmi3.c', f'lib{name}.a',
+                        '-Wl,--exclude-libs,ALL', '-lm', '-o', 'fmu.so'], cwd=folder, check=True)
         contents = {
             'modelDescription.xml': filled('modelDescription.xml', values).encode(),
-            f'binaries/{platform.machine()}-linux/{name}.so': (folder / 'fmu.so').read_bytes(),
+            f'binaries/{scene.target}/{name}.so': (folder / 'fmu.so').read_bytes(),
             'documentation/index.html': filled('fmu.html', values).encode(),
             'documentation/trajectory.png': _picture(scene.scene)}
         with ZipFile(path, 'w', ZIP_DEFLATED) as file:

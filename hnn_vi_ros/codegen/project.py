@@ -9,6 +9,7 @@ import shutil
 from string import Template
 import subprocess
 
+from hnn_vi_ros.codegen.arguments import COMPILERS, HOST
 from hnn_vi_ros.codegen.parameters import Parameter
 from hnn_vi_ros.codegen.scene_code import SceneCode, Variable
 from hnn_vi_ros.files import share_folder
@@ -54,15 +55,15 @@ def write_project(folder: Path, name: str, scene: SceneCode) -> list[Path]:
     Returns
     -------
     list of Path
-        The files; without the shared library if there is no C compiler ``cc``.
+        The files; without the shared library if there is no C compiler.
 
     """
     folder.mkdir(parents=True, exist_ok=True)
     library, shared = folder / f'lib{name}.a', folder / f'{name}.so'
     library.write_bytes(archive(name, scene.code))
-    written = [library]
-    if shutil.which('cc'):
-        subprocess.run(['cc', '-shared', '-o', shared, '-Wl,--whole-archive', library,
+    written, compiler = [library], COMPILERS[scene.target]
+    if shutil.which(compiler):
+        subprocess.run([compiler, '-shared', '-o', shared, '-Wl,--whole-archive', library,
                         '-Wl,--no-whole-archive', '-lm'], check=True)
         written.append(shared)
     values = template_values(name, scene) | {
@@ -85,7 +86,8 @@ def template_values(name: str, scene: SceneCode) -> dict[str, object]:
     own, upper = scene.scene, identifier(name).upper()
     timeout = scene.machine.inputs.timeout
     return {
-        'name': name, 'NAME': upper, 'version': __version__, 'processor': processor(),
+        'name': name, 'NAME': upper, 'version': __version__, 'compiler': COMPILERS[
+            scene.target], 'processor': processor() if scene.target == HOST else scene.target,
         'title': own.description.replace('*/', '* /') or own.name, 'step_size': own.step_size,
         'integrator': own.integrator.kind, 'on_failure': own.on_failure,
         'timeout': f'{timeout:g} s', 'words': scene.image.words.size,

@@ -7,6 +7,7 @@ from hashlib import sha256
 import re
 from typing import NamedTuple
 
+from hnn_vi_ros.codegen.arguments import HOST
 from hnn_vi_ros.codegen.entries import (
     CommandTable, EFFORTS, EventTable, INTERNAL, Machine, OutputTable, POSITIONS, symbols,
     VELOCITIES)
@@ -55,6 +56,8 @@ class SceneCode(NamedTuple):
         Numbers of the scene, those that can be changed first.
     machine : Machine
         The memory of which the image is a copy.
+    target : str
+        System that runs the code.
 
     """
 
@@ -66,9 +69,10 @@ class SceneCode(NamedTuple):
     starts: list[tuple[Variable, float]]
     parameters: list[Parameter]
     machine: Machine
+    target: str
 
 
-def compile_scene(scene: Scene, name: str) -> SceneCode:
+def compile_scene(scene: Scene, name: str, target: str = HOST) -> SceneCode:
     """
     Return the object code of a scene.
 
@@ -78,6 +82,8 @@ def compile_scene(scene: Scene, name: str) -> SceneCode:
         Scene of one trajectory.
     name : str
         Prefix of the exported functions, an identifier of C.
+    target : str, optional
+        System that runs the code; see object_code.
 
     Raises
     ------
@@ -102,12 +108,14 @@ def compile_scene(scene: Scene, name: str) -> SceneCode:
     image = image_of(Block.of(words))
     parameters = parameters_of(parts, simulation, Block.of(words), image)
     text = '\n'.join(_assembly(name, image, found, [one for one in parameters if one.powers]))
-    code = object_code(text, [*found.values(), *image.entries.values()])
+    code = object_code(text, [*found.values(), *image.entries.values()],
+                       target.split('-')[0])
     bound = simulation.system.constraints is not None or simulation.hamiltonian.rotations
     starts = [] if bound else [
         (Variable(f'initial_{one.name}', one.unit, f'initial {one.text}'), value)
         for one, value in zip(given, start, strict=False)]
-    return SceneCode(parts.scene, code, image, wanted, given, starts, parameters, machine)
+    return SceneCode(parts.scene, code, image, wanted, given, starts, parameters, machine,
+                     target)
 
 
 def _check(scene: Scene, simulation: Simulation) -> None:

@@ -3,6 +3,7 @@
 """Object files of compiled functions, for programs without Python."""
 
 from collections.abc import Iterable
+import platform
 from typing import Any
 
 from hnn_vi_ros.errors import UnsupportedSystem
@@ -34,11 +35,11 @@ def symbol_of(function: Any, *arguments: Any) -> str:
     return _entries[address][1]
 
 
-def object_code(text: str, symbols: Iterable[str]) -> bytes:
+def object_code(text: str, symbols: Iterable[str], machine: str = platform.machine()) -> bytes:
     """
-    Return an object file of position-independent code for this processor.
+    Return an object file of position-independent code for Linux.
 
-    Functions are optimised as in this process, and so compute the same bits.
+    Functions are optimised as in this process, and so compute the same bits on its processor.
 
     Parameters
     ----------
@@ -46,6 +47,9 @@ def object_code(text: str, symbols: Iterable[str]) -> bytes:
         LLVM's assembly of the functions that the file exports, which declares the others.
     symbols : iterable of str
         Symbols of the functions that it calls, and of those called by address.
+    machine : str, optional
+        Name of the 64-bit processors that run it, such as ``'aarch64'``. For others than this one,
+        functions must be compiled for all processors of its kind.
 
     Raises
     ------
@@ -56,7 +60,8 @@ def object_code(text: str, symbols: Iterable[str]) -> bytes:
     codegen: Any = cpu_target.target_context.codegen()
     module = llvm.parse_assembly(text)
     exported = {function.name for function in module.functions if not function.is_declaration}
-    module.triple, module.data_layout = codegen.magic_tuple()[0], str(codegen.target_data)
+    triple, cpu, features = codegen.magic_tuple()
+    module.triple, module.data_layout = triple, str(codegen.target_data)
     wanted = set(symbols)
     for library in {id(own): own for own, name in _entries.values() if name in wanted}.values():
         module.link_in(kept_module(library))
@@ -66,14 +71,18 @@ def object_code(text: str, symbols: Iterable[str]) -> bytes:
                                     '1 MB, and cannot be exported; pass it as a parameter')
         if not own.is_declaration and own.name not in exported:
             own.linkage = 'internal'
-    _, cpu, features = codegen.magic_tuple()
-    machine = llvm.Target.from_triple(module.triple).create_target_machine(
+    if machine != platform.machine():
+        llvm.initialize_all_targets()
+        llvm.initialize_all_asmprinters()
+        triple, cpu, features = f'{machine}-unknown-linux-gnu', '', ''
+    target = llvm.Target.from_triple(triple).create_target_machine(
         cpu=cpu, features=features, opt=3, reloc='pic', codemodel='small')
+    module.triple, module.data_layout = triple, str(target.target_data)
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
-    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+    passes.run(module, llvm.create_pass_builder(target, llvm.create_pipeline_tuning_options()))
     module.verify()
-    return bytes(machine.emit_object(module))
+    return bytes(target.emit_object(module))
 
 
 def processor() -> str:

@@ -15,9 +15,11 @@ import subprocess
 import sys
 import tempfile
 from threading import Thread
+from zipfile import ZipFile
 
 from helpers import long
 from hnn_vi_ros.codegen import compile_scene, entries, export, identifier, write_project
+from hnn_vi_ros.codegen.arguments import COMPILERS, HOST
 from hnn_vi_ros.codegen.entries import EVENT, INVALID_COMMAND, INVALID_STATE
 from hnn_vi_ros.codegen.project import FUNCTIONS
 from hnn_vi_ros.effects import JointCommand
@@ -373,6 +375,9 @@ def test_without_a_compiler_the_archive_alone_is_written(monkeypatch, capsys, tm
         export.main([str(scene)])
     with refused(HnnViRosError):
         export.main([str(scene), '--fmu', str(tmp_path / 'scene.zip')])
+    other = next(target for target in COMPILERS if target != HOST)
+    with refused(HnnViRosError):
+        export.main([str(scene), '--target', other, '--cpu', 'x86-64'])
 
 
 @pytest.mark.long
@@ -392,6 +397,48 @@ def test_command_exports_for_another_processor(tmp_path):
     subprocess.run(['cmake', '-S', folder, '-B', folder / 'build'], check=True)
     subprocess.run(['cmake', '--build', folder / 'build'], check=True)
     subprocess.run([folder / 'build/exact_pendulum_example', '10', '1'], check=True)
+
+
+# Reads states of two numbers each, and writes the next ones.
+STEPS = """
+#include <stdio.h>
+#include "scene.h"
+int main(void) {
+  static scene_state state;
+  double z[2 * SCENE_Q_SIZE], out[SCENE_OUTPUTS];
+  while (fread(z, sizeof z, 1, stdin)) {
+    if (scene_init(&state) || scene_start(&state, z, z + SCENE_Q_SIZE) ||
+      scene_step(&state, NULL, 1) || scene_outputs(&state, out)) { return 1; }
+    fwrite(out, sizeof z, 1, stdout);
+  }
+}
+"""
+
+
+@pytest.mark.long
+@pytest.mark.skipif(None in map(shutil.which, ('qemu-aarch64', COMPILERS['aarch64-linux'])),
+                    reason='no emulator or compiler of aarch64')
+@pytest.mark.parametrize('name', ['pendulum', 'double_pendulum'])
+def test_steps_on_aarch64_are_those_of_simulate(tmp_path, name):
+    scene, file = load_scene(name), tmp_path / 'scene.yaml'
+    file.write_text(scene.to_yaml())
+    subprocess.run([sys.executable, '-m', 'hnn_vi_ros', 'export', str(file), '--out',
+                    str(tmp_path / 'c'), '--target', 'aarch64-linux', '--fmu',
+                    str(tmp_path / 'scene.fmu')], check=True, cwd=tmp_path)
+    with ZipFile(tmp_path / 'scene.fmu') as unit:
+        assert 'binaries/aarch64-linux/scene.so' in unit.namelist()
+    (tmp_path / 'c/own.c').write_text(STEPS)
+    subprocess.run([COMPILERS['aarch64-linux'], '-static', 'own.c', 'libscene.a', '-lm', '-o',
+                    'own'], cwd=tmp_path / 'c', check=True)
+    simulation = build(scene)
+    states = np.random.default_rng(1).uniform(-1.5, 1.5, (1000, 2 * simulation.q.size))
+    found = subprocess.run(['qemu-aarch64', tmp_path / 'c/own'], input=states.tobytes(),
+                           capture_output=True, check=True).stdout
+    for state, end in zip(states, np.frombuffer(found).reshape(states.shape), strict=True):
+        simulation.restart(*np.split(state, 2))
+        simulation.advance(1)
+        # Functions of the two libm differ in the last bit, and sums in their order.
+        assert end == pytest.approx(np.append(simulation.q, simulation.p), rel=1e-13, abs=1e-13)
 
 
 @pytest.mark.long
