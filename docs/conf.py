@@ -37,7 +37,7 @@ pygments_style, pygments_dark_style = 'default', 'github-dark'
 html_theme = 'furo'
 html_title = f'hnn_vi_ros {release}'
 # Pages of their own, which others embed.
-html_static_path = ['_static', 'evidence/accuracy/explore.html', 'generated/live.html']
+html_static_path = ['_static', 'evidence/accuracy/explore.html']
 html_css_files = ['site.css']
 html_theme_options = {'top_of_page_buttons': ['view']}
 html_copy_source = False

@@ -18,7 +18,6 @@ from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.run import OverrunGuard
 from hnn_vi_ros.scene import example, key_table, references, SCENE_KEYS, scene_schema
 from hnn_vi_ros.simulation import Guard
-from live_page import write_live
 
 # In the folder of the site's sources: pages in no commit, and committed ones.
 FOLDER, KEYS = 'generated', 'reference/keys'
@@ -28,7 +27,7 @@ _OTHER_ERRORS = ('hnn_vi_ros.ros.worlds',)
 
 def write_pages(docs: Path) -> None:
     """
-    Write every generated page, the live page and the gallery.
+    Write every generated page and the gallery.
 
     Parameters
     ----------
@@ -43,7 +42,6 @@ def write_pages(docs: Path) -> None:
         'errors.part.md': error_table(), 'alarms.part.md': alarm_table()}
     for name, text in pages.items():
         _write(folder / name, text)
-    write_live(folder / 'live.html')
     write_gallery(docs)
 
 

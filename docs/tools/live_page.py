@@ -1,6 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live page: shipped networks and integrators in plain JavaScript, with a stored reference."""
+"""
+The live page: shipped networks and integrators in plain JavaScript, with a stored reference.
+
+`python docs/tools/live_page.py` writes docs/_static/live.html, which is committed.
+"""
 
 from base64 import b64encode
 import json
@@ -13,6 +17,7 @@ from hnn_vi_ros.models import load_checkpoint
 import numpy as np
 
 _SOURCES = Path(__file__).parent / 'live'
+COMMITTED = Path(__file__).parents[1] / '_static' / 'live.html'
 
 
 class _Shown(NamedTuple):
@@ -27,7 +32,7 @@ class _Shown(NamedTuple):
 
 # Every step size divides the interval. The double pendulum is chaotic: its Lyapunov time is 8 s.
 SHOWN = {
-    'pendulum': _Shown('pendulum', 100.0, 0.5, (0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5), 0.05),
+    'pendulum': _Shown('pendulum', 100.0, 0.5, (0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5), 0.1),
     'double_pendulum': _Shown('double pendulum', 20.0, 0.1,
                               (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1), 0.01)}
 # Method and step size [s] of the reference, whose errors are those of rounding.
@@ -64,3 +69,7 @@ def _data(name: str, shown: _Shown) -> dict[str, Any]:
 def _base64(*arrays: np.ndarray) -> str:
     """Return arrays of float64, row by row, as text."""
     return b64encode(b''.join(np.ascontiguousarray(a, '<f8').tobytes() for a in arrays)).decode()
+
+
+if __name__ == '__main__':
+    write_live(COMMITTED)

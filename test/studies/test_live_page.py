@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live page in a browser: its networks and integrators against those of the package."""
 
+from base64 import b64decode
 from importlib.util import module_from_spec, spec_from_file_location
 import json
 from pathlib import Path
@@ -98,7 +99,26 @@ def test_page_has_the_paths_of_the_package(method, found):
 def test_page_shows_time_energy_and_error(page, tmp_path):
     driven = tmp_path / 'driven.html'
     driven.write_text(page.read_text().replace(
-        '</body>', '<script>playing = false; work(5, 1e9); show();</script></body>'))
-    shown = dict(re.findall('<dd id="(.*?)">(.*?)</dd>', content(driven, tmp_path)))
-    assert shown['t'] == '5.0 s' and float(shown['worst'].split()[0]) > 0.0
-    assert float(shown['path']) > 0.0 and float(shown['cost']) > 1.0
+        '</body>', '<script>restart(); playing = false; work(5, 1e9); show();</script></body>'))
+    shown = dict(re.findall('<(?:td|span) id="(.*?)">(.*?)</', content(driven, tmp_path)))
+    assert shown['t'] == '5.0 s'
+    for side in '01':
+        assert float(shown[f'worst{side}'].split()[0]) > 0.0
+        assert float(shown[f'path{side}']) > 0.0 and float(shown[f'cost{side}']) > 1.0
+
+
+def test_committed_page_is_current(page):
+    data = '<script id="data" type="application/json">(.*?)</script>'
+    committed, written = (path.read_text(encoding='utf-8') for path in (
+        TOOL.parents[1] / '_static' / 'live.html', page))
+    assert re.sub(data, '', committed) == re.sub(data, '', written)
+    old, new = (json.loads(re.search(data, text)[1]) for text in (committed, written))
+    for name, own in new.items():
+        # Rounding of another machine changes the reference by less than a line's width.
+        paths = [np.frombuffer(b64decode(one[name].pop('reference'))) for one in (old, new)]
+        assert np.abs(np.subtract(*paths)).max() < 1e-6
+        assert own == old[name]
+
+
+def test_page_opens_without_a_network(page):
+    assert not re.findall(r'(?:src|href)="|https?://|import\(|fetch\(', page.read_text())
