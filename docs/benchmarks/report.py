@@ -116,16 +116,22 @@ def draw(groups: Mapping[str, Group], path: Path) -> Path:
     figure = Figure(figsize=(8.0, 4.2), layout='constrained')
     axes = figure.subplots()
     names = list(dict.fromkeys(name for name, _ in rows))
+    axes.axvspan(1e-4, 1.0, color='#eaf4ea', zorder=0)
+    axes.scatter([row.target for _, row in rows], [names.index(name) for name, _ in rows],
+                 color='#555555', marker='|', s=220.0, label='target of a row')
     for met, colour, label in ((True, '#0072b2', 'target met'),
-                               (False, '#d55e00', 'target missed')):
+                               (False, '#d55e00', 'missed: right of its target')):
         found = [(row.ratio, names.index(name)) for name, row in rows if row.met is met]
         axes.scatter([x for x, _ in found], [y for _, y in found], color=colour, label=label)
-    axes.axvline(1.0, color='grey', linestyle=':', label='as fast as the peer')
-    axes.set(xscale='log', xlabel='our figure over that of the peer', yticks=range(len(names)),
+    axes.axvline(1.0, color='grey', linestyle=':', label='equal to the peer')
+    shown = [number for _, row in rows for number in (row.ratio, row.target)]
+    axes.set(xscale='log', xlim=(0.7 * min(shown), 1.6 * max(shown)), yticks=range(len(names)),
              yticklabels=[name.replace('_', ' ') for name in names])
+    axes.set_xlabel('our time or error over that of the peer; left is better, green: better than '
+                    'the peer')
     axes.invert_yaxis()
     axes.grid(alpha=0.3)
-    figure.legend(loc='outside upper center', ncols=3)
+    figure.legend(loc='outside upper center', ncols=4, frameon=False)
     figure.savefig(path, dpi=110)
     return path
 

@@ -46,8 +46,10 @@ def write_pages(docs: Path) -> list[Path]:
         (docs / PAGE).write_text(as_page(results), encoding='utf-8')
         entry = results[_example(results)]
         first = entry.shown[0]
-        written = [docs / PAGE, draw_fronts(folder / PICTURE, entry.of(first), _answers(results),
-                                            _own_error(entry, first))]
+        written = [docs / PAGE, draw_fronts(
+            folder / PICTURE, f'Scene {_example(results)}, {first:g} s: smallest error of each '
+            'group in a given time; lower left is better', entry.of(first), _answers(results),
+            _own_error(entry, first))]
         for scene, entry in results.items():
             page = folder / f'{scene}.md'
             page.write_text(scene_page(scene, entry), encoding='utf-8')

@@ -34,11 +34,8 @@ _OTHER = ('#555555', '*')
 _LOST = 100.0
 # A page shows a picture about as wide as this [inch], so texts keep their size on it.
 _DPI, _WIDTH, _COLOURS = 125, 8.6, 128
-# Heights within a group of lines: titles, panels, ticks with their label, an entry of the legend;
-# then the margins above and below the whole picture [inch].
-_TITLE, _PANEL, _TICKS, _ENTRY, _TOP, _BOTTOM = 0.55, 3.5, 0.55, 0.19, 0.35, 0.7
-_GROUPS = {'ours': 'Ours, solved to round-off', 'peers': 'Peers',
-           'variants': 'Not solved to round-off, or float32'}
+# Heights of a panel: its title, itself, ticks with their label; margins above and below [inch].
+_TITLE, _PANEL, _TICKS, _TOP, _BOTTOM = 0.3, 3.9, 0.5, 0.35, 0.6
 # Markers for methods that stop early, and for rounded gradients.
 _VARIANT_MARKS = {'float32': '*'}
 _FLOORS = {'path_error': 'path', 'energy_band': 'energy'}
@@ -68,14 +65,13 @@ class Panel(NamedTuple):
     y_label: str
 
 
-PANELS = (
-    Panel('us_per_simulated_second', 'path_error', 'Global (path) error',
-          'time [us per simulated second]',
-          'path error, largest component\n'
-          r'$\|(q, p) - \mathrm{reference}\|_\infty$ [SI units]'),
-    Panel('gradients_per_simulated_second', 'energy_band', 'Energy error',
-          'gradients per simulated second [1/s]', 'energy band, largest $|H - H_0|$ [J]'),
-)
+_TIME = 'us_per_simulated_second', 'time [us per simulated second]'
+PATHS = Panel(_TIME[0], 'path_error', 'Path error', _TIME[1],
+              'path error, largest component\n'
+              r'$\|(q, p) - \mathrm{reference}\|_\infty$ [SI units]')
+ENERGIES = Panel(_TIME[0], 'energy_band', 'Energy error', _TIME[1],
+                 'energy band, largest $|H - H_0|$ [J]')
+_MAIN, _VARIANTS = ('ours', 'peers'), ('variants',)
 
 
 def series_of(rows: Iterable[StudyRow]) -> dict[str, list[StudyRow]]:
@@ -86,13 +82,15 @@ def series_of(rows: Iterable[StudyRow]) -> dict[str, list[StudyRow]]:
     return series
 
 
-def panels_of(rows: Iterable[StudyRow]) -> tuple[Panel, Panel]:
-    """Return the two panels; both show energies if no path can be followed."""
-    left, right = PANELS
-    if any(row.finished and not math.isnan(row.path_error) for row in rows):
-        return left, right
-    return right._replace(x=left.x, x_label=left.x_label, title=(
-        'Energy error (no path in chaos)')), right
+def panels_of(rows: Sequence[StudyRow]) -> list[tuple[Panel, tuple[str, ...]]]:
+    """Return the panels and the groups of lines in each; without paths where none is known."""
+    paths = any(row.finished and not math.isnan(row.path_error) for row in rows)
+    panels = [(PATHS, _MAIN)] * paths + [(ENERGIES, _MAIN)]
+    if any('@' in row.method for row in rows):
+        first, _ = panels[0]
+        panels.append((first._replace(title='Not solved to round-off, or float32: '
+                                      f'{first.title.lower()}'), _VARIANTS))
+    return panels
 
 
 def is_peer(name: str) -> bool:
@@ -120,7 +118,7 @@ def line_style(name: str) -> dict[str, Any]:
 
 def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path:
     """
-    Draw the rows of one horizon into a PNG file: two panels for each group of lines.
+    Draw the rows of one horizon into a PNG file: errors against time, panel below panel.
 
     Parameters
     ----------
@@ -134,26 +132,24 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
         Below whose accuracy no path error is known; what a learned H is off by is a floor too.
 
     """
-    series = series_of(rows)
-    groups = [group for group in _GROUPS if any(group_of(name) == group for name in series)]
-    legends = {group: _handles(series, group) for group in groups or ['ours']}
-    heights = [_TITLE + _PANEL + _TICKS + _ENTRY * math.ceil(len(handles) / 2)
-               for handles in legends.values()]
-    figure = Figure(figsize=(_WIDTH, _TOP + sum(heights) + _BOTTOM), dpi=_DPI, facecolor='white')
+    series, panels = series_of(rows), panels_of(rows)
+    height = _TOP + len(panels) * (_TITLE + _PANEL + _TICKS) + _BOTTOM
+    figure = Figure(figsize=(_WIDTH, height), dpi=_DPI, facecolor='white')
     FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.2 / figure.get_figheight())
-    panels = panels_of(rows)
-    floors = [getattr(known.model, _FLOORS[panel.y]) if known.model else math.nan
-              for panel in panels]
-    for k, (group, handles) in enumerate(legends.items()):
-        top = figure.get_figheight() - _TOP - sum(heights[:k]) - _TITLE
-        for panel, floor, left in zip(panels, floors, (0.95, 5.35), strict=True):
-            ax = _add_panel(figure, left, top)
-            _begin_panel(ax, panel, _limits_of(panel, rows, floor), _GROUPS[group])
-            _draw_lines(ax, panel, series, group)
-            _draw_levels(ax, panel, floor, known)
-        figure.legend(handles=handles, loc='upper center', frameon=False, fontsize=8.5, ncols=2,
-                      bbox_to_anchor=(0.5, (top - _PANEL - _TICKS + 0.1) / figure.get_figheight()))
+    figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.15 / height)
+    for k, (panel, groups) in enumerate(panels):
+        top = height - _TOP - k * (_TITLE + _PANEL + _TICKS) - _TITLE
+        floor = getattr(known.model, _FLOORS[panel.y]) if known.model else math.nan
+        ax = figure.add_axes((0.95 / _WIDTH, (top - _PANEL) / height, 4.9 / _WIDTH,
+                              _PANEL / height))
+        ax.tick_params(labelsize=8.5)
+        _begin_panel(ax, panel, _limits_of(panel, rows, floor))
+        _draw_lines(ax, panel, series, groups)
+        _draw_levels(ax, panel, floor, known)
+        # The lines of a panel with those of the one before are explained once.
+        if k == 0 or groups != panels[k - 1][1]:
+            ax.legend(handles=_handles(series, groups), loc='upper left', frameon=False,
+                      fontsize=8.0, bbox_to_anchor=(1.01, 1.02))
     figure.legend(handles=_common_handles(known), loc='lower center', frameon=False,
                   fontsize=8.5, ncols=2)
     figure.savefig(path, dpi=_DPI)
@@ -165,8 +161,8 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
     return path
 
 
-def draw_fronts(path: Path, rows: Sequence[StudyRow], answers: Iterable[StudyRow], floor: float
-                ) -> Path:
+def draw_fronts(path: Path, title: str, rows: Sequence[StudyRow], answers: Iterable[StudyRow],
+                floor: float) -> Path:
     """
     Draw the least path error that each group of rows reaches in a time, into a PNG file.
 
@@ -174,6 +170,8 @@ def draw_fronts(path: Path, rows: Sequence[StudyRow], answers: Iterable[StudyRow
     ----------
     path : Path
         Output file.
+    title : str
+        Above the panel.
     rows : sequence of StudyRow
         All of one horizon.
     answers : iterable of StudyRow
@@ -185,15 +183,16 @@ def draw_fronts(path: Path, rows: Sequence[StudyRow], answers: Iterable[StudyRow
     figure = Figure(figsize=(_WIDTH, 4.6), dpi=_DPI, facecolor='white', layout='constrained')
     FigureCanvasAgg(figure)
     ax = figure.add_subplot()
-    panel = PANELS[0]
+    ax.set_title(title, fontsize=11.5, loc='left', color=INK)
     for label, style, belongs in _FRONTS:
         front = _front([row for row in rows if belongs(row)])
         ax.plot(*np.array(front).reshape(-1, 2).T, label=label, markersize=5.0, **style)
     for best in answers:
         ax.annotate(f'{best.family}, {best.setting("{:.3g} s")}',
-                    (best.us_per_simulated_second, best.path_error), xytext=(-6, -4),
-                    textcoords='offset points', ha='right', va='top', fontsize=9.0, color=INK)
-    ax.set(xscale='log', yscale='log', xlabel=panel.x_label,
+                    (best.us_per_simulated_second, best.path_error), xytext=(-7, 0),
+                    textcoords='offset points', ha='right', va='center', fontsize=9.0, color=INK,
+                    zorder=6, bbox={'facecolor': '#fbf9f3', 'edgecolor': 'none', 'pad': 0.5})
+    ax.set(xscale='log', yscale='log', xlabel=_TIME[1],
            ylabel='path error, largest component [SI units]')
     # Room for the names, to the left of the first line, and for the legend.
     ax.set(xlim=(ax.get_xlim()[0] / 4.0, None), ylim=(ax.get_ylim()[0] / 30.0, ax.get_ylim()[1]))
@@ -220,14 +219,6 @@ def _front(rows: Iterable[StudyRow]) -> list[tuple[float, float]]:
     return points
 
 
-def _add_panel(figure: Figure, left: float, top: float) -> Axes:
-    """Return axes whose upper left corner is so far from the figure's lower left one [inch]."""
-    width, height = figure.get_size_inches()
-    ax = figure.add_axes((left / width, (top - _PANEL) / height, 3.1 / width, _PANEL / height))
-    ax.tick_params(labelsize=8.5)
-    return ax
-
-
 def _limits_of(panel: Panel, rows: Sequence[StudyRow], floor: float
                ) -> tuple[float, float, float, float] | None:
     """Return the common limits of the panels of a row; None if no run finished."""
@@ -242,12 +233,12 @@ def _limits_of(panel: Panel, rows: Sequence[StudyRow], floor: float
     return (x.min() / room, x.max() * 1.7, *_limits(points[:, 1], floor))
 
 
-def _begin_panel(ax: Axes, panel: Panel, limits: tuple[float, float, float, float] | None,
-                 group: str) -> None:
+def _begin_panel(ax: Axes, panel: Panel, limits: tuple[float, float, float, float] | None
+                 ) -> None:
     ax.set(xscale='log', yscale='log')
     ax.set_xlabel(panel.x_label, fontsize=9.0)
     ax.set_ylabel(panel.y_label, fontsize=9.0)
-    ax.set_title(f'{group}\n{panel.title}', fontsize=10, pad=8.0)
+    ax.set_title(panel.title, fontsize=10.5, loc='left')
     ax.grid(which='major', color='#e3e3e3', linewidth=0.7)
     ax.spines[['top', 'right']].set_visible(False)
     if limits is None:
@@ -265,15 +256,18 @@ def _limits(values: np.ndarray, floor: float) -> tuple[float, float]:
             10.0 ** math.ceil(math.log10(usual.max()) + 0.1))
 
 
-def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]], group: str) -> None:
-    """Draw the lines of a group with the steps that are the cheapest, and pale the others."""
+def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]],
+                groups: Sequence[str]) -> None:
+    """Draw the lines of some groups with the steps that are the cheapest; others of ours pale."""
     low, high = ax.get_ylim()
     labels: list[Label] = []
     for name, rows in series.items():
         good, lost = _points(panel, rows, low, high)
         points = np.array([point[:2] for point in good]).reshape(-1, 2)
-        if group_of(name) != group:
-            ax.plot(*points.T, color=_PALE, linewidth=0.9, zorder=1)
+        if group_of(name) not in groups:
+            # Variants in the panels of all methods would only hide these.
+            if groups == _VARIANTS and not is_peer(name):
+                ax.plot(*points.T, color=_PALE, linewidth=0.9, zorder=1)
             continue
         style = line_style(name)
         ax.plot(*points.T, zorder=4, clip_on=False, **style)
@@ -300,16 +294,16 @@ def _points(panel: Panel, rows: Sequence[StudyRow], low: float, high: float
     return good, [x for x in lost if not math.isnan(x)]
 
 
-def _handles(series: dict[str, list[StudyRow]], group: str) -> list[Line2D]:
-    """Return an entry of a legend for each line of a group."""
+def _handles(series: dict[str, list[StudyRow]], groups: Sequence[str]) -> list[Line2D]:
+    """Return an entry of a legend for each line of some groups."""
     return [Line2D([], [], label=_legend_text(name, rows), **line_style(name))
-            for name, rows in series.items() if group_of(name) == group]
+            for name, rows in series.items() if group_of(name) in groups]
 
 
 def _common_handles(known: Floor) -> list[Any]:
     """Return an entry of a legend for each mark that is no line of a method."""
     handles: list[Any] = [
-        Line2D([], [], color=_PALE, label='the lines of the other panels'),
+        Line2D([], [], color=_PALE, label='our other lines (last panel)'),
         Line2D([], [], color=INK, marker='x', linestyle='', markersize=8.0, markeredgewidth=2.0,
                label='upper edge: failed or lost')]
     if known.model is not None:
@@ -327,7 +321,7 @@ def _legend_text(name: str, rows: Sequence[StudyRow]) -> str:
     steps = [row.step_size for row in rows if not math.isnan(row.step_size)]
     if not steps:
         return f'{name} (marks: tolerances)'
-    return f'{name}, h = {max(steps):.2g} to {min(steps):.2g} s'
+    return f'{name},\nh = {max(steps):.2g} to {min(steps):.2g} s'
 
 
 def _draw_levels(ax: Axes, panel: Panel, floor: float, known: Floor) -> None:
