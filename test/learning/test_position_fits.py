@@ -192,3 +192,14 @@ def test_steps_are_as_small_as_sharp_friction_needs():
     card = MACHINE.judge(data, MACHINE.describe(data, rigid, config, 'x', ''), rigid
                          ).checkpoint.card
     assert max(*card.prediction_error.residuals.values()) < [1.1]
+
+
+def test_stages_of_windows_that_were_left_stay_beside_those_of_the_fit(rounded, monkeypatch):
+    """Residuals of the shorter windows were stored as those of the longer ones."""
+    left = rounded.numbers._replace(stages=[*rounded.numbers.stages, (99.0, 3.0)])
+    half = left.problem.model.at_step(0.5 * left.problem.model.step_size)
+    monkeypatch.setattr(rigid_body, '_finer_model', lambda _: half)
+    found = rigid_body._with_finer_steps(left)
+    assert found.problem.model is half and found.stages[-1] == (99.0, 3.0)
+    assert [one for one, _ in found.stages] == [one for one, _ in left.stages]
+    assert found.stages[-2] == (left.stages[-2][0], pytest.approx(left.stages[-2][1], rel=0.02))

@@ -121,7 +121,7 @@ class FittedNumbers(NamedTuple):
 def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion],
                 horizon: float | None, robust: bool, seen: MeasuredColumns | None = None,
                 tolerance: float = TOLERANCE,
-                finer: Callable[[FittedNumbers], ParametricModel] | None = None) -> FittedNumbers:
+                finer: Callable[[FittedNumbers], FittedNumbers] | None = None) -> FittedNumbers:
     """
     Fit the free numbers in growing windows: short ones first, because they have no false minima.
 
@@ -142,7 +142,7 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
     tolerance : float, optional
         Relative tolerance of the last search.
     finer : callable, optional
-        Returns the model of a fit with the steps that it needs, for the next length.
+        Returns a fit with the steps that it needs, before the next length.
 
     Raises
     ------
@@ -190,8 +190,10 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
         if length >= wanted:
             return best
         # Starts that lead to the same optimum have the same misfit.
-        alive = [(one.problem.model if finer is None else finer(one), one) for one in [
-            best, *(_judged(one) for one, _ in found if _SAME < one.size / best.size < _AS_GOOD)]]
+        kept = [best, *(
+            _judged(one) for one, _ in found if _SAME < one.size / best.size < _AS_GOOD)]
+        alive = [(one.problem.model, one) for one in (
+            kept if finer is None else map(finer, kept))]
         length = min(_LONGER * length, wanted)
 
 

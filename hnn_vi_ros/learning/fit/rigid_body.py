@@ -28,7 +28,7 @@ from hnn_vi_ros.learning.fit.machine import (
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, parts_of_card, PriorUnknowns, RigidModel
 from hnn_vi_ros.learning.fit.shooting import made_up, projected, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows, ParametricModel
+from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows
 from hnn_vi_ros.models import chain_angles, PLANAR_CHAIN
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
@@ -58,7 +58,8 @@ _TOLERANCE = 1e-5
 # Cost of an initial guess, relative to the least, from which other angles are not tried.
 _HOPELESS = 100.0
 # Change of a number at half the step that matters: in standard errors, and relative to it for logs
-# without noise; most halvings; residuals, in units of the noise, of which steps are no main part.
+# without noise; most halvings of the sampling interval; residuals, in units of the noise, of which
+# steps are no main part.
 _MOVED, _EXACT, _HALVED, _LACKING = 0.2, 1e-5, 5, 1.5
 
 
@@ -113,7 +114,7 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
     least = min(cost for cost, _ in models)
     fitted = _without_idle_numbers(_with_finer_steps(_with_usual_widths(fit_numbers(
         [model for cost, model in models if not cost > _HOPELESS * least], thin, None, True,
-        tolerance=_TOLERANCE, finer=_model_of_next))))
+        tolerance=_TOLERANCE, finer=_with_steps_for_next))))
     model = fitted.problem.model
     assert isinstance(model, RigidModel)
     return FittedRigidBody(model.network_at(fitted.solution.values), {
@@ -143,10 +144,17 @@ def _with_usual_widths(fitted: FittedNumbers) -> FittedNumbers:
     if not open_:
         return fitted
     found = refitted(fitted, model.without(open_), np.delete(solution.values, open_), _TOLERANCE)
-    length, before = fitted.stages[-1]
-    now = excess_of(found.solution, found.problem, found.sensor)
-    return fitted if now > _NO_WORSE * before else found._replace(
-        stages=[*fitted.stages[:-1], (length, now)])
+    return _staged(found, _NO_WORSE) or fitted
+
+
+def _staged(fitted: FittedNumbers, limit: float) -> FittedNumbers | None:
+    """Return a new fit with its stage, None if residuals grew by more than a factor."""
+    # Longer windows may have been left.
+    k = len(fitted.fits) - 1
+    length, before = fitted.stages[k]
+    now = excess_of(fitted.solution, fitted.problem, fitted.sensor)
+    return None if now > limit * before else fitted._replace(
+        stages=[*fitted.stages[:k], (length, now), *fitted.stages[k + 1:]])
 
 
 def _with_finer_steps(fitted: FittedNumbers) -> FittedNumbers:
@@ -154,14 +162,18 @@ def _with_finer_steps(fitted: FittedNumbers) -> FittedNumbers:
     model = _finer_model(fitted)
     if model is fitted.problem.model:
         return fitted
-    found = refitted(fitted, model, fitted.solution.values, _TOLERANCE)
-    return found._replace(stages=[*fitted.stages[:-1], (fitted.stages[-1][0], excess_of(
-        found.solution, found.problem, found.sensor))])
+    found = _staged(refitted(fitted, model, fitted.solution.values, _TOLERANCE), math.inf)
+    assert found is not None
+    return found
 
 
-def _model_of_next(fitted: FittedNumbers) -> ParametricModel:
-    """Return the model for longer windows, with finer steps unless it lacks something else."""
-    return fitted.problem.model if fitted.stages[-1][1] > _LACKING else _finer_model(fitted)
+def _with_steps_for_next(fitted: FittedNumbers) -> FittedNumbers:
+    """
+    Return the fit with finer steps if it needs them, unless it lacks something else.
+
+    Numbers that make up for errors of the steps would lead longer windows to false minima.
+    """
+    return fitted if fitted.stages[-1][1] > _LACKING else _with_finer_steps(fitted)
 
 
 def _finer_model(fitted: FittedNumbers) -> RigidModel:
@@ -177,7 +189,7 @@ def _finer_model(fitted: FittedNumbers) -> RigidModel:
     errors = np.sqrt(np.diag(covariance_of(fitted))) / max(1.0, fitted.stages[-1][1])
     model, now = begun, LogSimulation(begun.parts_at(solution.values), windows).predict(
         solution.starts)
-    for _ in range(_HALVED):
+    while model.step_size > 1.5 * windows.spacing / 2**_HALVED:
         fine = model.at_step(0.5 * model.step_size)
         after = LogSimulation(fine.parts_at(solution.values), windows).predict(solution.starts)
         change = np.where(windows.there[..., None], (after - now) / solution.noise, 0.0)
@@ -239,11 +251,9 @@ def _refitted_without(fitted: FittedNumbers, model: RigidModel, values: np.ndarr
             found = refitted(fitted._replace(fits=fitted.fits[:k]), model, values, _TOLERANCE)
         except CannotFollow:
             continue
-        length, before = fitted.stages[k - 1]
-        now = excess_of(found.solution, found.problem, found.sensor)
-        if now <= limit * before:
-            return found._replace(stages=[
-                *fitted.stages[:k - 1], (length, now), *fitted.stages[k:]])
+        staged = _staged(found, limit)
+        if staged is not None:
+            return staged
     return fitted
 
 
