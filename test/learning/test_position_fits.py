@@ -9,6 +9,7 @@ from hnn_vi_ros.learning.data.motions import of_positions, smoothed
 from hnn_vi_ros.learning.fit import rigid_body
 from hnn_vi_ros.learning.fit.fitted_rigid_body import covariance_of, rounding_of
 from hnn_vi_ros.learning.fit.following import LogSimulation
+from hnn_vi_ros.learning.fit.growing import first_length
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
 from hnn_vi_ros.learning.fit.prediction import Prediction
 from hnn_vi_ros.learning.tasks.machine import MACHINE, MachineData
@@ -194,6 +195,16 @@ def test_steps_are_as_small_as_sharp_friction_needs():
     assert max(*card.prediction_error.residuals.values()) < [1.1]
 
 
+def test_first_windows_of_a_joint_that_turns_over_are_as_short_as_those_of_one_that_swings():
+    """Those of its range had false minima: they lasted many turns of a chaotic motion."""
+    t, lengths = 0.005 * np.arange(2000), []
+    for speed in (0.0, 20.0):
+        q = (speed * t + 0.3 * np.sin(20.0 * t))[:, None]
+        lengths.append(first_length([smoothed('turns', t, q, None, 0.0 * q, 40.0)]))
+    # Four of its 0.05 s, and at most three times the speed over the acceleration, 21 / 85 s.
+    assert lengths == pytest.approx([0.2, 4.0 * 3.0 * 20.5 / 84.9], rel=0.05)
+
+
 def test_stages_of_windows_that_were_left_stay_beside_those_of_the_fit(rounded, monkeypatch):
     """Residuals of the shorter windows were stored as those of the longer ones."""
     left = rounded.numbers._replace(stages=[*rounded.numbers.stages, (99.0, 3.0)])
@@ -203,3 +214,39 @@ def test_stages_of_windows_that_were_left_stay_beside_those_of_the_fit(rounded, 
     assert found.problem.model is half and found.stages[-1] == (99.0, 3.0)
     assert [one for one, _ in found.stages] == [one for one, _ in left.stages]
     assert found.stages[-2] == (left.stages[-2][0], pytest.approx(left.stages[-2][1], rel=0.02))
+
+
+@pytest.mark.long
+def test_numbers_of_two_links_that_whirl_are_within_their_intervals():
+    """Numbers of coarse steps led longer windows to false minima: gravity was 5 errors off."""
+    heavy, crossed, light, weights = 0.06, 0.0195, 0.0117, np.array([2.26, 0.65])
+    t, rng, inside = 0.01 * np.arange(1000), np.random.default_rng(1), 100
+    tau = np.stack([1.0 * np.sin(t[:, None] * [2.1, 4.3, 7.1] + [0.0, 1.0, 2.0]).sum(1), 0.3 *
+                    np.sin(t[:, None] * [3.3, 5.7, 7.9] + [1.0, 0.0, 2.0]).sum(1)], axis=1)
+
+    def rates(z: np.ndarray, force: np.ndarray) -> np.ndarray:
+        (q, v), c, s = np.split(z, 2), crossed * np.cos(z[1]), crossed * np.sin(z[1])
+        pull = weights * np.sin([q[0], q[0] + q[1]])
+        felt = force - [0.04, 0.013] * v - [0.106, 0.029] * np.tanh(v / [0.02, 0.03]) - [
+            pull.sum() - s * (2.0 * v[0] * v[1] + v[1]**2), pull[1] + s * v[0]**2]
+        mass = np.array([[heavy + light + 2.0 * c, light + c], [light + c, light]])
+        return np.concatenate([v, np.linalg.solve(mass, felt)])
+    states, h = [np.array([0.2, -0.3, 0.0, 0.0])], 0.01 / inside
+    for force in tau[:-1]:
+        z = states[-1]
+        for _ in range(inside):
+            z = z + h * rates(z + 0.5 * h * rates(z, force), force)
+        states.append(z)
+    q = np.array(states)[:, :2]
+    assert (np.ptp(q, axis=0) > 2.0 * np.pi).any()
+    config = machine_config('ab', prior='planar_chain', residual=False)
+    found = fit_machine(config, [replace(smoothed(
+        'whirl', t, q + [2e-3, 5e-3] * rng.normal(size=q.shape), None, tau, 40.0), inputs='held'
+    )]).estimates(config.coordinates, None)
+    for name, truth in (('inertia1', heavy), ('inertia2', light), ('coupling12', crossed),
+                        ('gravity1', weights[0]), ('gravity2', weights[1]),
+                        ('viscous friction of a', 0.04), ('viscous friction of b', 0.013),
+                        ('dry friction of a', 0.106), ('dry friction of b', 0.029)):
+        # Four standard errors, which are less than 2 % of the number.
+        value, high = found[name].value, found[name].interval[1]
+        assert abs(value - truth) < 4.0 * (high - value) / 1.96 < 0.08 * truth

@@ -32,10 +32,14 @@ _SMALLER = 0.8
 # Residuals of the first windows, relative to differences of neighbours, that show a false
 # minimum: shorter windows have none.
 _FALSE = 10.0
+# Longest time scale of a coordinate, in units of that of its speed: of one frequency both are 1.
+_TURNING = 3.0
 # Number of places from which the search of unmeasured initial states begins.
 _PLACES = 12
 # Growth factor of the windows, and the growth of residuals at which they stop growing.
 _LONGER, _GROWTH = 3.0, 1.5
+# Residuals that are noise alone, and their growth in standard deviations that is no chance.
+_NOISE_ALONE, _CERTAIN = 1.05, 5.0
 # Residual in units of the noise beyond which longer windows tell nothing more.
 _POOR = 5.0
 # Ratios of misfits up to which fits are the same, and up to which one may still win.
@@ -58,13 +62,16 @@ def least_noise(measured: np.ndarray) -> np.ndarray:
 
 def first_length(motions: Sequence[EvenMotion]) -> float:
     """Return an initial window length [s]: four time scales of the motion."""
-    q, v = (np.concatenate([getattr(motion, name) for motion in motions])
-            for name in ('q_smooth', 'v_smooth'))
-    speed = np.sqrt((v**2).mean(axis=0))
-    if not speed.any():
+    q, v, a = (np.concatenate([getattr(motion, name) for motion in motions])
+               for name in ('q_smooth', 'v_smooth', 'a_smooth'))
+    speed, rate = (np.sqrt((part**2).mean(axis=0)) for part in (v, a))
+    moves = speed > 0.0
+    if not moves.any():
         raise DataError(f'{motions[0].name}: no coordinate moves, so no parameter can be '
                         'identified')
-    pace = float((q.std(axis=0)[speed > 0.0] / speed[speed > 0.0]).min())
+    # The range of a joint that turns over and over tells nothing of its time scale.
+    pace = float(np.minimum(q.std(axis=0)[moves] / speed[moves], _TURNING * speed[moves] / (
+        rate[moves] + 1e-300)).min())
     least = 2 * _LEAST_SAMPLES if motions[0].v is None else _LEAST_SAMPLES
     return max(4.0 * pace, (least - 1) * motions[0].spacing)
 
@@ -134,7 +141,7 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
         Measured motions; either all or none have velocities.
     horizon : float, optional
         Final length of the windows [s]; by default they grow up to whole runs, as long as
-        residuals do not grow by more than a half.
+        residuals do not grow by more than a half, and stay noise if they were.
     robust : bool
         See FitProblem.
     seen : MeasuredColumns, optional
@@ -183,8 +190,7 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
             length = shorter
             continue
         best = _judged(best)
-        if horizon is None and before is not None and \
-                best.stages[-1][1] > _GROWTH * best.stages[-2][1]:
+        if horizon is None and before is not None and _leaves_the_motion(best):
             return refitted(before, before.problem.model, before.solution.values, tolerance
                             )._replace(stages=best.stages)
         if length >= wanted:
@@ -195,6 +201,17 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
         alive = [(one.problem.model, one) for one in (
             kept if finer is None else map(finer, kept))]
         length = min(_LONGER * length, wanted)
+
+
+def _leaves_the_motion(fitted: FittedNumbers) -> bool:
+    """
+    Return True if residuals grew too much in the longest windows.
+
+    Those that were noise have to stay so: long windows of a chaotic motion have false minima.
+    """
+    (_, before), (_, now) = fitted.stages[-2:]
+    grown = math.sqrt(0.5 * fitted.solution.freedom) * ((now / before)**2 - 1.0)
+    return now > _GROWTH * before or (before < _NOISE_ALONE and grown > _CERTAIN)
 
 
 def unmeasured_ratio(seen: MeasuredColumns) -> float:
