@@ -16,6 +16,7 @@ from hnn_vi_ros.models import Checkpoint, interval_text, ModelCard, ratio_unit
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import Scene
 from matplotlib.figure import Figure
+from matplotlib.legend_handler import HandlerTuple
 import numpy as np
 import torch
 
@@ -361,7 +362,7 @@ def shown(fans: Sequence[TrajectoryBundle], horizon: float) -> list[PredictedRun
 
 def draw_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
                      runs: Sequence[PredictedRun]) -> None:
-    """Draw the predictions over the middle of the longest run."""
+    """Draw the predictions over the middle of the longest run, each with its error below."""
     run = max(runs, key=lambda candidate: candidate.t[-1] - candidate.t[0])
     length = max((t[-1] - t[0] for t, _ in run.predicted), default=0.0)
     middle, half = 0.5 * (run.t[0] + run.t[-1]), 0.5 * _WINDOW * length
@@ -369,23 +370,35 @@ def draw_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
     inside = (run.t >= window[0]) & (run.t <= window[1])
     predicted = [(t, q) for t, q in run.predicted if t[0] >= window[0] and t[-1] <= window[1]]
     d = len(coordinates)
-    figure = Figure(figsize=(11.0, 1.2 + max(2.0, 6.0 / d) * d), layout='constrained')
+    figure = Figure(figsize=(11.0, 1.2 + max(2.6, 6.0 / d) * d), layout='constrained')
     figure.suptitle(f'{name}: predictions of {length:.3g} s over run {run.name}',
                     parse_math=False)
-    grid = figure.subplots(d, 1, sharex=True, squeeze=False)[:, 0]
-    for i, (axes, coordinate) in enumerate(zip(grid, coordinates, strict=True)):
+    grid = figure.subplots(2 * d, 1, sharex=True, height_ratios=[3, 1] * d)
+    for i, coordinate in enumerate(coordinates):
+        axes, lower = grid[2 * i:2 * i + 2]
         measured = run.q[inside, i]
-        axes.plot(run.t[inside], measured, color=_MEASURED, linewidth=4.5, label='measured')
+        line, = axes.plot(run.t[inside], measured, color=_MEASURED, linewidth=4.5)
+        drawn = []
         for k, (t, q) in enumerate(predicted):
             color = _COLORS[k % len(_COLORS)]
-            axes.plot(t, q[:, i], color=color, linewidth=1.4,
-                      label='predicted, from each dot' if k == 0 else None)
-            axes.plot(t[:1], q[:1, i], 'o', color=color, markersize=4.0)
+            drawn += axes.plot(t, q[:, i], color=color, linewidth=1.4)
+            start, = axes.plot(t[:1], q[:1, i], 'o', color=color, markersize=4.0)
+            lower.plot(t, q[:, i] - np.interp(t, run.t, run.q[:, i]), color=color, linewidth=1.0)
         low, high = measured.min(), measured.max()
         room = _ROOM * (high - low) or 1.0
         axes.set(xlim=window, ylim=(low - room, high + room),
                  ylabel=f'{coordinate.name} [{coordinate.q_unit}]')
-        axes.grid(alpha=0.3)
-    grid[0].legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+        lower.set_ylabel(f'error [{coordinate.q_unit}]')
+        lower.axhline(0.0, color='0.6', linewidth=0.8)
+        for one in (axes, lower):
+            one.grid(alpha=0.3)
+    entries = {'measured': line} | ({} if not predicted else {
+        'predictions, of which several overlap': tuple(drawn[:len(_COLORS)]),
+        'start of a prediction': start, 'error: predicted - measured (lower panels)':
+        tuple(drawn[:len(_COLORS)])})
+    figure.legend(entries.values(), entries.keys(), loc='outside lower center', ncols=4,
+                  frameon=False, handler_map={tuple: HandlerTuple(ndivide=None, pad=0.2)},
+                  handlelength=3.0)
+    figure.align_ylabels()
     grid[-1].set_xlabel('t [s]')
     figure.savefig(path, dpi=130)

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # P. Tol, Colour Schemes (2021), "high contrast", and black: distinguishable for colour-blind
-# readers and in grey, with lightness L* of 29, 73, 50 and 0. Each has its own dash pattern.
+# readers and in grey, with lightness L* of 29, 73, 50 and 0. Each has its own dash pattern. A fifth
+# to eighth curve take colours of his scheme "bright".
 COLOURS = ('#004488', '#ddaa33', '#bb5566', '#000000')
+_MORE_COLOURS = ('#66ccee', '#228833', '#aa3377', '#888888')
 DASHES = ('-', (0, (5, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.2)))
 EVENT, ALARM, CONTOUR = '0.55', '#bb5566', '0.82'
 # More curves than this in one panel are shaded by number instead of named one by one.
@@ -63,7 +65,7 @@ def draw_curves(axes: 'Axes', curves: Sequence[tuple[str, np.ndarray, np.ndarray
             if i > 0:
                 name = f'... {name}' if i == len(curves) - 1 else '_nolegend_'
         else:
-            style = {'color': COLOURS[i % len(COLOURS)], 'linewidth': 1.4,
+            style = {'color': (COLOURS + _MORE_COLOURS)[i], 'linewidth': 1.4,
                      'linestyle': DASHES[(i + i // len(COLOURS)) % len(DASHES)]}
         axes.plot(x, y, label=name, **style)
 
@@ -136,14 +138,15 @@ def draw_energy(trajectory: Trajectory) -> 'Figure':
         upper.plot(t, own, color=COLOURS[-1], linewidth=1.6, linestyle=DASHES[i % len(DASHES)],
                    label=f'work: {name}')
     upper.axhline(0.0, color=COLOURS[-1], linewidth=0.6)
-    lower.plot(t, error[''], color=ALARM, linewidth=1.2)
+    lower.plot(t, error[''], color=COLOURS[0], linewidth=1.2, label='unexplained')
     upper.set_ylabel('lost   |   stored [J]')
     lower.set_ylabel('unexplained [J]')
     for axes in rows:
         axes.grid(alpha=0.3)
         axes.margins(x=0.0)
     _draw_instants(rows, trajectory)
-    name_curves(upper)
+    for axes in rows:
+        name_curves(axes)
     lower.set_xlabel('t [s]')
     figure.align_ylabels(rows)
     _write_title(figure, trajectory.title)
@@ -198,8 +201,9 @@ def _energy_panels(trajectory: Trajectory) -> list[_Panel]:
     return panels
 
 
-# Dash patterns of the alarms of a run [points].
-_DASHES = (1, 2), (5, 2), (9, 2, 1, 2)
+# Dash patterns of the alarms of a run [points]. Their numbers are above the first panel, higher
+# where alarms follow within this share of the duration, by a line of text each [points].
+_DASHES, _NEAR, _LINE = ((1, 2), (5, 2), (9, 2, 1, 2)), 0.03, 9
 
 
 def _draw_instants(rows: np.ndarray, trajectory: Trajectory) -> None:
@@ -210,12 +214,23 @@ def _draw_instants(rows: np.ndarray, trajectory: Trajectory) -> None:
             axes.axvline(event.t, color=EVENT, linewidth=0.8, zorder=0, label=(
                 f'event {event.when}' if number == 0 and event.when not in named else None))
             named.add(event.when)
-        if trajectory.q.ndim == 3 or trajectory.scene is None:
-            continue
-        for k, alarm in enumerate(trajectory.alarms):
-            axes.axvline(alarm.step * trajectory.scene.known_step_size, color=ALARM,
-                         linewidth=1.2, linestyle=(0, _DASHES[k % len(_DASHES)]), zorder=0,
-                         label=f'alarm: {alarm.kind}' if number == len(rows) - 1 else None)
+    if trajectory.q.ndim == 3 or trajectory.scene is None or not len(trajectory.t):
+        return
+    near, last, level = _NEAR * float(np.ptp(trajectory.t)), -math.inf, 0
+    ordered = sorted(trajectory.alarms, key=lambda alarm: alarm.step)
+    for k, alarm in enumerate(ordered, 1):
+        t = alarm.step * trajectory.scene.known_step_size
+        level = level + 1 if t - last <= near else 0
+        last = t
+        for axes in rows:
+            # In front of the frame: an alarm of the first step is on it.
+            axes.axvline(t, color=ALARM, linewidth=1.2, clip_on=False, zorder=3 if level == 0
+                         and t <= trajectory.t[0] else 0,
+                         linestyle=(0, _DASHES[(k - 1) % len(_DASHES)]),
+                         label=f'{k} alarm: {alarm.kind}' if axes is rows[-1] else None)
+        rows[0].annotate(str(k), (t, 1.0), (0, 2 + _LINE * level), color=ALARM, fontsize=8,
+                         xycoords=('data', 'axes fraction'), textcoords='offset points',
+                         ha='center', annotation_clip=False)
 
 
 # Side of a panel [inch], and maximum number of panels per row.

@@ -11,8 +11,9 @@ from hnn_vi_ros.errors import MissingPackage, RecordingError
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import simulate, simulate_many, Trajectory
-from hnn_vi_ros.simulation.trajectory.figures import ALARM, COLOURS, MOST_NAMED
+from hnn_vi_ros.simulation.trajectory.figures import ALARM, COLOURS, draw_curves, MOST_NAMED
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from messages import refused
 import numpy as np
 import pytest
@@ -168,6 +169,26 @@ def test_colours_differ_in_lightness_which_grey_and_colour_blind_readers_see():
     for one, other in combinations(COLOURS, 2):
         assert abs(lightness(one) - lightness(other)) > 20.0
     assert ALARM in COLOURS
+
+
+def test_plot_of_up_to_eight_curves_gives_each_a_colour_of_its_own():
+    axes = Figure().subplots()
+    draw_curves(axes, [(str(k), np.arange(2.0), np.arange(2.0)) for k in range(MOST_NAMED)])
+    assert len({line.get_color() for line in axes.lines}) == MOST_NAMED
+
+
+@pytest.mark.filterwarnings('ignore::hnn_vi_ros.errors.AlarmWarning')
+def test_alarms_of_a_plot_are_numbered_above_each_other():
+    run = simulate('pendulum', 8.0, step_size=0.4, integrator='rk4')
+    rows = run.plot().axes
+    assert len(run.alarms) > 1
+    numbers = [text for text in rows[0].texts if text.get_text().isdigit()]
+    assert [text.get_text() for text in numbers] == [str(k + 1) for k in range(len(run.alarms))]
+    # Two numbers differ in time by more than their width, or in height.
+    places = [(round(text.xy[0] / 0.24), text.get_position()[1]) for text in numbers]
+    assert len({*places}) == len(places)
+    shown = [text.get_text() for text in rows[-1].get_legend().get_texts()][1:]
+    assert shown == [f'{k} alarm: {alarm.kind}' for k, alarm in enumerate(run.alarms, 1)]
 
 
 def test_portrait_has_momentum_over_coordinate_and_level_sets_of_H(run):
