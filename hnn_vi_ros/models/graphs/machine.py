@@ -7,16 +7,16 @@ Places and counts are unsigned, since a check for negative indices would prevent
 loops are compiled once, and called by address, because they are the same for all graphs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.kernels import (
     address_of, block, entry_address, entry_caller, flat, kept, load, Part, part, type_of, Whole)
+from hnn_vi_ros.models.graphs.operations import BINARY, UNARY
 from hnn_vi_ros.models.graphs.tape import (
-    AMAX, Assembler, COPY, FILL, FIRST_BINARY, FIRST_UNARY, MATMUL, NETWORK, PUT, SUM, TAKE, Tape,
-    WHERE)
+    AMAX, Assembler, COPY, FILL, FIRST_UNARY, MATMUL, NETWORK, PUT, SUM, TAKE, Tape, WHERE)
 from hnn_vi_ros.models.networks.activations import (
     exponential, FASTMATH, logarithm, sine_and_cosine, softplus_and_slope, tanh)
 from hnn_vi_ros.models.networks.mapping import run_network
@@ -27,7 +27,6 @@ import numpy as np
 _part = part(fastmath=FASTMATH, error_model='numpy', forceinline=True)
 _compiled = kept(error_model='numpy')
 _ONE, _TILE = np.uint64(1), np.uint64(8)
-_FIRST_TRANSCENDENTAL = FIRST_UNARY + 10
 _1, _2, _3, _4, _5, _6, _7 = (np.uint64(k) for k in range(1, 8))
 # The type of a network, and its size in memory in bytes.
 _EXAMPLE = pack_mapping(2 * (np.zeros((1, 1)),), 2 * (np.zeros(1),), 'tanh')
@@ -173,12 +172,8 @@ def _run(program: int, which: int) -> None:
     x, index, code = own.memory, own.numbers, own.code
     for k in range(own.ends[which], own.ends[which + 1]):
         op, out, n, a, b = code[k, 0], code[k, 1], code[k, 2], code[k, 3], code[k, 4]
-        if op >= FIRST_BINARY:
-            _binary(op - np.uint64(FIRST_BINARY), x, out, n, a, b)
-        elif op >= _FIRST_TRANSCENDENTAL:
-            _transcendental(op - np.uint64(FIRST_UNARY), x, out, n, a)
-        elif op >= FIRST_UNARY:
-            _unary(op - np.uint64(FIRST_UNARY), x, out, n, a)
+        if op >= FIRST_UNARY:
+            _apply(op, x, out, n, a, b)
         elif op == NETWORK:
             network = load(address_of(own.networks) + _BYTES * np.int64(code[k, 7]), _NETWORK)
             run_network(network, x, out, a, b, code[k, 5], code[k, 6], code[k, 8])
@@ -302,149 +297,85 @@ def _amax(x: np.ndarray, out: Any, outer: Any, count: Any, inner: Any, a: Any) -
             x[out + i * inner + j] = best
 
 
-@_part
-def _unary(op: Any, x: np.ndarray, out: Any, n: Any, a: Any) -> None:
-    """Set out to a function of a; op is its place in UNARY, below 10."""
-    if op == 0:
+def _elementwise(function: Callable[..., Any], binary: bool) -> Part:
+    """Return the loop that sets out to a function of a, or of a and b."""
+    one = _part(function)
+
+    @_part
+    def of_one(op: Any, x: np.ndarray, out: Any, n: Any, a: Any, b: Any) -> None:
         for i in range(n):
-            x[out + i] = -x[a + i]
-    elif op == 1:
+            x[out + i] = one(x[a + i])
+
+    @_part
+    def of_two(op: Any, x: np.ndarray, out: Any, n: Any, a: Any, b: Any) -> None:
         for i in range(n):
-            x[out + i] = abs(x[a + i])
-    elif op == 2:
-        for i in range(n):
-            y = x[a + i]
-            x[out + i] = 1.0 if y > 0.0 else -1.0 if y < 0.0 else y
-    elif op == 3:
-        for i in range(n):
-            x[out + i] = math.floor(x[a + i])
-    elif op == 4:
-        for i in range(n):
-            x[out + i] = math.ceil(x[a + i])
-    elif op == 5:
-        for i in range(n):
-            x[out + i] = np.rint(x[a + i])
-    elif op == 6:
-        for i in range(n):
-            x[out + i] = 1.0 if x[a + i] == 0.0 else 0.0
-    elif op == 7:
-        for i in range(n):
-            y = x[a + i]
-            x[out + i] = 0.0 if y <= 0.0 else y
-    elif op == 8:
-        for i in range(n):
-            x[out + i] = 1.0 / x[a + i]
-    elif op == 9:
-        for i in range(n):
-            x[out + i] = math.sqrt(x[a + i])
+            x[out + i] = one(x[a + i], x[b + i])
+
+    return of_two if binary else of_one
 
 
-@_part
-def _transcendental(op: Any, x: np.ndarray, out: Any, n: Any, a: Any) -> None:
-    """Set out to a function of a; op is its place in UNARY, from 10 on."""
-    if op == 10:
-        for i in range(n):
-            x[out + i] = exponential(x[a + i])
-    elif op == 11:
-        for i in range(n):
-            x[out + i] = math.expm1(x[a + i])
-    elif op == 12:
-        for i in range(n):
-            x[out + i] = logarithm(x[a + i])
-    elif op == 13:
-        for i in range(n):
-            x[out + i] = math.log1p(x[a + i])
-    elif op == 14:
-        for i in range(n):
-            x[out + i] = sine_and_cosine(x[a + i])[0]
-    elif op == 15:
-        for i in range(n):
-            x[out + i] = sine_and_cosine(x[a + i])[1]
-    elif op == 16:
-        for i in range(n):
-            x[out + i] = math.tan(x[a + i])
-    elif op == 17:
-        for i in range(n):
-            x[out + i] = math.asin(x[a + i])
-    elif op == 18:
-        for i in range(n):
-            x[out + i] = math.acos(x[a + i])
-    elif op == 19:
-        for i in range(n):
-            x[out + i] = math.atan(x[a + i])
-    elif op == 20:
-        for i in range(n):
-            x[out + i] = math.sinh(x[a + i])
-    elif op == 21:
-        for i in range(n):
-            x[out + i] = math.cosh(x[a + i])
-    elif op == 22:
-        for i in range(n):
-            x[out + i] = tanh(x[a + i])
-    elif op == 23:
-        for i in range(n):
-            x[out + i] = math.asinh(x[a + i])
-    elif op == 24:
-        for i in range(n):
-            x[out + i] = softplus_and_slope(x[a + i])[1]
-    elif op == 25:
-        for i in range(n):
-            x[out + i] = softplus_and_slope(x[a + i])[0]
-    elif op == 26:
-        for i in range(n):
-            x[out + i] = x[a + i]
-    elif op == 27:
-        for i in range(n):
-            x[out + i] = math.erf(x[a + i])
-    elif op == 28:
-        for i in range(n):
-            x[out + i] = math.sqrt(x[a + i])
+def _chosen(loops: Sequence[Part], first: int) -> Part:
+    """Return one loop for operations numbered from ``first``; the number is found by halves."""
+    if len(loops) == 1:
+        return loops[0]
+    middle = len(loops) // 2
+    limit = np.uint64(first + middle)
+    low, high = _chosen(loops[:middle], first), _chosen(loops[middle:], first + middle)
+
+    @_part
+    def choose(op: Any, x: np.ndarray, out: Any, n: Any, a: Any, b: Any) -> None:
+        if op < limit:
+            low(op, x, out, n, a, b)
+        else:
+            high(op, x, out, n, a, b)
+
+    return choose
 
 
-@_part
-def _binary(op: Any, x: np.ndarray, out: Any, n: Any, a: Any, b: Any) -> None:
-    """Set out to a function of a and b; op is its place in BINARY."""
-    if op == 0:
-        for i in range(n):
-            x[out + i] = x[a + i] + x[b + i]
-    elif op == 1:
-        for i in range(n):
-            x[out + i] = x[a + i] - x[b + i]
-    elif op == 2:
-        for i in range(n):
-            x[out + i] = x[a + i] * x[b + i]
-    elif op == 3:
-        for i in range(n):
-            x[out + i] = x[a + i] / x[b + i]
-    elif op == 4:
-        for i in range(n):
-            x[out + i] = math.pow(x[a + i], x[b + i])
-    elif op == 5:
-        for i in range(n):
-            y, z = x[a + i], x[b + i]
-            x[out + i] = y if y > z or y != y else z
-    elif op == 6:
-        for i in range(n):
-            y, z = x[a + i], x[b + i]
-            x[out + i] = y if y < z or y != y else z
-    elif op == 7:
-        for i in range(n):
-            x[out + i] = math.atan2(x[a + i], x[b + i])
-    elif op == 8:
-        for i in range(n):
-            x[out + i] = 1.0 if x[a + i] < x[b + i] else 0.0
-    elif op == 9:
-        for i in range(n):
-            x[out + i] = 1.0 if x[a + i] <= x[b + i] else 0.0
-    elif op == 10:
-        for i in range(n):
-            x[out + i] = 1.0 if x[a + i] > x[b + i] else 0.0
-    elif op == 11:
-        for i in range(n):
-            x[out + i] = 1.0 if x[a + i] >= x[b + i] else 0.0
-    elif op == 12:
-        for i in range(n):
-            x[out + i] = 1.0 if x[a + i] == x[b + i] else 0.0
-    elif op == 13:
-        for i in range(n):
-            x[out + i] = 1.0 if x[a + i] != x[b + i] else 0.0
+_OF_ONE: dict[str, Callable[[float], float]] = {
+    'neg': lambda y: -y,
+    'abs': lambda y: abs(y),
+    'sign': lambda y: 1.0 if y > 0.0 else -1.0 if y < 0.0 else y,
+    'floor': lambda y: math.floor(y),
+    'ceil': lambda y: math.ceil(y),
+    'rint': lambda y: np.rint(y),
+    'not': lambda y: 1.0 if y == 0.0 else 0.0,
+    'relu': lambda y: 0.0 if y <= 0.0 else y,
+    'reciprocal': lambda y: 1.0 / y,
+    'sqrt': lambda y: math.sqrt(y),
+    'exp': lambda y: exponential(y),
+    'expm1': lambda y: math.expm1(y),
+    'log': lambda y: logarithm(y),
+    'log1p': lambda y: math.log1p(y),
+    'sin': lambda y: sine_and_cosine(y)[0],
+    'cos': lambda y: sine_and_cosine(y)[1],
+    'tan': lambda y: math.tan(y),
+    'asin': lambda y: math.asin(y),
+    'acos': lambda y: math.acos(y),
+    'atan': lambda y: math.atan(y),
+    'sinh': lambda y: math.sinh(y),
+    'cosh': lambda y: math.cosh(y),
+    'tanh': lambda y: tanh(y),
+    'asinh': lambda y: math.asinh(y),
+    'sigmoid': lambda y: softplus_and_slope(y)[1],
+    'softplus': lambda y: softplus_and_slope(y)[0],
+    'fixed': lambda y: y,
+    'erf': lambda y: math.erf(y),
+    'root': lambda y: math.sqrt(y)}
+_OF_TWO: dict[str, Callable[[float, float], float]] = {
+    'add': lambda y, z: y + z,
+    'sub': lambda y, z: y - z,
+    'mul': lambda y, z: y * z,
+    'div': lambda y, z: y / z,
+    'pow': lambda y, z: math.pow(y, z),
+    'maximum': lambda y, z: y if y > z or y != y else z,
+    'minimum': lambda y, z: y if y < z or y != y else z,
+    'atan2': lambda y, z: math.atan2(y, z),
+    'lt': lambda y, z: 1.0 if y < z else 0.0,
+    'le': lambda y, z: 1.0 if y <= z else 0.0,
+    'gt': lambda y, z: 1.0 if y > z else 0.0,
+    'ge': lambda y, z: 1.0 if y >= z else 0.0,
+    'eq': lambda y, z: 1.0 if y == z else 0.0,
+    'ne': lambda y, z: 1.0 if y != z else 0.0}
+_apply = _chosen([*(_elementwise(_OF_ONE[op], False) for op in UNARY),
+                  *(_elementwise(_OF_TWO[op], True) for op in BINARY)], FIRST_UNARY)

@@ -19,7 +19,6 @@ WIDTH = 9
 # Structural instructions come first, then elementwise ones in the order of their tables.
 MATMUL, SUM, AMAX, FILL, TAKE, PUT, COPY, WHERE, NETWORK = range(9)
 FIRST_UNARY = 9
-FIRST_BINARY = FIRST_UNARY + len(UNARY)
 CODES = {op: k for k, op in enumerate((*UNARY, *BINARY), start=FIRST_UNARY)}
 # Flags of NETWORK: compute the activations, their tangents; then go back, and along a tangent.
 VALUES, TANGENTS, BACK, ALONG = 1, 2, 4, 8
