@@ -16,7 +16,7 @@ from hnn_vi_ros.files import (
     dump_yaml, one_line, package_file, Parser, SCHEME, share_folder, write_new_scene)
 from hnn_vi_ros.hamiltonians import (
     Formula, Graph, Joint, MOST_JOINTS, read_urdf, Reader, RigidBodyTree, Robot, SLIDING,
-    TIME_DEPENDENT, TIMES)
+    TIMES)
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from scipy.optimize import minimize
@@ -396,9 +396,8 @@ def formula_text(text: str, schema: str) -> str:
         # p_x belongs to x, and p1 to q1.
         owners = {name: f'q{name[1:]}' if f'q{name[1:]}' in names or name[1:].isdecimal() else
                   name[2:] for name in names if re.match(r'p(_\w|\d+$|$)', name)}
-        parameters = dict.fromkeys(names.keys() - owners.keys() - {*owners.values()}, 1.0)
-        for name in TIMES & parameters.keys():
-            raise ValueError(TIME_DEPENDENT.format(name))
+        parameters = dict.fromkeys(
+            names.keys() - owners.keys() - {*owners.values()} - TIMES, 1.0)
         if not owners:
             raise ValueError('no momentum: write p_x for the momentum of the coordinate x')
         hamiltonian, d = Formula([*owners.values()], text, parameters), len(owners)

@@ -70,6 +70,9 @@ class BatchStep:
         if parts.hamiltonian.rotations:
             raise UnsupportedSystem(f'{self.scene.name} has rotations, for which steps with '
                                     'commands have no derivatives yet')
+        if parts.hamiltonian.time is not None:
+            raise UnsupportedSystem(f'{self.scene.name}: its H depends on the time, but '
+                                    'controllers assume that it does not')
         self._h, self.hold, self._parts = self.scene.known_step_size, int(hold), parts
         self._simulation, self._threads = self._begin(parts), threads or usable_processors()
         # One for each thread, made when first needed.

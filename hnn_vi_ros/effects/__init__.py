@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.effects.registry import effect_name, EFFECTS
     from hnn_vi_ros.effects.servo import OFF, Servo
     from hnn_vi_ros.effects.splitting import largest_gain
+    from hnn_vi_ros.effects.time_drive import TimeDrive
     from hnn_vi_ros.effects.wrapped import Account, Wrapped
 
 __getattr__, __dir__ = lazy_exports(__name__)

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 from hnn_vi_ros.effects.attitudes import lift_torques
 from hnn_vi_ros.effects.base import EffectState, Force, InternalForce, Joined
+from hnn_vi_ros.effects.time_drive import TimeDrive
 from hnn_vi_ros.integrators import largest
 from hnn_vi_ros.kernels import (
     by_address, composed, Energy, Functions, functions_of, Gradient, HessianVector, inlined,
@@ -84,9 +85,11 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
     # Of forces with internal variables there are derivatives.
     add_others, add_tangents = (
         _chain(kinds, internal, 0, False, joints), _tangents(kinds, internal, 0))
+    set_time = _time_setter(kinds, internal)
 
     def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-        base, _, _, _, _, d, _, _ = parameters
+        base, forces, clock, _, _, d, _, _ = parameters
+        set_time(forces, clock, q[d:])
         return base_energy(base, q[:d], p[:d])
 
     def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
@@ -94,6 +97,7 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
         base, forces, clock, space, rotations, d, channels, _ = parameters
         for a in range(0, q.size, d + channels):
             b, end = a + d, a + d + channels
+            set_time(forces, clock, q[b:end])
             base_gradient(base, q[a:b], p[a:b], dH_dq[a:b], dH_dp[a:b])
             space[2:4] = 0.0
             add_all(forces, clock, q[b:end], q[a:b], p[a:b], dH_dq[a:b], dH_dp[a:b],
@@ -111,6 +115,7 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
         base, forces, clock, space, rotations, d, channels, differ = parameters
         for a in range(0, q.size, d + channels):
             b, end = a + d, a + d + channels
+            set_time(forces, clock, q[b:end])
             base_hessian_vector(base, q[a:b], p[a:b], v_q[a:b], v_p[a:b],
                                 product_q[a:b], product_p[a:b])
             product_q[b:end] = 0.0
@@ -155,7 +160,19 @@ def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool,
     if issubclass(kinds[0], InternalForce):
         return _internal_chain(kinds, k, j, joints) if internal else _without_first(
             _chain(kinds[1:], k + 1, j + 1, False, joints[1:]))
-    add_force, rest = kinds[0].add_force, _chain(kinds[1:], k + 1, j, internal, joints[1:])
+    rest = _chain(kinds[1:], k + 1, j, internal, joints[1:])
+
+    @inlined
+    def add_work(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
+                 p: np.ndarray, H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray,
+                 pace: np.ndarray, space: np.ndarray) -> None:
+        time, others = forces
+        minus_power[k], pace[k] = -time[1], 1.0
+        rest(others, clock, times, q, p, H_q, H_p, minus_power, pace, space)
+
+    if issubclass(kinds[0], TimeDrive):
+        return add_work
+    add_force = kinds[0].add_force
 
     @inlined
     def add_by_joint(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
@@ -250,6 +267,24 @@ def _tangents(kinds: tuple[type[Force], ...], k: int, j: int) -> Callable[..., N
         rates[j] -= rate
         rest(others, times, velocity, v, change, product, rates)
     return add_tangents
+
+
+@cache
+def _time_setter(kinds: tuple[type[Force], ...], k: int) -> Callable[..., None]:
+    """Return a function that sets the time of H(q, p, t); forces begin at channel k."""
+    if TimeDrive not in kinds:
+        return _add_none
+    if kinds[0] is TimeDrive:
+        @inlined
+        def set_time(forces: Parameters, clock: np.ndarray, times: np.ndarray) -> None:
+            forces[0][0] = clock[0] + (clock[1] + times[k])
+        return set_time
+    rest = _time_setter(kinds[1:], k + 1)
+
+    @inlined
+    def set_later(forces: Parameters, clock: np.ndarray, times: np.ndarray) -> None:
+        rest(forces[1], clock, times)
+    return set_later
 
 
 @inlined

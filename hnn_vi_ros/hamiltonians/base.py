@@ -3,7 +3,7 @@
 """Base class of Hamiltonians: H and its gradient, for one state, for many, or as a kernel."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
@@ -15,6 +15,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.kernels import Functions, Kernel, Parameters
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 Invariant = Callable[[np.ndarray, np.ndarray], float]
@@ -44,6 +45,8 @@ class Hamiltonian(ABC):
     """
     A function H(q, p) of d coordinates and their momenta, with q' = H_p, p' = -H_q.
 
+    H(q, p, t) is evaluated at the time in ``time``, where the gradient stores H_t.
+
     With rotations (see Coordinate), d is the number of columns of q, and p has one column less for
     each rotation; H_p contains angular velocities in the frame of the body, and H_q the
     derivatives by each column of a quaternion.
@@ -58,6 +61,8 @@ class Hamiltonian(ABC):
         Names, units and kinds of the coordinates.
     separable, canonical : bool
         True if H(q, p) = T(p) + V(q); True if p are canonical momenta.
+    time : np.ndarray, shape (2,), or None
+        The time [s] and H_t [W] of the last gradient; None if H does not depend on the time.
     robot : Robot or None
         The robot whose joints are the coordinates, if a URDF describes one.
     loops : Loops or None
@@ -83,6 +88,7 @@ class Hamiltonian(ABC):
     coordinates: tuple[Coordinate, ...]
     separable: bool = False
     canonical: ClassVar[bool] = True
+    time: np.ndarray | None = None
     robot: Robot | None = None
     loops: Loops | None = None
     carrier: Carrier | None = None
@@ -133,9 +139,9 @@ class Hamiltonian(ABC):
             H has no such model.
 
         """
-        if kind != 'model' or self.rotations:
+        if kind != 'model' or self.rotations or self.time is not None:
             raise ValueError(f'gravity_compensation = {kind!r} needs the H of a URDF; give '
-                             'gravity_compensation: model of an H with scalar coordinates')
+                             'gravity_compensation: model of an H(q, p) with scalar coordinates')
         return self.copy()
 
     @property
@@ -159,6 +165,8 @@ class Hamiltonian(ABC):
         # Cached properties, which the copy computes for itself.
         for name in ('kernel', '_called'):
             vars(other).pop(name, None)
+        if self.time is not None:
+            other.time = self.time.copy()
         return other
 
     @cached_property
@@ -174,9 +182,9 @@ class Hamiltonian(ABC):
             from hnn_vi_ros.kernels import provide
             provide(self._called, 0, 1, 2)
 
-    def energy(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    def energy(self, q: np.ndarray, p: np.ndarray, t: ArrayLike = 0.0) -> np.ndarray:
         """
-        Return H(q, p) [J], shape (...), for q and p of shape (..., d).
+        Return H [J], shape (...), for q and p of shape (..., d), at times broadcast to (...).
 
         Raises
         ------
@@ -185,11 +193,14 @@ class Hamiltonian(ABC):
 
         """
         flat_q, flat_p = self._flat(q, self._padded(p))
-        return self._called.energies(flat_q, flat_p).reshape(np.shape(q)[:-1])
+        found = [self._called.energies(flat_q[part], flat_p[part])
+                 for part in self._parts(t, np.shape(q))]
+        return np.concatenate(found or [np.empty(0)]).reshape(np.shape(q)[:-1])
 
-    def gradient(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def gradient(self, q: np.ndarray, p: np.ndarray, t: ArrayLike = 0.0
+                 ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return (dH/dq, dH/dp), each of shape (..., d), for q and p of shape (..., d).
+        Return (dH/dq, dH/dp), shape (..., d) each, for the arguments of ``energy``.
 
         Raises
         ------
@@ -197,7 +208,9 @@ class Hamiltonian(ABC):
             The last axis does not have length d.
 
         """
-        dH_dq, dH_dp = self._called.slopes(*self._flat(q, self._padded(p)))
+        flat = np.array(self._flat(q, self._padded(p)))
+        dH_dq, dH_dp = np.concatenate([np.empty((2, 0)), *(
+            self._called.slopes(*flat[:, part]) for part in self._parts(t, np.shape(q)))], axis=1)
         return dH_dq.reshape(np.shape(q)), self._unpadded(dH_dp.reshape(np.shape(q)))
 
     def hessian_vector(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
@@ -205,14 +218,18 @@ class Hamiltonian(ABC):
         """
         Return H''(q, p) (v_q, v_p) as two arrays of shape (..., d), the shape of every argument.
 
+        Of H(q, p, t) it is that at t = 0.
+
         Raises
         ------
         ValueError
             The last axis does not have length d.
 
         """
-        product_q, product_p = self._called.products(
-            *self._flat(q, self._padded(p)), *self._flat(v_q, self._padded(v_p)))
+        flat = np.array((*self._flat(q, self._padded(p)), *self._flat(v_q, self._padded(v_p))))
+        product_q, product_p = np.concatenate([np.empty((2, 0)), *(
+            self._called.products(*flat[:, part]) for part in self._parts(0.0, np.shape(q)))],
+            axis=1)
         return product_q.reshape(np.shape(q)), self._unpadded(product_p.reshape(np.shape(q)))
 
     def inverse_mass(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -230,6 +247,15 @@ class Hamiltonian(ABC):
         along_q, along_p = np.zeros((k, *q.shape)), np.broadcast_to(units, (k, *p.shape))
         q, p = (np.broadcast_to(x, (k, *x.shape)) for x in (q, p))
         return np.moveaxis(self.hessian_vector(q, p, along_q, along_p)[1], 0, -1)
+
+    def _parts(self, t: ArrayLike, shape: tuple[int, ...]) -> Iterator[slice]:
+        """Yield slices of concatenated states, (..., d), after setting the time of each."""
+        if self.time is None:
+            yield slice(None)
+            return
+        for k, time in enumerate(np.broadcast_to(t, shape[:-1]).flat):
+            self.time[0] = time
+            yield slice(k * shape[-1], (k + 1) * shape[-1])
 
     def _padded(self, p: np.ndarray) -> np.ndarray:
         """Return momenta with the zero columns that kernels expect."""

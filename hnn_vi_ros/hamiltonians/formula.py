@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any
 
 from hnn_vi_ros.files import StrictModel
+from hnn_vi_ros.hamiltonians.argument_order import TIME
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.expressions import Graph
 from hnn_vi_ros.hamiltonians.straight_code import check_names, graph_kernel, NAME, read_hamiltonian
@@ -44,6 +45,9 @@ class Formula(Hamiltonian):
     reverse accumulation, products with H'' by forward accumulation through it; both are exact up
     to round-off.
 
+    ``t`` is the time [s], unless a coordinate or a parameter has this name. The energy account of
+    H(q, p, t) contains the work of the drive, the integral of dH/dt.
+
     Parameters
     ----------
     coordinates : list of str or of mapping
@@ -81,23 +85,25 @@ class Formula(Hamiltonian):
             if not graph.depending([root], [momentum]):
                 raise ValueError(f'H does not depend on {momentum}, so {name} would never move; '
                                  'add its kinetic energy')
-        both = names + self._momenta
+        timed = [TIME] if TIME in {*self._read.names} - {*names, *self.parameters} else []
+        self.time = np.zeros(2) if timed else None
+        both = names + self._momenta + timed
         self._slopes = graph.gradient(root, both)
         d = len(names)
         self.smooth = graph.is_smooth(root, both, self.parameters)
         self.separable = not (graph.depending(self._slopes[:d], self._momenta)
-                              or graph.depending(self._slopes[d:], names))
+                              or graph.depending(self._slopes[d:2 * d], names + timed))
 
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions for simulations."""
         return graph_kernel(self._graph, self._root, [c.name for c in self.coordinates],
-                            self._momenta, self.parameters)
+                            self._momenta, self.parameters, self.time)
 
     def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
         """Raise ValueError, with the column, if H or H' is not finite at a state, (d,) each."""
         names = [c.name for c in self.coordinates]
-        known = {**self.parameters, **dict(zip(names, q, strict=True)),
+        known = {TIME: 0.0, **self.parameters, **dict(zip(names, q, strict=True)),
                  **dict(zip(self._momenta, p, strict=True))}
         values = self._graph.values([self._root, *self._slopes], known)
         for node in sorted(values):

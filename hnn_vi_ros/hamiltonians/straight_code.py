@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from hnn_vi_ros.errors import did_you_mean, listed
-from hnn_vi_ros.hamiltonians.argument_order import TIME_DEPENDENT, TIMES
+from hnn_vi_ros.hamiltonians.argument_order import TIME, TIME_DEPENDENT, TIMES
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.expressions import FUNCTIONS, Graph, Reader
 from hnn_vi_ros.hamiltonians.parameters import check_finite
@@ -54,18 +54,23 @@ class AnalyticHamiltonian(Hamiltonian):
 
 def read_hamiltonian(graph: Graph, names: Sequence[str], text: str,
                      parameters: Mapping[str, float]) -> Reader:
-    """Return H as parsed, with the momentum of each coordinate c named p_c; see read_formula."""
+    """
+    Return H as parsed, with the momentum of each coordinate c named p_c; see read_formula.
+
+    Unless a coordinate or a parameter has the name t, it is the time.
+    """
     momenta = {f'p_{name}': name for name in names}
     momenta |= {own: name for name in names
                 if (own := momentum_name(name)) not in {*momenta, *names, *parameters}}
     check_names('parameters', [*parameters], {*names, *momenta})
     # The code does not depend on the names of momenta.
-    return read_formula('H', graph, text, [*names, *momenta], parameters, {
+    time = [TIME] if TIME not in {*names, *momenta, *parameters} else []
+    return read_formula('H', graph, text, [*names, *momenta, *time], parameters, {
         name: f'p_{coordinate}' for name, coordinate in momenta.items()})
 
 
 def graph_kernel(graph: Graph, root: int, names: Sequence[str], momenta: Sequence[str],
-                 parameters: Mapping[str, float]) -> Kernel:
+                 parameters: Mapping[str, float], time: np.ndarray | None = None) -> Kernel:
     """
     Return the functions of H as code without loops, the same for all values of the parameters.
 
@@ -79,28 +84,33 @@ def graph_kernel(graph: Graph, root: int, names: Sequence[str], momenta: Sequenc
         Names of the d coordinates and their momenta.
     parameters : mapping of str to float
         Values of the other names.
+    time : np.ndarray, shape (2,), optional
+        See ``Hamiltonian.time``.
 
     """
-    return graph_kernels(graph, root, names, momenta)(parameters)
+    return graph_kernels(graph, root, names, momenta, time)(parameters)
 
 
-def graph_kernels(graph: Graph, root: int, names: Sequence[str], momenta: Sequence[str]
-                  ) -> Callable[[Mapping[str, float]], Kernel]:
+def graph_kernels(graph: Graph, root: int, names: Sequence[str], momenta: Sequence[str],
+                  time: np.ndarray | None = None) -> Callable[[Mapping[str, float]], Kernel]:
     """Return ``graph_kernel`` as a function of the values alone, for many of them."""
-    d, both = len(names), [*names, *momenta]
+    d, both, timed = len(names), [*names, *momenta], [] if time is None else [TIME]
     slopes, changes = graph.gradient(root, both), {name: f'change of {name}' for name in both}
-    products = graph.tangents(slopes, changes)
-    constants = constants_of(graph, [root, *slopes, *products], [*both, *changes.values()])
+    products, rates = graph.tangents(slopes, changes), graph.gradient(root, timed)
+    constants = constants_of(graph, [root, *slopes, *products, *rates],
+                             [*both, *changes.values(), *timed])
     code = Code(graph, constants, {
         own: f'{array}[k + {i}]' for array, owners in (
             ('q', names), ('p', momenta), ('v_q', [changes[name] for name in names]),
-            ('v_p', [changes[name] for name in momenta])) for i, own in enumerate(owners)})
+            ('v_p', [changes[name] for name in momenta])) for i, own in enumerate(owners)}
+        | dict.fromkeys(timed, 'time[0]'), ['time'] if timed else [])
     places, more = ([f'{half}[k + {i}]' for half in halves for i in range(d)] for halves in (
         ('dH_dq', 'dH_dp'), ('product_q', 'product_p')))
     loop = f'for k in range(0, q.size, {d}):'
     functions = (
         code.function('energy', 'q, p', [], [root], 'k = 0'),
-        code.function('gradient', 'q, p, dH_dq, dH_dp', places, slopes, loop),
+        code.function('gradient', 'q, p, dH_dq, dH_dp', places + ['time[1]'] * len(rates),
+                      slopes + rates, loop),
         code.function('hessian_vector', 'q, p, v_q, v_p, product_q, product_p', more, products,
                       loop))
     quadratic = not graph.depending(products[d:], [*both, *(changes[name] for name in names)])
@@ -108,7 +118,8 @@ def graph_kernels(graph: Graph, root: int, names: Sequence[str], momenta: Sequen
     def kernel(parameters: Mapping[str, float]) -> Kernel:
         values = graph.values(constants, parameters)
         return compiled_kernel(
-            functions, tuple(float(values[a]) for a in constants), d,
+            functions, (*(() if time is None else (time,)),
+                        *(float(values[a]) for a in constants)), d,
             (_largest_term(graph, slopes[:d], parameters),
              _largest_term(graph, slopes[d:], parameters)))._replace(quadratic=quadratic)
     return kernel
@@ -126,11 +137,15 @@ class Code:
         Nodes whose values are the parameters of the functions, in this order.
     inputs : mapping of str to str
         Expressions for the other names, such as ``q[k + 0]``.
+    first : sequence of str, optional
+        Names of the parameters before the constants.
 
     """
 
-    def __init__(self, graph: Graph, constants: Sequence[int], inputs: Mapping[str, str]):
+    def __init__(self, graph: Graph, constants: Sequence[int], inputs: Mapping[str, str],
+                 first: Sequence[str] = ()):
         self._graph, self._constants, self._inputs = graph, constants, inputs
+        self._parameters = [*first, *(f'c{i}' for i in range(len(constants)))]
 
     def function(self, name: str, arguments: str, outputs: Sequence[str], roots: Sequence[int],
                  head: str = '', add: bool = False) -> Callable[..., Any]:
@@ -167,7 +182,7 @@ class Code:
         sign = '+=' if add else '='
         lines += [f'{place} {sign} {text}' for place, text in zip(
             outputs, texts_of_roots, strict=True)] if outputs else [f'return {texts_of_roots[0]}']
-        unpack = ''.join(f'c{i}, ' for i in range(len(self._constants)))
+        unpack = ''.join(f'{name}, ' for name in self._parameters)
         indent = '        ' if head.endswith(':') else '    '
         return _compile(name, '\n'.join([
             f'def {name}(parameters, {arguments}):',
@@ -228,6 +243,8 @@ def read_formula(key: str, graph: Graph, text: str, names: Sequence[str],
     valid = [*names, *parameters]
     for name, column in read.names.items():
         if name not in valid:
+            if name in TIMES and TIME in valid:
+                raise ValueError(f'{key} column {column}: {name!r} names the time; write t')
             if name in TIMES:
                 raise ValueError(f'{key} column {column}: {TIME_DEPENDENT.format(name)}')
             hint = did_you_mean(name, valid)

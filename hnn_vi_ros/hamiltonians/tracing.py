@@ -13,7 +13,7 @@ import math
 from typing import Any
 import warnings
 
-from hnn_vi_ros.hamiltonians.argument_order import call_order
+from hnn_vi_ros.hamiltonians.argument_order import call_order, TIME
 from hnn_vi_ros.hamiltonians.expressions import CALLS, COMPARISONS, Graph
 import numpy as np
 
@@ -235,9 +235,9 @@ def _symbolic_numpy() -> Iterator[None]:
             setattr(module, name, function)
 
 
-def trace(function: Callable[[Any, Any], Any], q: Any) -> tuple[list[str], str]:
+def trace(function: Callable[..., Any], q: Any) -> tuple[list[str], str]:
     """
-    Return the names of the coordinates and the formula of a function of q and p.
+    Return the names of the coordinates and the formula of a function H(q, p) or H(q, p, t).
 
     The formula must have the values of the function at 100 states, half of them near this one.
 
@@ -260,14 +260,15 @@ def trace(function: Callable[[Any, Any], Any], q: Any) -> tuple[list[str], str]:
         raise ValueError(f'H is the torch module {type(function).__name__}: write it to a file '
                          'with hnn_vi_ros.export, and name that in hamiltonian: {kind: hnn, model:'
                          ' FILE} of a scene')
-    single, (order, remark) = np.ndim(q) == 0, call_order(function)
+    single, (order, timed, remark) = np.ndim(q) == 0, call_order(function)
     graph, ends = Graph(), [''] if single else range(1, len(q) + 1)
     halves = [[Symbol(graph, graph.name(f'{half}{end}')) for end in ends] for half in 'qp']
     given = [own[0] if single else np.array(own, dtype=object).view(_Symbols)
              for own in halves]
     try:
         with _symbolic_numpy():
-            made = np.asarray(function(*given[::order or 1]), dtype=object)
+            made = np.asarray(function(*given[::order or 1], *[
+                Symbol(graph, graph.name(TIME))] * timed), dtype=object)
     except Exception as problem:  # noqa: B902  the user's code may raise any
         told: BaseException | None = problem
         while told is not None and not isinstance(told, Untraceable):
@@ -283,7 +284,7 @@ def trace(function: Callable[[Any, Any], Any], q: Any) -> tuple[list[str], str]:
                          'the coordinates')
     if not isinstance(root := made.item(), Symbol):
         raise ValueError(f'H returns {root!r:.60}, which depends on neither q nor p')
-    _compare(function, order or 1, graph, root.node, np.array(q, dtype=np.float64))
+    _compare(function, order or 1, timed, graph, root.node, np.array(q, dtype=np.float64))
     if remark:
         warnings.warn(remark, stacklevel=2)
     return [f'q{end}' for end in ends], graph.formula(root.node)
@@ -295,22 +296,23 @@ def trace(function: Callable[[Any, Any], Any], q: Any) -> tuple[list[str], str]:
 _STATES, _TOLERANCE = 100, 1e-6
 
 
-def _compare(function: Callable[[Any, Any], Any], order: int, graph: Graph, root: int,
+def _compare(function: Callable[..., Any], order: int, timed: bool, graph: Graph, root: int,
              start: np.ndarray) -> None:
     """Raise ValueError unless a formula has the values of its function, with numbers."""
     chance, names = np.random.default_rng(0), [node[1] for node in graph.nodes[:2 * start.size]]
     states = [*chance.normal(size=(_STATES, 2, *start.shape))]
-    first = complex(math.nan)
+    first, times = complex(math.nan), chance.uniform(0.0, 10.0, _STATES)
     # The first one is repeated at the end.
     for k, state in enumerate((*states, states[0])):
         state = state * (0.3, 2.0)[k % 4 // 2]
         state[0] += start * (k % 2)
-        known = dict(zip(names, state.ravel(), strict=True))
+        t = times[k % _STATES]
+        known = {TIME: t, **dict(zip(names, state.ravel(), strict=True))}
         values = graph.values([root], known)
         with np.errstate(all='ignore'):
             try:
-                own = complex(np.asarray(function(*(half.copy()[()] for half in state[::order]))
-                                         ).item())
+                own = complex(np.asarray(function(*(
+                    half.copy()[()] for half in state[::order]), *[t] * timed)).item())
             except Exception as problem:  # noqa: B902  the user's code may raise any
                 raise ValueError(f'H raises {type(problem).__name__} with numbers: '
                                  f'{" ".join(str(problem).split())}') from problem
@@ -322,5 +324,5 @@ def _compare(function: Callable[[Any, Any], Any], order: int, graph: Graph, root
                 raise ValueError(
                     f'H with numbers differs from its formula: at q = {state[0].tolist()}, p = '
                     f'{state[1].tolist()} it is {own.real:.9g}, and {values[root]:.9g} by '
-                    f'{graph.formula(root):.200}; make it a function of q and p alone, without '
+                    f'{graph.formula(root):.200}; make it a function of q, p and t alone, without '
                     'random numbers, counters, and code that depends on the type of q and p')

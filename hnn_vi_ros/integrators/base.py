@@ -160,6 +160,8 @@ class Requirements:
         if hamiltonian.canonical and self.coordinates == 'other':
             return ('needs coordinates that are not canonical, those of a model of the family '
                     'symplectic_form')
+        if hamiltonian.time is not None and not self.take_force(depends_on_momentum=False):
+            return 'does not support an H that depends on the time'
         if self.separable and not hamiltonian.separable:
             return (f'needs H = T(p) + V(q), but {type(hamiltonian).__name__} is not '
                     'separable')

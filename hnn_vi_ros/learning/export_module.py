@@ -44,6 +44,7 @@ def export(module: torch.nn.Module, path: str | Path, coordinates: Sequence[str 
     module : torch.nn.Module
         A module that maps a tensor of shape (n, 2 d), with rows (q, p), to one number H [J] a row;
         or q and p, of shape (n, d) each; if its arguments are named (p, q), it is called so.
+        A further last argument t is the time, of shape (n, 1) [s].
         A copy of it in float64 and in evaluation mode is exported.
     path : str or Path
         The file to write, which ends in .safetensors.
@@ -51,7 +52,7 @@ def export(module: torch.nn.Module, path: str | Path, coordinates: Sequence[str 
         Names, or names with units, of the d coordinates.
     domain : mapping
         ``{'q': [(low, high), ...], 'p': [(low, high), ...]}``: the box of states in which the
-        module was trained, with d intervals each.
+        module was trained, with d intervals each; with a time also ``'t': [(low, high)]``.
     name : str, optional
         Name of the model; default: the name of the file.
     overwrite : bool, optional
@@ -114,14 +115,19 @@ def graph_model(module: torch.nn.Module, card: ModelCard, kind: str
     """
     remarks = _remarks(module)
     own = _copied(module, kind)
-    low, high = np.array([*card.box.q, *card.box.p]).T
+    low, high = np.array([*card.box.q, *card.box.p, *(card.box.t or ())]).T
     z = torch.tensor(np.random.default_rng(0).uniform(low, high, (_STATES, low.size)))
     try:
-        order, remark = call_order(own.forward)
+        order, timed, remark = call_order(own.forward)
     except ValueError as problem:
         raise ModelError(f'{kind}: {problem}') from problem
+    if timed == (card.box.t is None):
+        raise ModelError(f'{kind}: ' + (
+            "its argument t is the time: export it with a domain that has 't': [(low, high)]; "
+            'training does not support it' if timed else
+            'forward has no argument t; remove t from the domain'))
     remarks += [remark] if remark else []
-    rows = rows_of(own, order)
+    rows = rows_of(own, order, timed)
     function = _function(rows, own)
     try:
         builder, output = graph_of(function, z[:2])
@@ -143,7 +149,8 @@ def graph_card(name: str, kind: str, coordinates: Sequence[str | Coordinate],
              for one in coordinates]
     return ModelCard(
         name=name, family='graph', coordinates=cards, box=Box(**{
-            key: [[float(low), float(high)] for low, high in domain[key]] for key in ('q', 'p')}),
+            key: [[float(low), float(high)] for low, high in domain[key]]
+            for key in ('q', 'p', *(['t'] if 't' in domain else []))}),
         dataset=f'torch module {kind}', seed=0, losses={}, training_command='export',
         package_version=__version__)
 
@@ -215,9 +222,13 @@ def _check_poses(builder: Builder, width: int) -> None:
                          'the family lie_group, or export H of canonical coordinates')
 
 
-def rows_of(module: torch.nn.Module, order: int) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Return the module as a function of rows (q, p), shape (n, 2 d)."""
-    return lambda z: module(*z.chunk(2, -1)[::order]) if order else module(z)
+def rows_of(module: torch.nn.Module, order: int, timed: bool = False
+            ) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Return the module as a function of rows (q, p), shape (n, 2 d), or of rows (q, p, t)."""
+    def rows(x: torch.Tensor) -> torch.Tensor:
+        z, t = (x[..., :-1], [x[..., -1:]]) if timed else (x, [])
+        return module(*(z.chunk(2, -1)[::order] if order else [z]), *t)
+    return rows
 
 
 def _function(rows: Callable[[torch.Tensor], torch.Tensor], module: torch.nn.Module
@@ -248,8 +259,9 @@ def _refuse(kind: str, why: str) -> NoReturn:
 def _check(graph: GraphHamiltonian, function: Callable[[torch.Tensor], torch.Tensor],
            rows: Callable[[torch.Tensor], torch.Tensor], z: torch.Tensor, kind: str) -> None:
     """Raise ModelError unless a graph has the values and slopes of a function at states."""
-    q, p = np.split(z.numpy(), 2, axis=1)
-    own = graph.energy(q, p), np.hstack(graph.gradient(q, p))
+    q, p, t = np.split(z.numpy(), graph.dimension * np.arange(1, 3), axis=1)
+    t = t.sum(axis=1)
+    own = graph.energy(q, p, t), np.hstack(graph.gradient(q, p, t))
     values, slopes, pivots = [], [], PivotWatch()
     for state in z:
         x = state.clone().requires_grad_(True)
@@ -261,7 +273,7 @@ def _check(graph: GraphHamiltonian, function: Callable[[torch.Tensor], torch.Ten
         except RuntimeError as problem:
             _refuse(kind, f'cannot be differentiated: {" ".join(str(problem).split())}')
         values.append(float(value.detach()))
-        slopes.append(slope.numpy())
+        slopes.append(slope.numpy()[:2 * graph.dimension])
         if not np.isfinite([values[-1], *slopes[-1]]).all():
             _refuse(kind, f'returns H = {values[-1]:g} with slopes {slopes[-1]} at (q, p) = '
                     f'{state.numpy()}: reduce the domain to where both are finite')
@@ -302,7 +314,8 @@ def _check(graph: GraphHamiltonian, function: Callable[[torch.Tensor], torch.Ten
     known = np.array(values[:_BATCH]) if len(together) > 1 else np.sum(values[:_BATCH])
     if len(together) not in (1, _BATCH) or not (
             np.abs(together.detach().numpy() - known).max() <= _BATCH * error
-            and np.abs(moved.numpy() - weights.numpy()[:, None] * slopes[:_BATCH]).max()
+            and np.abs(moved.numpy()[:, :2 * graph.dimension]
+                       - weights.numpy()[:, None] * slopes[:_BATCH]).max()
             <= 2.0 * _SLOPE_TOLERANCE * steepest):
         _refuse(kind, f'has other values in a batch of {_BATCH} rows: it mixes the rows of its '
                 'input, or uses only the first; index columns as in x[:, 0], and avoid layers '

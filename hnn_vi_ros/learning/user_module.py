@@ -121,7 +121,7 @@ class UserModule(EnergyFamily):
             raise UntranslatedModule(f'{problem}: write that part with other operations') \
                 from problem
         self.module, self._loss = deepcopy(own).cpu().double().eval(), loss
-        self._order = call_order(self.module.forward)[0]
+        self._order, _, _ = call_order(self.module.forward)
         if not any(part.requires_grad for part in self.module.parameters()):
             raise ModelError(f'{self.name}: no weights that require a gradient, so nothing is '
                              'trained; take export for a module as it is')

@@ -194,7 +194,7 @@ def _graph(path: str | Path, card: ModelCard, metadata: dict[str, Any],
     except ValueError as problem:
         raise ModelError(f'{path}: graph: {one_line(problem)}; {_REMEDY}') from problem
     try:
-        return read_graph(data, values, 2 * len(card.coordinates))
+        return read_graph(data, values, 2 * len(card.coordinates) + len(card.box.t or ()))
     except ModelError as problem:
         raise ModelError(f'{path}: {problem}; {_REMEDY}') from problem
 

@@ -27,16 +27,17 @@ class CoordinateCard(StrictModel):
 
 
 class Box(StrictModel):
-    """A box in phase space: for each coordinate the bounds [low, high] of q and of p."""
+    """Bounds [low, high] of q and of p for each coordinate, and of t for H(q, p, t)."""
 
     q: list[Interval] = Field(min_length=1)
     p: list[Interval] = Field(min_length=1)
+    t: list[Interval] | None = Field(None, min_length=1, max_length=1)
 
     @model_validator(mode='after')
     def _check(self) -> 'Box':
         if len(self.q) != len(self.p):
             raise ValueError(f'{len(self.q)} intervals of q but {len(self.p)} of p')
-        for low, high in (*self.q, *self.p):
+        for low, high in (*self.q, *self.p, *(self.t or ())):
             if not 0.0 < high - low < np.inf:
                 raise ValueError(
                     f'[{low:g}, {high:g}] is not an interval of positive, finite size')

@@ -45,9 +45,12 @@ class TorchHamiltonian(Hamiltonian):
 
     def __init__(self, module: 'torch.nn.Module', coordinates: Sequence[Coordinate]):
         try:
-            call_order(module.forward)
+            _, timed, _ = call_order(module.forward)
         except ValueError as problem:
             raise ModelError(f'{type(module).__name__}: {problem}') from problem
+        if timed:
+            self.module = module
+            self._refuse('takes the time, which only an exported module does: use export')
         # In float32 the equations of steps could not be solved to the precision of the state.
         self.module = deepcopy(module).double().eval()
         self.coordinates = tuple(coordinates)

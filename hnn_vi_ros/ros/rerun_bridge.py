@@ -98,7 +98,7 @@ class BridgePicture:
         """Display a sample; ValueError if it does not fit the scene."""
         simulation, hamiltonian = self._simulation, self._hamiltonian
         h, energy0 = simulation.step_size, self._energy0
-        dH_dp = np.asarray(hamiltonian.gradient(state.q, state.p)[1])
+        dH_dp = np.asarray(hamiltonian.gradient(state.q, state.p, state.stamp * 1e-9)[1])
         modified: Any = math.nan
         if self._modified:
             modified = simulation.integrator.modified_energy(

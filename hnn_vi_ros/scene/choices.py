@@ -17,6 +17,7 @@ from hnn_vi_ros.hamiltonians import (
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.phase_space import columns
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import (
     BaseModel, BeforeValidator, ConfigDict, create_model, Field, field_validator,
     model_serializer, model_validator, SerializerFunctionWrapHandler, StringConstraints)
@@ -172,7 +173,8 @@ class Condition:
         return Code(self._graph, [], inputs).function(
             'condition', 'q, p, v, H', [], [self._difference])
 
-    def values(self, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    def values(self, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, t: ArrayLike
+               ) -> np.ndarray:
         """
         Return the left side minus the right side, of shape (...).
 
@@ -182,14 +184,16 @@ class Condition:
             Hamiltonian of the system.
         q, p : np.ndarray, shape (..., d)
             States.
+        t : array_like, shape (...)
+            Times [s].
 
         """
         values: dict[str, np.ndarray] = {}
         names, momenta = columns(hamiltonian.coordinates)
         if 'H' in self._names:
-            values['H'] = hamiltonian.energy(q, p)
+            values['H'] = hamiltonian.energy(q, p, t)
         if any(f'v_{name}' in self._names for name in momenta):
-            _, velocity = hamiltonian.gradient(q, p)
+            _, velocity = hamiltonian.gradient(q, p, t)
             values |= {f'v_{name}': velocity[..., i] for i, name in enumerate(momenta)}
         for i, name in enumerate(momenta):
             values[f'p_{name}'] = p[..., i]

@@ -148,22 +148,25 @@ class WatchedSimulation(_Simulation):
         q, p = dense.state(theta)
         # At the end of a step compute the time as the simulation does, with one rounding.
         steps = dense.step + 1 if theta == 1.0 else dense.step + theta
-        return Event(function.condition.text, 'up' if rises else 'down', function.stops,
-                     steps * self._simulation.step_size, q, p,
-                     float(self._simulation.hamiltonian.energy(q, p)))
+        t = steps * self._simulation.step_size
+        return Event(function.condition.text, 'up' if rises else 'down', function.stops, t, q, p,
+                     float(self._simulation.hamiltonian.energy(q, p, t)))
 
     def _find(self, dense: DenseStep, function: EventFunction, places: np.ndarray,
               q: np.ndarray, p: np.ndarray) -> Iterator[tuple[float, bool]]:
         """Yield the fraction of the step, and whether the value rises, for each event."""
         hamiltonian, condition = self._simulation.hamiltonian, function.condition
 
+        def time(theta: float | np.ndarray) -> float | np.ndarray:
+            return (dense.step + theta) * self._simulation.step_size
+
         def value(theta: float) -> float:
-            return float(condition.values(hamiltonian, *dense.state(theta)))
+            return float(condition.values(hamiltonian, *dense.state(theta), time(theta)))
 
         def seen(theta: float | np.ndarray) -> np.ndarray:
-            return condition.values(hamiltonian, *dense.outline(theta))
+            return condition.values(hamiltonian, *dense.outline(theta), time(theta))
 
-        values = condition.values(hamiltonian, q, p)
+        values = condition.values(hamiltonian, q, p, time(places))
         # Skip most steps: all values are farther from zero than the width of their range.
         size = np.abs(values)
         if size.min() > values.max() - values.min():

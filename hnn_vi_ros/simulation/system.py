@@ -14,7 +14,7 @@ from hnn_vi_ros.effects import (
     Account, add_effect, add_forces, ClosedChains, Command, Commanded, contents, Effect,
     effect_name, EffectError, EFFECTS, EffectState, EFFORT, Force, Joined, JointCommand,
     JointPath, LINK_WRENCH, LoopManifold, Manifold, NUMBERS, OBSERVATION, PATH, PAYLOAD,
-    PayloadChanges, Place, POSITION, ServoTarget, StepLayer, Wrapped)
+    PayloadChanges, Place, POSITION, ServoTarget, StepLayer, TimeDrive, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows, RigidBodyTree
 from hnn_vi_ros.integrators import (
@@ -229,7 +229,7 @@ class JoinedHamiltonian(Hamiltonian):
         self.base, self._joined = base, joined
         self.coordinates, self.robot = base.coordinates, base.robot
         self.carrier = base.carrier
-        self.box = base.box
+        self.box, self.time = base.box, base.time
         self.smooth = base.smooth and all(effect.smooth for effect, _ in joined)
         self.provenance, self.scheme = base.provenance, base.scheme
         self.separable = base.separable and all(
@@ -320,6 +320,8 @@ class System:
             effects = [*effects, PayloadChanges(cast(RigidBodyTree, hamiltonian))]
         if hamiltonian.loops is not None:
             effects = [*effects, ClosedChains(hamiltonian.loops)]
+        if hamiltonian.time is not None:
+            effects = [*effects, TimeDrive(hamiltonian.time)]
         self._effects, self.method, self._by_joint = list(effects), integrator, by_joint
         self.effect_state = effect_state or EffectState.empty(
             len(effects) * (hamiltonian.dimension if by_joint else 1), hamiltonian.dimension,

@@ -85,10 +85,11 @@ SCENES = {
     'quadrotor': changed('quadrotor'),
     'attention': attention,
     'formula': lambda: Scene.build(**FORMULA),
+    'time': changed('driven_duffing'),
     'driven': changed('exact_damped_driven_pendulum'),
     'pair': changed('double_pendulum', integrator={'kind': 'dop853', 'relative_tolerance': 1e-7}),
 }
-QUICK = 'servo', 'formula'
+QUICK = 'servo', 'time'
 
 
 @cache

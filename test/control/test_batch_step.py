@@ -103,6 +103,8 @@ def test_what_is_not_a_function_of_state_and_command_is_refused():
     servo = {'kind': 'servo', 'coordinates': ['angle'], 'stiffness': 1.0, 'damping': 0.1}
     with refused(UnsupportedSystem):
         BatchStep(load_scene('exact_pendulum').with_overrides(effects=[servo]))
+    with refused(UnsupportedSystem):
+        BatchStep('mathieu')
 
 
 def test_limits_that_leave_no_command_are_refused():

@@ -133,7 +133,7 @@ def test_500_hostile_texts_are_one_line_each_within_a_second_and_nothing_is_exec
 @pytest.mark.parametrize('text', [
     KINETIC + ' + k*x*y', KINETIC + ' + p_xx*y', 'p_x^2 + p_x*m', KINETIC + ' + 2x',
     KINETIC + ' + sen(x)', KINETIC + ' + x(1 + x)', KINETIC + ' + (x', KINETIC + ' + log(1 - 2)',
-    KINETIC + ' + x/(m - m)', KINETIC.replace('m', '1'), KINETIC + ' + x*cos(2*t)',
+    KINETIC + ' + x/(m - m)', KINETIC.replace('m', '1'), KINETIC + ' + x*cos(2*time)',
     KINETIC + ' + max(x)*m', KINETIC + ' + piecewise(x > 0, y)*m', KINETIC + ' + atan2(x)*m',
     '(' * (DEEPEST + 1) + 'x',
     'x +' * LONGEST])

@@ -60,8 +60,8 @@ REFUSED = {
     'math': lambda q, p: p**2 - math.cos(q), 'and': lambda q, p: q and p,
     'int': lambda q, p: int(q), 'modulo': lambda q, p: q % 1.0,
     'rounded': lambda q, p: np.round(q) + p, 'interpolated': lambda q, p: np.interp(q, q, p),
-    'time': lambda q, p, t: p**2 + q * np.cos(t), 'default time': lambda q, p, t=0.0: p**2 + q * t,
     'time first': lambda t, x: x**2, 'velocity': lambda q, v: v**2 / 2,
+    'time between': lambda q, t, p: p**2 + q * t, 'one beside the time': lambda q, t: q**2 * t,
     'type': lambda q, p: p**2 + (q**2 if isinstance(q, float) else q**4),
     'random': lambda q, p: p**2 + q * CHANCE.normal(),
     'slow drift': lambda q, p, calls=[0]: p**2 + q**2 * (
@@ -122,6 +122,12 @@ def test_arguments_named_p_and_q_are_called_with_p_first():
 def test_arguments_with_other_names_are_taken_as_q_and_p_with_a_remark():
     with pytest.warns(UserWarning, match='x, y of H are taken as q, p'):
         assert trace(lambda x, y: y**2 / 2 + x**4, 1.0)[1] == '0.5*p^2 + q^4'
+
+
+@pytest.mark.parametrize('function', [
+    lambda q, p, t: p**2 / 2 + q * np.cos(t), lambda p, q, time=0.0: p**2 / 2 + q * np.cos(time)])
+def test_last_argument_may_be_the_time(function):
+    assert trace(function, 1.0)[1] == '0.5*p^2 + q*cos(t)'
 
 
 def test_array_is_no_value_of_H():

@@ -247,10 +247,10 @@ def test_scene_that_made_the_motions_follows_them_to_their_end(made, drawn, tmp_
     ['--data', 'arm.npz', '--horizons', '-1'], ['--data', 'arm.npz', '--keys', 'q'],
     ['--data', 'arm.npz', '--from', '20'], ['--data', 'arm.npz', '--held-out'],
     ['--config', str(PENDULUM), '--held-out'],
-    ['--config', 'two_joint_arm', '--data', 'arm.npz']], ids=range(9))
+    ['--config', 'two_joint_arm', '--data', 'arm.npz'], ['--data', 'mathieu.npz']], ids=range(10))
 def test_evaluate_refuses_in_one_line(words):
     with refused(DataError, ParameterError):
-        evaluate.main(['pendulum', *words])
+        evaluate.main(['mathieu' if words[-1] == 'mathieu.npz' else 'pendulum', *words])
 
 
 @pytest.mark.parametrize('words', [

@@ -10,6 +10,7 @@ import sys
 from hnn_vi_ros import export, load_scene, simulate, simulate_many
 from hnn_vi_ros.errors import ModelError, UnsupportedSystem
 from hnn_vi_ros.models import load_learned
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.torch import DifferentiableSimulation
 from messages import refused
 import numpy as np
@@ -434,6 +435,27 @@ def test_names_of_arguments_tell_coordinates_from_momenta(forward, remarks, tmp_
     assert abs(load_learned(path).energy([0.5], [2.0]) - (2.0 + 0.5**4)) < 1e-15
 
 
+@pytest.mark.parametrize('forward', [
+    lambda q, p, t: p**2 / 2 + q**4 * torch.cos(t), lambda x, t: (
+        x[:, 1:]**2 / 2 + x[:, :1]**4 * torch.cos(t))])
+def test_last_argument_of_a_module_may_be_the_time(forward, tmp_path):
+    """Its slope by the time drives the energy; the kinetic part stays separable."""
+    path = tmp_path / 'model.safetensors'
+    export(Signed(forward), path, ['x'], {**BOX[1], 't': [(0, 3)]})
+    own = load_learned(path)
+    q, p, t = np.random.default_rng(0).uniform(0.5, 2.0, (3, 5))
+    # Exact up to some roundings.
+    assert own.separable and np.abs(own.energy(q[:, None], p[:, None], t) - (
+        p**2 / 2 + q**4 * np.cos(t))).max() < 1e-13
+    run = simulate(Scene.build(
+        hamiltonian={'kind': 'hnn', 'model': str(path)}, integrator='gauss8', step_size=0.02,
+        initial_state=([0.7], [0.1])), 1.0)
+    same = simulate(lambda q, p, t: p**2 / 2 + q**4 * np.cos(t), 0.7, 0.1, 1.0, 0.02)
+    # The same steps up to rounding; the error of the account is that of order 8.
+    assert np.abs(run.q - same.q).max() < 1e-13 and np.abs(run.work - same.work).max() < 1e-13
+    assert abs(run.energy[-1] - run.energy[0] - run.work[-1]) < 1e-13
+
+
 @pytest.mark.parametrize('function, slopes', [
     (lambda x: functional.hardsigmoid(3.0 * x), [0.5 * 0.7, 0.5 * 0.25]),
     (lambda x: functional.celu(x, 0.7),
@@ -458,7 +480,8 @@ def test_existing_model_is_replaced_only_on_request(tmp_path):
 
 @pytest.mark.parametrize('coordinates, domain', [
     (['x', 'y'], BOX[1]), (['x', 'x'], BOX[2]), (['x'], {'q': [(-1, 1)]}), ([], BOX[1]),
-    (['x'], {'q': [(1, -1)], 'p': [(-1, 1)]}), (['x'], {'q': [1], 'p': [(-1, 1)]})])
+    (['x'], {'q': [(1, -1)], 'p': [(-1, 1)]}), (['x'], {'q': [1], 'p': [(-1, 1)]}),
+    (['x'], {**BOX[1], 't': [(0, 1)]}), (['x'], {**BOX[1], 't': [(1, 0)]})])
 def test_domain_that_does_not_fit_is_refused_in_a_line(coordinates, domain, tmp_path):
     with refused(ModelError):
         export(net(2, 8, 1), tmp_path / 'model.safetensors', coordinates, domain)

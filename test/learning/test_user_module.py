@@ -309,7 +309,7 @@ def test_module_or_loss_of_no_use_is_refused_in_one_line(folder: Path, words):
 @pytest.mark.parametrize('wrong', [
     'x', 'self.first(x).sum()', 'self.last(x.abs().repeat(1, 8)) if x[0, 0] > 0 else x[:, 0]',
     'super().forward(x).float()', 'torch.special.bessel_j0(super().forward(x))',
-    'super().forward(x).detach()'])
+    'super().forward(x).detach()', 'super().forward(x)\n    def forward(self, x, t): return t'])
 def test_module_that_does_not_export_is_refused_before_it_is_trained(
         folder: Path, monkeypatch, wrong: str):
     def run(*_):

@@ -38,6 +38,8 @@ def test_module_that_is_no_function_of_rows_is_refused(formula):
 def test_module_of_the_time_is_refused_by_name():
     with refused(ModelError):
         TorchHamiltonian(Written(lambda t, x: x.sum(-1)), [X])
+    with refused(ModelError):
+        TorchHamiltonian(Written(lambda x, t: x.sum(-1) * t), [X])
 
 
 def test_module_in_training_is_evaluated():

@@ -34,9 +34,9 @@ import safetensors.numpy
 from scene_files import write_scene
 from std_msgs.msg import Float64MultiArray
 
-# Learned and exact, implicit, driven in time, with noise, a body that turns.
+# Learned and exact, implicit, driven in time, with noise, a body that turns, a time in H.
 SCENES = ('harmonic_oscillator', 'exact_double_pendulum', 'damped_driven_pendulum',
-          'brownian_oscillator', 'free_rigid_body')
+          'brownian_oscillator', 'free_rigid_body', 'driven_duffing')
 
 
 @pytest.mark.parametrize('name', SCENES)

@@ -35,6 +35,13 @@ Predict = Callable[[EvenMotion, np.ndarray, int], np.ndarray]
 
 def parts_of(model: str) -> ModelParts:
     """Return the parts of a model, which takes the steps of the data, or of a scene."""
+    parts = _parts(model)
+    if parts.hamiltonian.time is not None:
+        raise DataError(f'{model}: its H depends on the time, which evaluate does not support')
+    return parts
+
+
+def _parts(model: str) -> ModelParts:
     if model.endswith('.safetensors'):
         hamiltonian = load_learned(Path(model), confine=False)
         if not hamiltonian.canonical:

@@ -85,7 +85,7 @@ class Builder:
         return self.nodes[x].op == 'constant'
 
     def input(self, size: int, number: int = 0) -> int:  # noqa: A003
-        """Return the input vector of the graph, or a second one, number 1, for tangents."""
+        """Return the input vector of the graph, or that of tangents, 1, or of the time, 2."""
         return self._add(GraphNode('input', (), (size,), (number,)))
 
     def constant(self, values: np.ndarray) -> int:
@@ -398,7 +398,8 @@ def graph_data(b: Builder, output: int) -> tuple[dict[str, Any], dict[str, np.nd
         name: b.tensors[k] for k, name in names.items()}
 
 
-def read_graph(data: Any, tensors: Mapping[str, np.ndarray], inputs: int) -> tuple[Builder, int]:
+def read_graph(data: Any, tensors: Mapping[str, np.ndarray], inputs: int, timed: bool = False
+               ) -> tuple[Builder, int]:
     """
     Return the graph of plain data of unknown origin, and its output, the last node.
 
@@ -410,6 +411,8 @@ def read_graph(data: Any, tensors: Mapping[str, np.ndarray], inputs: int) -> tup
         Tensors of the file.
     inputs : int
         Required size of the input vector.
+    timed : bool, optional
+        Return its last entry, the time, as an input of its own, number 2.
 
     Raises
     ------
@@ -428,6 +431,8 @@ def read_graph(data: Any, tensors: Mapping[str, np.ndarray], inputs: int) -> tup
     for k, row in enumerate(rows):
         try:
             node = _node(b, found, row, tensors, inputs)
+            if timed and row[0] == 'input':
+                node = b.concatenate([b.input(inputs - 1), b.input(1, 2)])
         except (ValueError, TypeError, KeyError, IndexError, OverflowError) as problem:
             raise ModelError(f'graph: node {k} is not valid: {_reason(problem)}') from problem
         found.append(node)

@@ -7,7 +7,8 @@ from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.graphs.derivatives import dependence, gradient, tangent
 from hnn_vi_ros.models.graphs.family_graphs import family_graph
-from hnn_vi_ros.models.graphs.graph import Builder, GraphNetwork, varied
+from hnn_vi_ros.models.graphs.graph import (
+    Builder, graph_data, GraphNetwork, read_graph, varied)
 from hnn_vi_ros.models.graphs.operations import SWITCHES
 from hnn_vi_ros.models.graphs.perceptrons import fused, whole_perceptron
 from hnn_vi_ros.models.graphs.tape import Assembler, Tape
@@ -37,7 +38,10 @@ class GraphHamiltonian(LearnedHamiltonian):
 
     def __init__(self, checkpoint: Checkpoint):
         super().__init__(checkpoint)
-        self._graph = family_graph(checkpoint)
+        self._graph, self._times = family_graph(checkpoint), checkpoint.card.box.t
+        if self._times is not None:
+            self.time = np.zeros(2)
+            self._graph = read_graph(*graph_data(*self._graph), 2 * self.dimension + 1, timed=True)
         self.separable = self._is_separable(*self._graph)
         self.smooth = self.smooth and self._is_smooth(*self._graph)
 
@@ -51,15 +55,17 @@ class GraphHamiltonian(LearnedHamiltonian):
         n, switches = 2 * self.dimension, b.concatenate([SWITCHES[k.op](b, k) for k in kinked])
         count, = b.shape(switches)
         some = np.arange(0, count, max(1, count // _MAX_SWITCHES))
-        assembler = Assembler(b, [b.input(n)])
+        assembler = Assembler(b, [b.input(n), *self._time(b)])
         tape = assembler.tape(b.concatenate([
             output, gradient(b, output, b.input(n)), b.take(switches, some)]))
         end = tape.place + 1 + n + some.size
+        times = [0.5 * (low + high) for low, high in self._times or ()]
         graph = assembled(assembler, 3 * [tape], self.dimension)
 
         def values(z: np.ndarray) -> np.ndarray:
             found = np.empty((len(z), end - tape.place))
             for row, graph.memory[:n] in zip(found, z, strict=True):
+                graph.memory[n:n + len(times)] = times
                 run(graph, 0)
                 row[:] = graph.memory[tape.place:end]
             return found
@@ -67,8 +73,14 @@ class GraphHamiltonian(LearnedHamiltonian):
 
     def _is_separable(self, b: Builder, output: int) -> bool:
         d, x = self.dimension, b.input(2 * self.dimension)
-        depends = dependence(b, gradient(b, output, x), x)
-        return not (depends[:d, d:].any() or depends[d:, :d].any())
+        slopes = gradient(b, output, x)
+        depends = dependence(b, slopes, x)
+        return not (depends[:d, d:].any() or depends[d:, :d].any() or any(
+            dependence(b, slopes, time)[d:].any() for time in self._time(b)))
+
+    def _time(self, b: Builder) -> list[int]:
+        """Return the input of the time, if H depends on it."""
+        return [] if self.time is None else [b.input(1, 2)]
 
     def _kernel(self) -> Kernel:
         if 'program' not in self._shared:
@@ -80,17 +92,22 @@ class GraphHamiltonian(LearnedHamiltonian):
                 pack(*program.layers, program.activation))
         # Imported lazily: it compiles.
         from hnn_vi_ros.models.graphs import machine
-        return self._kernel_of(machine.energy, machine.gradient, machine.hessian_vector,
-                               machine.assembled(*program, self.dimension))
+        graph = machine.assembled(*program, self.dimension)
+        if self.time is not None:
+            return self._kernel_of(machine.energy_at, machine.gradient_at,
+                                   machine.hessian_vector_at, (graph, self.time))
+        return self._kernel_of(machine.energy, machine.gradient, machine.hessian_vector, graph)
 
     def _program(self) -> GraphNetwork | tuple[Assembler, list[Tape]]:
         """Return the network that H is, or the instructions for H and its derivatives."""
         b, output = fused(*self._graph)
-        network = whole_perceptron(b, output)
+        network = whole_perceptron(b, output) if self.time is None else None
         if network is not None:
             return network
         x, v = b.input(2 * self.dimension), b.input(2 * self.dimension, 1)
         slopes = gradient(b, output, x)
         product = tangent(b, slopes, x, v)
-        assembler = Assembler(b, [x, v])
+        assembler = Assembler(b, [x, v, *self._time(b)])
+        if self.time is not None:
+            slopes = b.concatenate([slopes, gradient(b, output, *self._time(b))])
         return assembler, [assembler.tape(k) for k in (output, slopes, product)]

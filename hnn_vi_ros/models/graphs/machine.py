@@ -160,6 +160,37 @@ def hessian_vector(graph: GraphParameters, q: np.ndarray, p: np.ndarray, v_q: np
             product_q[s + i], product_p[s + i] = memory[place + i], memory[place + d + i]
 
 
+# The same for H(q, p, t): the time follows the state and its tangent in the memory, and H_t the
+# gradient; see ``Hamiltonian.time``.
+@_compiled
+def energy_at(parameters: tuple[GraphParameters, np.ndarray], q: np.ndarray, p: np.ndarray
+              ) -> float:
+    """Return H(q, p, t) [J]; see ``energy``."""
+    graph, time = parameters
+    graph.memory[4 * graph.places[3]] = time[0]
+    return energy(graph, q, p)
+
+
+@_compiled
+def gradient_at(parameters: tuple[GraphParameters, np.ndarray], q: np.ndarray, p: np.ndarray,
+                dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    """Fill dH_dq and dH_dp; see ``gradient``."""
+    graph, time = parameters
+    graph.memory[4 * graph.places[3]] = time[0]
+    gradient(graph, q, p, dH_dq, dH_dp)
+    time[1] = graph.memory[graph.places[1] + 2 * graph.places[3]]
+
+
+@_compiled
+def hessian_vector_at(parameters: tuple[GraphParameters, np.ndarray], q: np.ndarray,
+                      p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                      product_p: np.ndarray) -> None:
+    """Fill the last two; see ``hessian_vector``."""
+    graph, time = parameters
+    graph.memory[4 * graph.places[3]] = time[0]
+    hessian_vector(graph, q, p, v_q, v_p, product_q, product_p)
+
+
 @_part
 def _load(memory: np.ndarray, at: int, d: int, q: np.ndarray, p: np.ndarray, s: int) -> None:
     for i in range(d):

@@ -54,7 +54,8 @@ class ActingEffects:
         # Channels with the absolute time: the others count from the start of the step.
         self.timed = np.concatenate([
             ~kept[:self.internal], [not effect.internal for effect in effects
-                                    if effect.place(system.method) is Place.NODES]])
+                                    if effect.place(system.method) is Place.NODES],
+            [True] * (hamiltonian.time is not None)])
         self.any = self._channels > 0 or bool(self.rates.any())
         # True if commands do more than add forces on coordinates.
         self.feels = system.motors.size > 0 and any(

@@ -475,7 +475,7 @@ class DifferentiableRun:
         """Return the dependence on h for a fixed number of steps; the final time changes too."""
         if self._acting.any or self._closed is not None:
             raise UnsupportedSystem('the step size is not differentiable yet together with '
-                                    'forces, damping or loops; remove one of them')
+                                    'forces, damping, loops or a time in H; remove one of them')
         # In a step, h only occurs as a factor of H'.
         return OnNumber(lambda at: at.gradient(self.kernel) / self._h)
 

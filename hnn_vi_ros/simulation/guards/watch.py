@@ -20,6 +20,7 @@ from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionG
 from hnn_vi_ros.simulation.run_samples import MAX_OBSERVED, RunSamples
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
@@ -167,11 +168,11 @@ class Watch:
                                    float(modified[i])))
 
 
-def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray
+def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray, t: ArrayLike
                 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return H and H~, shape (...), at states of shape (..., d); H~ is NaN if unknown."""
+    """Return H and H~, shape (...), at states (..., d) at times (...); H~ is NaN if unknown."""
     hamiltonian = simulation.hamiltonian
-    energy = hamiltonian.energy(q, p)
+    energy = hamiltonian.energy(q, p, t)
     modified = None if simulation.modification is None else \
         simulation.integrator.modified_energy(
             hamiltonian, simulation.step_size, q, p, energy, *hamiltonian.gradient(q, p))
@@ -197,7 +198,7 @@ def look_at_block(simulation: Simulation) -> GuardState:
 def look_at_rows(simulation: Simulation, rows: np.ndarray, q: np.ndarray, p: np.ndarray
                  ) -> GuardState:
     """Return the state for ``watch_of_block`` of rows with states q and p, (m, d)."""
-    energy, modified = energies_of(simulation, q, p)
+    energy, modified = energies_of(simulation, q, p, rows[0, 1] * simulation.step_size)
     return GuardState(int(rows[0, 1]), q, p, *simulation.hamiltonian.gradient(q, p),
                       float(energy.sum()), float(modified.sum()), simulation.work_in(rows))
 
@@ -205,7 +206,7 @@ def look_at_rows(simulation: Simulation, rows: np.ndarray, q: np.ndarray, p: np.
 def judge(found: RunSamples, watch: Watch) -> tuple[np.ndarray, list[Alarm]]:
     """Return H at the samples of a run [J], shape (n,), and the alarms of its guards."""
     simulation = watch.simulation
-    energies = energies_of(simulation, found.q, found.p)
+    energies = energies_of(simulation, found.q, found.p, found.t)
     if simulation.conservative:
         watch.show(found.t / simulation.step_size, (found.q, found.p), energies)
     # Otherwise the guards have observed the run, because its samples do not show work.
@@ -229,7 +230,8 @@ def judge_many(simulation: Simulation, t: np.ndarray, q: np.ndarray, p: np.ndarr
         One list for each trajectory, to which its alarms are appended.
 
     """
-    (energy, modified), steps = energies_of(simulation, q, p), t / simulation.step_size
+    energy, modified = energies_of(simulation, q, p, t[:, None])
+    steps = t / simulation.step_size
     # Work is known only for whole blocks, whose energy was checked while they were stepped.
     kinds = (Guard,) if simulation.conservative else (BoxGuard, InvariantGuard)
     hamiltonian = simulation.hamiltonian

@@ -303,8 +303,10 @@ def draw_contours(axes: 'Axes', trajectory: Trajectory) -> None:
     from matplotlib.collections import LineCollection
     q, p = trajectory.q.reshape(-1, 1), trajectory.p.reshape(-1, 1)
     frame = Frame(0, axes.get_xlim(), axes.get_ylim())
-    levels = level_sets(trajectory.hamiltonian(), frame, q[0], p[0])
+    hamiltonian = trajectory.hamiltonian()
+    levels = level_sets(hamiltonian, frame, q[0], p[0])
+    name = 'level sets of H' if hamiltonian.time is None else 'level sets of H at t = 0'
     lines = LineCollection([line for _, own in levels for line in own], colors=CONTOUR,
-                           linewidths=0.8, zorder=0, label='level sets of H')
+                           linewidths=0.8, zorder=0, label=name)
     axes.add_collection(lines, autolim=False)
     axes.set(xlim=frame.q, ylim=frame.p)

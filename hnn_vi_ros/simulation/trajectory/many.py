@@ -296,8 +296,8 @@ class _Many:
             raise self.failures[min(self.failures)]
         kept = [k for k in range(self.count) if k not in self.failures]
         simulation = self.simulation(slice(kept[0], kept[0] + 1))
-        found = np.asarray(simulation.hamiltonian.energy(self.q, self.p)) if self.failures else \
-            np.empty(self.q.shape[:2])
+        found = np.asarray(simulation.hamiltonian.energy(self.q, self.p, self.t[:, None])) \
+            if self.failures else np.empty(self.q.shape[:2])
         found[:, kept] = judge_many(simulation, self.t, self.q[:, kept], self.p[:, kept],
                                     [self.alarms[k] for k in kept])
         return found

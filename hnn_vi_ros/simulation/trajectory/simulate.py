@@ -100,9 +100,9 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
     ----------
     scene : Scene, Parts, str, Path or callable
         A scene from ``load_scene``, the name of a shipped scene, the path of a YAML file, or a
-        function H(q, p) [J], which is called with symbols and becomes a formula: it may use
-        operators and functions of numpy, but no branches on values. ``scene.to_yaml()`` of the
-        trajectory returns it.
+        function H(q, p) or H(q, p, t) [J], which is called with symbols and becomes a formula: it
+        may use operators and functions of numpy, but no branches on values. ``scene.to_yaml()``
+        of the trajectory returns it.
     *more : float or array
         ``duration``; or with a function ``q, p, duration, step_size``, where q and p are numbers
         for one coordinate and arrays of shape (d,) for several.

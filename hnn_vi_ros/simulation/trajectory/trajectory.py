@@ -557,7 +557,7 @@ class Trajectory:
             target = Path(target)
         h, first = scene.known_step_size, float(run.energy[0])
         stamps = [round(t * 1e9) for t in run.t.tolist()]
-        dH_dq, dH_dp = hamiltonian.gradient(run.q, run.p)
+        dH_dq, dH_dp = hamiltonian.gradient(run.q, run.p, run.t)
         sink = RerunSink(
             scene.name, target, hamiltonian, run.q[0], run.p[0],
             box=hamiltonian.box or box_of(run.q, run.p),
