@@ -13,6 +13,7 @@ from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files import elapsed, no_file, replacing
 from hnn_vi_ros.simulation import is_wrong, simulate, Trajectory
+import numpy as np
 
 # Exit status of an unreliable run, if requested.
 _UNRELIABLE_STATUS = 3
@@ -120,6 +121,11 @@ def main(argv: list[str]) -> int:
     print(trajectory, file=shown)
     for event in trajectory.events:
         print(f'event {event}', file=shown)
+    if (causes := trajectory.energy_by_cause) is not None:
+        # Between steps no work is known.
+        last = causes.values[np.isfinite(causes.values).all(axis=1)][-1]
+        print('energy [J]: ' + ', '.join(f'{name} {value:.4g}' for name, value in zip(
+            causes.names, last, strict=True)), file=shown)
     if to_output:
         trajectory.to_csv(sys.stdout)
     write_outputs(paths | {'--csv': None} if to_output else paths, {

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one command: it runs every executable, and what it has besides does what it says."""
 
+import math
 import os
 from pathlib import Path
 import re
@@ -109,6 +110,24 @@ def test_run_that_may_be_wrong_ends_with_that_line_and_strictly_with_status_3(st
     assert 'wrong' not in capsys.readouterr().out
 
 
+@pytest.mark.parametrize('words, largest, size', [
+    # All energy at the start, m g z = 9.81 J and m g l (1 - cos(2.5)), is lost after these times.
+    (['bouncing_mass', '--duration', '12'], 'heat/impact', 9.81),
+    (['exact_pendulum', '--integrator', 'rk4', '--step-size', '0.4', '--duration', '100'],
+     'error', 9.81 * (1.0 - math.cos(2.5))),
+    # The mean power of the drive is that of damping.
+    (['driven_duffing', '--duration', '40'], 'work/drive', None)])
+@pytest.mark.filterwarnings('ignore')
+def test_where_energy_went_is_answered_by_one_command(words, largest, size, tmp_path, capsys):
+    assert run.main([*words, '--plot-energy', str(tmp_path / 'energy.png')]) == 0
+    line = capsys.readouterr().out.splitlines()[1]
+    found = {name: abs(float(value)) for name, value in (
+        part.split() for part in line.removeprefix('energy [J]: ').split(', '))}
+    assert max(found, key=found.get) == largest
+    assert size is None or found[largest] == pytest.approx(size, rel=0.02)
+    assert size is not None or found['heat/damping'] > 0.5 * found[largest]
+
+
 def test_run_writes_what_was_asked_for(tmp_path, capsys):
     files = {name: tmp_path / f'motion.{suffix}' for name, suffix in (
         ('csv', 'csv'), ('plot', 'png'), ('portrait', 'svg'), ('plot-energy', 'pdf'))}
@@ -116,7 +135,8 @@ def test_run_writes_what_was_asked_for(tmp_path, capsys):
     assert run.main(['exact_harmonic_oscillator', '--duration', '0.5', *options]) == 0
     printed = capsys.readouterr()
     assert printed.out.splitlines()[0].startswith('Trajectory(exact_harmonic_oscillator, ')
-    assert printed.out.splitlines()[1:] == [str(path) for path in files.values()]
+    assert printed.out.splitlines()[1].startswith('energy [J]: stored/hamiltonian ')
+    assert printed.out.splitlines()[2:] == [str(path) for path in files.values()]
     assert printed.err == '' and all(path.stat().st_size > 0 for path in files.values())
     header, *_ = files['csv'].read_text().splitlines()
     trajectory = simulate('exact_harmonic_oscillator', 0.5)
