@@ -13,7 +13,7 @@ import shlex
 import tempfile
 from typing import NamedTuple
 
-from hnn_vi_ros.effects import Effect, ExternalForce, Servo
+from hnn_vi_ros.effects import Effect, ExternalForce, Joined, Servo
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, UnsupportedSystem
 from hnn_vi_ros.files import elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
@@ -160,6 +160,9 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
     if hamiltonian.rotations or not hamiltonian.canonical:
         raise UnsupportedSystem(f'{scene.name}: identify supports only canonical scalar '
                                 'coordinates')
+    if hamiltonian.time is not None and not hamiltonian.separable:
+        raise UnsupportedSystem(f'{scene.name}: identify supports a time in H only if H is T(p) '
+                                '+ V(q, t): velocities must not depend on the time')
     if hamiltonian.loops is not None:
         for name in options.free:
             if name in (STATES, DELAY):
@@ -222,7 +225,19 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
             solution, problem, motions[0].inputs, log.data.inputs is not None,
             lambda other: [replace(motion, idle=idle) for motion in log.with_inputs(other)])
     return Identified(free, solution, estimates, stages, hamiltonian, log.description, inputs,
-                      notes)
+                      [*notes, *_energies(free, solution)])
+
+
+def _energies(free: FreeScene, solution: Solution) -> list[str]:
+    """Describe the works of effects, or their heats, in all windows."""
+    log = LogSimulation(free.parts_at(solution.values), solution.windows)
+    if all(isinstance(effect, Joined) for effect in log.effects) and log.hamiltonian.time is None:
+        return []
+    # The work of a passive effect is the negative of its heat, but for the stored energy.
+    found = log.energies(solution.starts)
+    texts = [f'{name.replace("/", " of ", 1)} {value:.4g} J' for name, value in found.items()
+             if name.replace('work/', 'heat/', 1) not in found or name.startswith('heat/')]
+    return [f'Energy in the windows, by the fitted scene: {", ".join(texts)}']
 
 
 def _missing_forces(effects: Sequence[Effect], hamiltonian: Hamiltonian, driven: bool, data: str

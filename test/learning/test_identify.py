@@ -16,8 +16,8 @@ from hnn_vi_ros.identify.free_numbers import edited, free_scene, FreeScene
 from hnn_vi_ros.identify.identify import main
 from hnn_vi_ros.identify.intervals import Estimates, estimates_of, profile
 from hnn_vi_ros.learning import (
-    DELAY, evaluate, EvenMotion, fit_numbers, FitProblem, ModelParts, Prediction, processes,
-    steps_between, Windows)
+    DELAY, evaluate, EvenMotion, fit_numbers, FitProblem, LogSimulation, ModelParts, Prediction,
+    processes, steps_between, Windows)
 from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.fit.shooting import _INNER
 from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows
@@ -314,6 +314,25 @@ def test_delay_and_friction_of_a_driven_pendulum_are_found(tmp_path):
     assert mass == pytest.approx(1.0, rel=0.01)
 
 
+def test_windows_of_a_time_in_h_begin_at_their_times_and_their_energies_are_those_of_a_run(tmp_path):
+    scene = load_scene('driven_duffing')
+    run = hnn_vi_ros.simulate(scene, 1.0, every=10, energy_by_cause=True)
+    parts = freed(scene, tmp_path, parameters__F=0.37).parts_at([0.37])
+    states = np.hstack([run.q, run.p])
+    log = LogSimulation(parts, cut_windows([measured(scene, run)], 0.4))
+    first = log.windows.first
+    assert len(first) > 1
+    # The same steps; the clock of a window begins at a rounded time.
+    for row, begin, found in zip(log.windows.there, first, log.states(states[first, None])[:, 0],
+                                 strict=True):
+        assert np.abs(found[row] - states[begin:begin + row.sum()]).max() < 1e-12
+    whole = LogSimulation(parts, cut_windows([measured(scene, run)], 2.0))
+    causes = dict(zip(run.energy_by_cause.names, run.energy_by_cause.values[-1], strict=True))
+    assert whole.energies(states[:1]) == pytest.approx(
+        {name: value for name, value in causes.items() if name.startswith(('work/', 'heat/'))},
+        abs=1e-12)
+
+
 def test_fit_takes_finer_steps_where_the_error_of_the_method_shows(tmp_path, capsys):
     t = np.arange(121) / 30.0
     q = solve_ivp(lambda t, z: [z[1], -9.81 / 1.13 * np.sin(z[0])], (0.0, 4.0), [1.1, 0.3],
@@ -436,6 +455,7 @@ def test_log_without_the_force_that_an_effect_takes_says_so(missing, held_log, t
     log = replace(held_log, tau=0.0 * held_log.tau) if missing else held_log
     said, _ = identified(tmp_path, log, capsys)
     assert ('no column of a force' in said and 'angle_force' in said) is missing
+    assert 'Energy in the windows, by the fitted scene: work of external_force ' in said
 
 
 def test_way_of_forces_between_samples_is_told_and_tested(held_log, tmp_path, capsys):

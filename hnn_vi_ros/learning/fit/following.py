@@ -63,7 +63,7 @@ class LogSimulation:
         self.driven = self._take_force()
         self._parts = self._parts_of_samples()
         # Time and measured forces differ between windows.
-        self._timed = self.driven or any(
+        self._timed = self.driven or self.hamiltonian.time is not None or any(
             isinstance(effect, PeriodicDrive) for effect in self.effects)
         # Step of the run's clock at which each window starts.
         self.first = np.rint(windows.times / self.step_size).astype(int) if self._timed else \
@@ -191,6 +191,7 @@ class LogSimulation:
                 at += count * steps
             found[own, :, first + 1:first + 1 + count] = path[:, steps::steps].reshape(
                 len(own), copies, count, -1)
+        self._ends = rows
         return found
 
     def closed(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -232,6 +233,24 @@ class LogSimulation:
             acts = (row >= 0) | motion.commanded | (not (motion.held and motion.idle))
             found.append(np.where(acts[:, None], table[np.clip(row, 0, len(table) - 1)], 0.0))
         return np.array(found)
+
+    def energies(self, starts: np.ndarray) -> dict[str, float]:
+        """
+        Return the works and heats of effects from initial states, (W, 2 d), to the windows' ends.
+
+        They are summed over the windows [J]; see Ledger.
+        """
+        simulation = self.simulation = Simulation(
+            self.hamiltonian, self.integrator, self.step_size, *np.split(starts[0], 2),
+            self.effects, self._on_failure, energy_by_cause=True)
+        assert simulation.ledger is not None, 'requested'
+        names, total = simulation.ledger.names, np.zeros(len(simulation.ledger.names))
+        self.states(starts[:, None])
+        for row in self._ends[np.isfinite(self._ends[:, 2])]:
+            simulation.put(row)
+            total += simulation.causes
+        return {name: float(value) for name, value in zip(names, total, strict=True)
+                if name.startswith(('work/', 'heat/'))}
 
     def predict(self, starts: np.ndarray) -> np.ndarray:
         """Return the prediction from initial states, (W, 2 d), without derivatives, (W, T, C)."""
