@@ -287,9 +287,9 @@ def run_books(job: Job) -> Measured:
     simulation = Simulation(hamiltonian, integrator, job.set_up.step_size, job.set_up.q,
                             job.set_up.p, effects, energy_by_cause=True)
     measured, (ledger, before) = _start(job)[1], (simulation.ledger, simulation.causes)
-    watch, errors = watch_of(job, simulation), list[float]()
+    watch, errors, sizes = watch_of(job, simulation), list[float](), list[float]()
     heats = [k for k, name in enumerate(ledger.names) if name.startswith('heat/')]
-    largest, fall = 0.0, 0.0
+    fall = 0.0
     watch.update(look(simulation))
     try:
         for k in range(job.steps // _HELD):
@@ -299,15 +299,17 @@ def run_books(job: Job) -> Measured:
             found = simulation.causes
             errors.append(found[-1])
             fall = max(fall, float((before - found)[heats].max()))
-            largest, before = max(largest, float(np.abs(found[:-1]).max())), found
+            sizes.append(float(np.abs(found[:-1]).max()))
+            before = found
             _note(measured, simulation, simulation.q, simulation.p)
     except StepFailure as failure:
         measured.failure = failure
     measured.alarms, measured.band = watch.alarms, float(np.abs(errors).max(initial=0.0))
-    measured.measures = {'share': measured.band / largest, 'fall': fall}
+    measured.measures = {'share': measured.band / max(sizes), 'fall': fall}
     measured.broken += [f'{name} > {SHARE:g}' for name, value in measured.measures.items()
                         if value > SHARE]
-    t, measured.error = _thinned(job, np.maximum.accumulate(np.abs(errors)))
+    t, measured.error = _thinned(job, np.maximum.accumulate(np.abs(errors))
+                                 / np.maximum.accumulate(sizes))
     measured.t = t * (len(errors) * _HELD / job.steps)
     return measured
 

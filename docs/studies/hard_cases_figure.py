@@ -36,7 +36,7 @@ _LABELS = {
     'dissipation': 'abs(H - exact H) [J]',
     'motion': 'largest abs(H - H0) of a block [J]',
     'counts': 'largest abs(H - H0) so far [J]',
-    'books': 'largest abs(H - H0 - W) so far [J]',
+    'books': 'largest abs(H - H0 - W) so far,\nrelative to the largest work or heat [1]',
     'constraint': 'largest error until t:\nlength [m], its rate [m/s]',
     'repeatability': 'largest difference of q or p [SI]',
 }
