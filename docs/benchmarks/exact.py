@@ -10,6 +10,7 @@ documentation does, or from the same formula where they are long.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 from benchmarks import by_hand
@@ -19,10 +20,10 @@ from benchmarks.measurement import Contestant, race, Row, Settings
 import heyoka
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import Taylor, TaylorWork
-from hnn_vi_ros.simulation import InitialValueProblem, Simulation
+from hnn_vi_ros.simulation import InitialValueProblem, Method, Simulation
 import numpy as np
 
-_INSTANTS, _BATCH = 10, 8
+_INSTANTS, _BATCH, _RUNS = 10, 8, 30
 _METHODS = ('rk4', 'gauss8', 'gauss16', 'kahan_li8')
 _STEPS = 0.8 * 2.0 ** -np.arange(0.0, 9.0, 0.25)
 _TOLERANCES = 10.0 ** -np.arange(3.0, 16.0, 0.5)
@@ -86,6 +87,12 @@ class Case:
         return path_run(problem, Simulation(
             problem.hamiltonian, Taylor(tolerance), self.duration, problem.q, problem.p), 1, 1)
 
+    def ours(self, kind: str, tolerance: float, instants: int = _INSTANTS) -> Contestant:
+        """Return a run of a method of ours that chooses its steps."""
+        method = Method(kind).within(tolerance)
+        return path_run(self.problem, self.problem.simulation(
+            method, self.duration / instants), instants, 1)
+
 
 def cases() -> Iterator[Case]:
     """Yield the measured cases."""
@@ -121,9 +128,47 @@ def _network(hamiltonian: Any, variables: list[Any]) -> Any:
     return heyoka.hamiltonian(energy, variables[:d], variables[d:])
 
 
+def own_steps(case: Case, settings: Settings) -> Iterator[Row]:
+    """
+    Yield the rows of a formula by our methods that choose their steps, over short times.
+
+    Errors are those at the instants, times those of one call to the end.
+    """
+    for duration, wanted in product((10.0, 100.0), (1e-6, 1e-9)):
+        case = replace(case, duration=duration, wanted=wanted)
+        true = case.theirs(1e-16)()
+        theirs = first_good(_TOLERANCES, lambda one: largest_error(case.theirs(one)(), true),
+                            wanted)
+        for kind, target in (('dop853', 0.6 if case.name == 'double pendulum' else 3.0),
+                             ('taylor', 1.5 if wanted == 1e-6 else 1.3)):
+            tolerance = first_good(_TOLERANCES, lambda one: largest_error(
+                case.ours(kind, one)()(), true), wanted)
+            if theirs is not None and tolerance is not None:
+                native = case.theirs(theirs, 1, 1)
+                yield race(f'{case.name}, T = {duration:g} s, path error {wanted:g}: {kind}', {
+                    f'{kind}, tolerance {tolerance:.2g}': _several([
+                        case.ours(kind, tolerance, 1) for _ in range(_RUNS)])}, {
+                            f'heyoka, tolerance {theirs:.2g}': _several(
+                                _RUNS * [lambda run=native: run])}, settings,
+                    target=target if kind == 'taylor' or wanted == 1e-6 else None,
+                    scale=1e6 / (duration * _RUNS), unit='us per simulated second',
+                    of_processor=True)
+
+
+def _several(contestants: list[Contestant]) -> Contestant:
+    """Return the contestant of several runs, of which one would be too short to time."""
+    def prepare() -> Callable[[], object]:
+        runs = [contestant() for contestant in contestants]
+        return lambda: [run() for run in runs]
+    return prepare
+
+
 def rows(settings: Settings) -> Iterator[Row]:
     """Measure formulas, then each motion, alone and in a batch, and by the integrator taylor."""
     yield from by_hand.rows(settings)
+    for case in {case.name: case for case in cases() if not case.compact}.values():
+        settings.say(f'{case.name}, with chosen steps')
+        yield from own_steps(case, settings)
     for case in cases():
         settings.say(f'{case.name}, T = {case.duration:g}')
         true = case.theirs(1e-16)()

@@ -151,6 +151,21 @@ def test_peer_that_fails_is_a_row_with_its_reason():
     assert np.isnan([row.path_error, row.seconds_per_simulated_second]).all()
 
 
+def test_path_error_of_a_peer_is_the_largest_of_ten_instants():
+    problem = problem_of('exact_pendulum')
+    reference = make_reference(problem.hamiltonian, problem.q, problem.p, 1.0)
+    (exact, _), durations = scipy_peers(problem.hamiltonian), []
+
+    def solve(z, duration, setting):
+        """Err in the middle of the path alone."""
+        durations.append(duration)
+        end, gradients = exact.solve(z, duration, 1e-12)
+        return end + 0.01 * (len(durations) == 5), gradients
+
+    assert 0.009 < peer_row(Peer('a peer', True, solve), 1e-8, problem, reference).path_error
+    assert durations[:10] == 10 * [0.1] and durations[10] == 1.0
+
+
 def test_slow_peers_are_stopped_after_a_row_and_others_are_measured_whole(monkeypatch):
     """The clock is one of calls: a millisecond for the fast peer, a hundred for the slow one."""
     problem, clock = problem_of('exact_pendulum'), [0.0]
@@ -248,8 +263,8 @@ def test_page_says_of_each_method_what_its_rows_say(tmp_path):
     # rk4's band of 6e-6 J at h = 0.05 has become 6e-4 J.
     assert f'In {len(SCENES)} scenes' in text and 'by a factor of 1e+02 to 1e+02.' in text
     # The peer takes 800 us and reaches 1e-8; rk4 at h = 0.1 takes 40, gauss8 200 and then 400.
-    assert ('| pendulum | 10 | rk4 h=0.1: 40 (0.05) | gauss8 h=0.1: 200 (0.25) | '
-            'gauss8 h=0.05: 400 |') in text
+    assert ('| pendulum | 10 | rk4 h=0.1: 40 (0.05) | rk4 h=0.1: 40 (0.05) | '
+            'gauss8 h=0.1: 200 (0.25) | gauss8 h=0.05: 400 |') in text
     assert 'is faster at some' not in text
     # The picture, the explorer, the commits, and a page for each scene.
     assert text.count('](accuracy/') == 3 + len(SCENES)
@@ -266,6 +281,20 @@ def test_page_says_of_each_method_what_its_rows_say(tmp_path):
         # Those to other folders are checked with the pages of the docs.
         for link in re.findall(r'\]\((?!#|\.\./)([^)]+)\)', page.read_text()):
             assert (page.parent / link).is_file()
+
+
+def test_page_explains_cells_in_which_a_peer_is_faster_than_the_pair():
+    results = {scene: invent(scene) for scene in ('pendulum', 'kepler')}
+    rows = results['kepler'].rows
+    rows += [dataclasses.replace(rows[0], method=method, step_size=math.nan, path_error=1e-9,
+                                 seconds_per_simulated_second=seconds,
+                                 gradients_per_simulated_second=10.0)
+             for method, seconds in (('dop853 tolerance=1e-10', 8e-5),
+                                     ('diffrax Dopri8 tolerance=1e-10', 4e-5))]
+    text = accuracy_page.as_page(results)
+    assert ('| kepler | 10 | 1e-09 | 2 | dop853, tol 1e-10: 10 x 8 | '
+            'diffrax Dopri8, tol 1e-10: 10 x 4 |') in text
+    assert 'The rows of kepler contain `dop853`' in text
 
 
 def test_results_of_other_scenes_stay(tmp_path):
