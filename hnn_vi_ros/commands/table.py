@@ -14,7 +14,7 @@ GROUPS = {
     'simulate': {'run': 'commands.run', 'list': 'commands.names', 'scene': 'commands.scene_tool',
                  'cost': 'commands.cost', 'sweep': 'sweeps.running', 'export': 'codegen.export'},
     'learn': {'train': 'learning.train', 'evaluate': 'learning.evaluate',
-              'identify': 'identify.identify',
+              'identify': 'identify.identify', 'check': 'identify.check',
               'import': 'learning.import_model'},
     'control': {'controller': 'ros.controller_node'},
     'ROS': {'simulator': 'ros.simulator_node', 'rerun_bridge': 'ros.rerun_bridge',
@@ -26,7 +26,7 @@ COMMANDS = {name: module for group in GROUPS.values() for name, module in group.
 # Deprecated names and their replacements.
 ALIASES = {'new_scene': ('scene', '--new')}
 # Commands that are not ROS 2 executables.
-_WITHOUT_ROS = ('run', 'list', 'cost', 'export', 'doctor', 'completion')
+_WITHOUT_ROS = ('run', 'list', 'cost', 'check', 'export', 'doctor', 'completion')
 EXECUTABLES = [name for name in (*COMMANDS, *ALIASES) if name not in _WITHOUT_ROS]
 
 

@@ -3,13 +3,13 @@
 """Wrenches on links of a robot, commanded while the simulation runs."""
 
 from collections.abc import Callable, Sequence
-from typing import cast, NamedTuple
+from typing import Any, cast, NamedTuple
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.commands import Command, Commanded, LARGEST, LINK_WRENCH, LinkWrench
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians import (
-    Bodies, check_positive, fill_frames, Following, Hamiltonian, RigidBodyTree, TreeWork)
+    Bodies, check_positive, fill_frames, Following, Hamiltonian, TreeWork)
 from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -83,12 +83,13 @@ class WrenchOnLinks(Force, Commanded):
 
     def resolve_on(self, hamiltonian: Hamiltonian, state: EffectState) -> WrenchParameters:
         """Return the geometry of the robot, the clock and the wrench."""
-        if not isinstance(hamiltonian, RigidBodyTree):
+        if hamiltonian.robot is None:
             return self.resolve(hamiltonian.coordinates, state)
+        robot: Any = hamiltonian
         # The same for all copies of a robot.
-        self._base, self._links = hamiltonian.base, hamiltonian.links
-        bodies, n = hamiltonian.bodies, len(hamiltonian.bodies.parent) - 1
-        following = hamiltonian.following or Following(np.arange(n), np.ones(n), np.zeros(n))
+        self._base, self._links = robot.base, robot.links
+        bodies, n = robot.bodies, len(robot.bodies.parent) - 1
+        following = robot.following or Following(np.arange(n), np.ones(n), np.zeros(n))
         return WrenchParameters(bodies, TreeWork.empty(n), following, np.zeros(n), state.clock,
                                 state.expiry, np.zeros(11), np.zeros(0, dtype=np.int64))
 

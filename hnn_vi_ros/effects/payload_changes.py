@@ -3,11 +3,11 @@
 """Changes of the payload of a robot while a simulation runs."""
 
 from collections.abc import Callable, Sequence
-from typing import cast, NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.base import Effect, EffectState, Place
 from hnn_vi_ros.effects.commands import Command, Commanded, PAYLOAD
-from hnn_vi_ros.hamiltonians import Payload, RigidBodyTree
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -25,15 +25,15 @@ class PayloadChanges(Effect, Commanded):
 
     Parameters
     ----------
-    robot : RigidBodyTree
-        H with a payload.
+    robot : Hamiltonian
+        H of a robot with a payload.
 
     """
 
     acts, takes, label = Place.COMMANDS, frozenset({PAYLOAD}), PAYLOAD
 
-    def __init__(self, robot: RigidBodyTree):
-        self._robot = robot
+    def __init__(self, robot: Hamiltonian):
+        self._robot: Any = robot
 
     def accepts(self, integrator: Integrator) -> bool:
         """Return True, since it acts between steps."""
@@ -54,5 +54,5 @@ class PayloadChanges(Effect, Commanded):
     def prepare(self, command: Command, parameters: NoColumns, q: np.ndarray
                 ) -> Callable[[], None]:
         """Return a function that replaces the payload."""
-        numbers = self._robot.payload_numbers(cast(Payload, command))
+        numbers = self._robot.payload_numbers(command)
         return lambda: self._robot.change_payload(numbers)

@@ -80,3 +80,24 @@ def identify() -> Parser:
     parser.add_argument('--write', type=Path, metavar='SCENE.yaml', help=(
         'write the scene with the fitted numbers to this new file'))
     return parser
+
+
+def check() -> Parser:
+    """Return the parser of ``check``."""
+    parser = Parser('check', (
+        'Check a log before a fit: how it is read, its faults, what it can tell and how well.'), [
+            'hnn check log.csv', 'hnn check log.csv --robot arm.urdf --plot log.png',
+            'hnn check bags/run7 --robot arm.urdf --excitation move.csv'], (
+                'Exit status: 0; 1 if the log is useless. `train` and `identify` print the same '
+                'warnings.'))
+    parser.add_argument('log', nargs='+', metavar='LOG', help=(
+        'bags with joint states, .npz files of arrays, or logs with named columns, of one '
+        'machine'))
+    parser.add_argument('--robot', type=Path, metavar='URDF', help=(
+        'estimate the numbers of motors and friction that the log tells, with the masses of '
+        'this robot'))
+    parser.add_argument('--plot', type=Path, metavar='FILE', help=(
+        'plot positions, commands and intervals: .png, .svg or .pdf'))
+    parser.add_argument('--excitation', type=Path, metavar='FILE.csv', help=(
+        'with --robot: write positions to command, joint by joint, that tell these numbers'))
+    return parser

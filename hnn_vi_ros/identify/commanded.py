@@ -19,7 +19,7 @@ from scipy.optimize import nnls
 from yaml import safe_dump
 
 # Speed at which dry friction is nearly full [rad/s], [m/s].
-_SPEED = 0.05
+SPEED = 0.05
 # Longest delay that is tried for the initial guess [s], and largest step size [s].
 _LATEST, _LARGEST_STEP = 0.15, 0.01
 
@@ -70,8 +70,7 @@ def commanded_scene(robot: Path, folder: Path, hamiltonian: Hamiltonian,
         raise DataError(f'{motions[0].where}: {motions[0].tau.shape[1]} commands, but {robot} has '
                         f'the joints {", ".join(names)}; name one command for each')
     spacing = motions[0].spacing
-    fits = [(*_guess(hamiltonian, motions, delay), delay) for delay in np.arange(
-        0.0, max(_LATEST, 2.0 * spacing), 0.5 * spacing).tolist()]
+    fits = [(*_guess(hamiltonian, motions, delay), delay) for delay in delays_of(motions)]
     _, numbers, delay = min(fits, key=lambda fit: fit[0])
     places = {'servo.delay': None} | {
         f'{key}.{name}': (k, column) for column, key in enumerate((
@@ -92,7 +91,7 @@ def commanded_scene(robot: Path, folder: Path, hamiltonian: Hamiltonian,
         {'kind': 'servo', 'coordinates': names, 'stiffness': stiffness, 'damping': damping,
          'offset': offset, 'delay': delay},
         {'kind': 'joint_friction', 'friction': dict(zip(names, friction, strict=True)),
-         'speed': _SPEED, **({'damping': {name: 0.1 * b for name, b in zip(
+         'speed': SPEED, **({'damping': {name: 0.1 * b for name, b in zip(
              names, damping, strict=True)}} if off else {})}]
     scene = _scene(robot, folder, effects,
                    {'rotor_inertia': dict(zip(names, rotor, strict=True))},
@@ -101,23 +100,43 @@ def commanded_scene(robot: Path, folder: Path, hamiltonian: Hamiltonian,
     return scene, [name for name in free if name not in known]
 
 
-def _guess(hamiltonian: Hamiltonian, motions: Sequence[EvenMotion], delay: float
-           ) -> tuple[float, np.ndarray]:
-    """Return the relative squared residuals, and k, c, F, J, o of each joint, shape (d, 5)."""
-    d, rows, forces = hamiltonian.dimension, [], []
+def delays_of(motions: Sequence[EvenMotion]) -> list[float]:
+    """Return the delays that are tried for the initial guess [s]."""
+    spacing = motions[0].spacing
+    return np.arange(0.0, max(_LATEST, 2.0 * spacing), 0.5 * spacing).tolist()
+
+
+def forces_needed(hamiltonian: Hamiltonian, motion: EvenMotion) -> np.ndarray:
+    """Return the forces p' + H_q that a measured motion needs, shape (N, d)."""
+    t, q, v = motion.t, motion.q_smooth, motion.v_smooth
+    p = momentum(hamiltonian, q, v, np.zeros_like(q))
+    return CubicSpline(t, p)(t, 1) + hamiltonian.gradient(q, p)[0]
+
+
+def regression(hamiltonian: Hamiltonian, motions: Sequence[EvenMotion], delay: float
+               ) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns of k, c, F, J, k o, shape (N, d, 5), and the forces needed, (N, d)."""
+    rows, forces = [], []
     for motion in motions:
         t, q, v = motion.t, motion.q_smooth, motion.v_smooth
-        p = momentum(hamiltonian, q, v, np.zeros_like(q))
-        need = CubicSpline(t, p)(t, 1) + hamiltonian.gradient(q, p)[0]
         at = np.clip(np.floor((t - t[0] - delay) / motion.spacing + 1e-6).astype(int), 0, None)
         commands, off = commands_and_off(motion)
         command, on = commands[at], ~off
         rows.append(np.stack([
-            np.where(on, command - q, 0.0), -v, -np.tanh(v / _SPEED), -motion.a_smooth,
-            -1.0 * on, 1.0 * on], axis=-1))
-        forces.append(need)
-    columns, needed = np.concatenate(rows), np.concatenate(forces)
-    found, share = np.empty((d, 5)), 0.0
+            np.where(on, command - q, 0.0), -v, -np.tanh(v / SPEED), -motion.a_smooth,
+            -1.0 * on], axis=-1))
+        forces.append(forces_needed(hamiltonian, motion))
+    return np.concatenate(rows), np.concatenate(forces)
+
+
+def _guess(hamiltonian: Hamiltonian, motions: Sequence[EvenMotion], delay: float
+           ) -> tuple[float, np.ndarray]:
+    """Return the relative squared residuals, and k, c, F, J, o of each joint, shape (d, 5)."""
+    columns, needed = regression(hamiltonian, motions, delay)
+    # The offset may have either sign.
+    columns = np.concatenate([columns, -columns[..., 4:]], axis=-1)
+    d, share = hamiltonian.dimension, 0.0
+    found = np.empty((d, 5))
     for k in range(d):
         own, rest = nnls(columns[:, k], needed[:, k])
         share += rest**2 / float((needed[:, k]**2).sum() or 1.0)

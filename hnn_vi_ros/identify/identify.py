@@ -25,7 +25,8 @@ from hnn_vi_ros.identify.intervals import (
 from hnn_vi_ros.learning import (
     ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FitProblem,
     FittedNumbers, input_courses, InputCourses, keys_of, LogSimulation, MeasuredColumns,
-    MotionSource, read_motions, search, Solution, source_of, split_runs, steps_between, Windows)
+    MotionSource, read_motions, search, Solution, source_of, split_runs, steps_between,
+    warnings_of, Windows)
 from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
@@ -202,7 +203,7 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
                 raise ParameterError(f'--{option} {name}: not among the free numbers '
                                      f'({", ".join(wanted)})')
     fitted, said = _fit(free, motions, options, _seen(scene, hamiltonian, log.names, motions))
-    notes += said
+    notes += [*said, *(one.text for one in warnings_of(motions, log.names))]
     solution, problem, stages = fitted.solution, fitted.problem, fitted.stages
     states = hamiltonian.coordinates, STATES in options.free
     estimates = estimates_of(solution, problem, free, *states)
@@ -295,7 +296,7 @@ def _known(given: Sequence[Sequence[str]]) -> dict[str, float]:
 def _log(options: Namespace, hamiltonian: Hamiltonian, commanded: bool) -> _Log:
     """Return the log of the command line, of the measured coordinates."""
     every = hamiltonian.coordinates
-    source, data = _source(options, [one for one in every if (
+    source, data = source_by_format(options, [one for one in every if (
         one.name in options.measured if options.measured else not one.rotor_of)], commanded)
     names = _measured(hamiltonian, options.measured or data.measured)
     units = [one.q_unit for name in names for one in every if one.name == name]
@@ -454,8 +455,8 @@ def _bounds(given: Sequence[Sequence[str]]) -> dict[str, tuple[float, float]]:
     return bounds
 
 
-def _source(options: Namespace, coordinates: Sequence[Coordinate], commanded: bool
-            ) -> tuple[Path, MotionSource]:
+def source_by_format(options: Namespace, coordinates: Sequence[Coordinate], commanded: bool
+                     ) -> tuple[Path, MotionSource]:
     """Return the reader of the data, by configuration or by format."""
     if options.config is not None:
         # Imported lazily: it brings the libraries of training.

@@ -16,9 +16,11 @@ from hnn_vi_ros.exports import lazy_exports
 if TYPE_CHECKING:
     from hnn_vi_ros.learning.arguments import add_config, Course, INPUTS
     from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
-    from hnn_vi_ros.learning.data.motions import EvenMotion
-    from hnn_vi_ros.learning.data.sampling import steps_between
-    from hnn_vi_ros.learning.data.sources import MotionSource, read_motions, source_of
+    from hnn_vi_ros.learning.data.log_warnings import LogWarning, warnings_of
+    from hnn_vi_ros.learning.data.motions import even_motions, EvenMotion, Motion
+    from hnn_vi_ros.learning.data.sampling import low_pass, steps_between
+    from hnn_vi_ros.learning.data.sources import (
+        configuration_of, MotionSource, read_motions, recording_of, source_of)
     from hnn_vi_ros.learning.export_module import export
     from hnn_vi_ros.learning.fit.config import family_schemas, load_machine
     from hnn_vi_ros.learning.fit.excitation import ExcitationData

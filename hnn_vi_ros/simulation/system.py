@@ -16,7 +16,7 @@ from hnn_vi_ros.effects import (
     JointPath, LINK_WRENCH, LoopManifold, Manifold, NUMBERS, OBSERVATION, PATH, PAYLOAD,
     PayloadChanges, Place, POSITION, ServoTarget, StepLayer, TimeDrive, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
-from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows, RigidBodyTree
+from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows
 from hnn_vi_ros.integrators import (
     check_method, Integrator, method_name, methods_that, NO_SOLUTION, PhasePoint, REASONS,
     REDUNDANT)
@@ -317,7 +317,7 @@ class System:
                  integrator: Integrator, effect_state: EffectState | None = None,
                  by_joint: bool = False):
         if hamiltonian.carrier is not None:
-            effects = [*effects, PayloadChanges(cast(RigidBodyTree, hamiltonian))]
+            effects = [*effects, PayloadChanges(hamiltonian)]
         if hamiltonian.loops is not None:
             effects = [*effects, ClosedChains(hamiltonian.loops)]
         if hamiltonian.time is not None:

@@ -11,15 +11,19 @@ from typing import final, TypeVar
 from hnn_vi_ros.errors import DataError, listed, RecordingError
 from hnn_vi_ros.files import parse_mapping
 from hnn_vi_ros.recording import (
-    BagReader, decode_float64_multi_array, decode_joint_state, decode_string, MOMENTUM,
-    qos_profiles, RecordedMessage)
+    BagReader, decode_float64_multi_array, decode_joint_state, decode_joint_trajectory,
+    decode_string, MOMENTUM, qos_profiles, RecordedMessage)
 from hnn_vi_ros.run import STATE_FILE
 import numpy as np
 import safetensors
 import safetensors.numpy
+from scipy.interpolate import CubicHermiteSpline
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 ARRAY = 'std_msgs/msg/Float64MultiArray'
+TRAJECTORY = 'trajectory_msgs/msg/JointTrajectory'
+# Time between samples of the path of a trajectory [s].
+_PATH_STEP = 0.01
 # Message types allowed for a topic of states.
 STATES = f'{ARRAY} or {JOINT_STATE}'
 # Largest difference between log times and stamps that agree, in mean intervals.
@@ -269,6 +273,58 @@ class SignalReader:
                                 f'data.columns contains the index {max(columns)} (zero-based)')
             values = values[:, columns]
         return self._times(name, [stamp for stamp, _ in found]), values
+
+    def command_topics(self) -> list[str]:
+        """Return the topics of commanded positions of the joints, by types and names."""
+        state, found = self.state_topic(), []
+        for topic in self._topics:
+            kind, name = self._type(self._topics[topic][0]), topic.rpartition('/')[2]
+            named = name in ('command', 'commands', 'joint_commands') \
+                and not {'effort', 'velocity'} & {*topic.replace('/', '_').split('_')}
+            if kind == TRAJECTORY or (kind == ARRAY and named and state is None) or (
+                    kind == JOINT_STATE and named and {*self.names_in(topic)} >= {*self._joints}
+                    and np.isfinite(self.read(topic)[1][:, 0]).any()):
+                found.append(topic)
+        self._origin = None
+        return found
+
+    def positions_commanded(self, topic: str, columns: Sequence[int]
+                            ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the positions that a topic commands, shapes (N,) and (N, d), each until the next.
+
+        A trajectory begins at its log time, at the last position commanded, and is sampled along
+        its splines until the next one.
+        """
+        if self.type_of(topic) == JOINT_STATE:
+            t, values = self.read(topic)
+            return t, values[:, 0]
+        if self.type_of(topic) == ARRAY:
+            return self.forces(topic, columns)
+        name, _, messages = self._messages_of(topic, TRAJECTORY)
+        paths = [(message.time, *self._decode(name, message, decode_joint_trajectory))
+                 for message in messages]
+        starts = self._times(name, [stamp for stamp, _, _ in paths])
+        times, rows = [np.zeros(0)], [np.zeros((0, len(self._joints)))]
+        for (_, names, points), start, end in zip(paths, starts, [*starts[1:], np.inf],
+                                                  strict=True):
+            if not points or not {*self._joints} <= {*names}:
+                continue
+            order = [names.index(joint) for joint in self._joints]
+            t, q, v = zip(*points, strict=True)
+            ends, knots = np.array(t), np.array(q)[:, order]
+            slopes = np.array(v)[:, order] if all(map(len, v)) else None
+            if ends[0] > 0.0:
+                first = rows[-1][-1:] if len(rows[-1]) else knots[:1]
+                ends, knots = np.append(0.0, ends), np.concatenate([first, knots])
+                slopes = None if slopes is None else np.concatenate([0.0 * slopes[:1], slopes])
+            at = np.append(np.arange(0.0, min(ends[-1], end - start), _PATH_STEP), ends[-1])
+            at = at[at < end - start]
+            rows.append(CubicHermiteSpline(ends, knots, slopes)(at) if slopes is not None
+                        and len(ends) > 1 else np.stack([
+                            np.interp(at, ends, one) for one in knots.T], axis=1))
+            times.append(start + at)
+        return np.concatenate(times), np.concatenate(rows)
 
     def _joint_rows(self, name: str, prefix: str = ''
                     ) -> tuple[list[int], list[list[list[float]]], set[str]]:

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import StrictModel
-from hnn_vi_ros.learning.data.bag_signals import ARRAY, JOINT_STATE, SignalReader, STATES
+from hnn_vi_ros.learning.data.bag_signals import ARRAY, JOINT_STATE, SignalReader, STATES, TRAJECTORY
 from hnn_vi_ros.learning.data.dataset import (
     BLOCKS, Derivatives, mass_matrix, Names, SavitzkyGolay, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.motions import GAP, Motion, MotionData, NONE, Recording
@@ -131,10 +131,13 @@ class BagMotions(BagOptions, MotionData):
         'commanded'))
     columns: Columns = Field([], description=(
         'zero-based indices of the joint forces in an array of commands; none: all'))
+    command: Topic | None = Field(None, description=(
+        'topic of positions commanded to servos, for identify: arrays, joint states with '
+        'positions, or joint trajectories; none: no commands'))
 
     def topics(self, reader: SignalReader) -> MotionTopics:
         """Return the topics of the channels; fill in those that the configuration omits."""
-        forces = '' if self.forces == NONE else self.forces
+        forces = '' if self.forces == NONE else self.command or self.forces
         if forces is None:
             state = reader.state_topic()
             node = state.rpartition('/')[0] if state else ''
@@ -208,13 +211,18 @@ def _motion(name: str, reader: SignalReader, data: BagData | BagMotions, joints:
         raise DataError(f'{reader.path}: {topics.v} has no velocities; remove data.velocity to '
                         'estimate them')
     reader.warn_of_publishers(topics.q, unwrap_turns(t, q, v)[0])
-    tau, notes = _forces(reader, topics, t, values[:, 2], data, joints)
+    commanded = isinstance(data, BagMotions) and data.command is not None
+    if commanded:
+        tau, notes = _positions_commanded(reader, data, t, len(joints)), list[str]()
+    else:
+        tau, notes = _forces(reader, topics, t, values[:, 2], data, joints)
     if reader.bag.damage:
         notes.append(reader.bag.damage)
     return Motion(name, f'{reader.path}: {topics.q}', t, q, v, tau,
                   p=channel(topics.p, 0, MOMENTUM, f'{ARRAY} or ~/state of the simulator'),
                   dp_dt=channel(topics.dp_dt, 2, RATE),
                   inputs='linear' if topics.forces in ('', EFFORT) else 'held',
+                  commanded=commanded,
                   notes=tuple(notes),
                   names=(*joints, *(f'velocity of {joint}' for joint in joints)))
 
@@ -222,7 +230,7 @@ def _motion(name: str, reader: SignalReader, data: BagData | BagMotions, joints:
 def _choose_stamps(reader: SignalReader, topics: MotionTopics, data: BagData | BagMotions) -> None:
     """Use the header stamps, unless a topic has none or the configuration chooses."""
     named = [topic for topic in topics if topic not in ('', EFFORT)]
-    unstamped = [topic for topic in named if reader.type_of(topic) == ARRAY]
+    unstamped = [topic for topic in named if reader.type_of(topic) in (ARRAY, TRAJECTORY)]
     if unstamped and data.stamps == 'header':
         raise DataError(f'{reader.path}: {unstamped[0]} has no stamps, but data.stamps is header; '
                         'remove data.stamps')
@@ -272,6 +280,19 @@ def _forces(reader: SignalReader, topics: MotionTopics, t: np.ndarray, efforts: 
         notes.append(f'no effort of {", ".join(lacking)}, taken as no motor')
         tau = np.where(given, tau, 0.0)
     return tau if topics.forces and given.any() else None, notes
+
+
+def _positions_commanded(reader: SignalReader, data: BagMotions, t: np.ndarray, d: int
+                         ) -> np.ndarray:
+    """Return the position commanded at each time, shape (N, d), NaN before the first."""
+    assert data.command is not None, 'read from this topic'
+    stamps, values = reader.positions_commanded(data.command, data.columns)
+    if values.shape[1] != d:
+        raise DataError(f'{reader.path}: {data.command} has {values.shape[1]} numbers for {d} '
+                        'coordinates; select theirs with data.columns (zero-based)')
+    order = np.argsort(stamps, kind='stable')
+    at = np.searchsorted(stamps[order], t, side='right') - 1
+    return np.where((at < 0)[:, None], np.nan, values[order][at])
 
 
 def _commands_at(reader: SignalReader, forces: str, t: np.ndarray,

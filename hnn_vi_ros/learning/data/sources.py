@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.arrays import Archive, ArraysData, read_arrays, split_runs
-from hnn_vi_ros.learning.data.bag_signals import joint_names
+from hnn_vi_ros.learning.data.bag_signals import joint_names, SignalReader
 from hnn_vi_ros.learning.data.bags import BagData, BagMotions, read_bags
 from hnn_vi_ros.learning.data.dataset import (
     BLOCKS, Dataset, dataset_of, ExactData, MIN_ROWS, sample_exact)
@@ -70,7 +70,7 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
         return sample_exact(data, seed)
     _refuse_commands(source, data)
     # Arrays are read for as many coordinates as there are units.
-    recording = _recording(source, data, units, given, units)
+    recording = recording_of(source, data, units, given, units)
     return states_of(*even_motions(recording, data)) if isinstance(data, MotionData) else \
         dataset_of(recording, data)
 
@@ -108,7 +108,7 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str],
                         f'coordinates {", ".join(names)}; only identify supports this')
     if not commanded:
         _refuse_commands(source, data)
-    return even_motions(_recording(source, data, names, given, units), data)
+    return even_motions(recording_of(source, data, names, given, units), data)
 
 
 def _refuse_commands(source: Path, data: Source | MotionSource) -> None:
@@ -118,8 +118,8 @@ def _refuse_commands(source: Path, data: Source | MotionSource) -> None:
                         'positions; remove it, or use hnn identify')
 
 
-def _recording(source: Path, data: MeasuredData | BagData | MotionSource, names: Sequence[str],
-               given: Sequence[str], units: Sequence[str]) -> Recording:
+def recording_of(source: Path, data: MeasuredData | BagData | MotionSource,
+                 names: Sequence[str], given: Sequence[str], units: Sequence[str]) -> Recording:
     """Return the motions as measured."""
     if isinstance(data, BagData | BagMotions):
         return read_bags(bags_of(source, data.paths, given), data, names)
@@ -230,7 +230,12 @@ def source_of(path: str, coordinates: Sequence[Named] = (), counts: float | None
     if file.suffix == _ARRAYS:
         return ArraysData()
     if is_bag(file):
-        return BagMotions()
+        topics = SignalReader(file, [one.name for one in coordinates]).command_topics() \
+            if commanded else []
+        if len(topics) > 1:
+            raise DataError(f'{file}: {len(topics)} topics of commanded positions: '
+                            f'{", ".join(topics)}; name one as data.command in --config')
+        return BagMotions(command=topics[0] if topics else None)
     if not os.path.exists(file):
         raise DataError(f'{file}: no such file; give a bag, an .npz file of arrays, or a log')
     reading = read_header(file, coordinates, counts)

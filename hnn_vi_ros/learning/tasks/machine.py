@@ -11,6 +11,7 @@ from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint
+from hnn_vi_ros.learning.data.log_warnings import warnings_of
 from hnn_vi_ros.learning.data.motions import (
     delayed, EvenMotion, MotionData, of_positions, train_and_test)
 from hnn_vi_ros.learning.families.choices import Forward, TrajectoryLoss
@@ -124,6 +125,8 @@ def select(data: MachineData) -> MachineData:
         train = [delayed(motion, delay) for motion in train]
         description += f'; forces delayed by {delay:.3g} samples'
     print(f'data: {description}; {_ranges(config, train)}', flush=True)
+    for one in warnings_of(train, [one.name for one in config.coordinates]):
+        print(f'warning: {one.text}', flush=True)
     check_motors(config, train)
     chosen, selection = selected(config, train)
     if isinstance(chosen.data.delay, float):

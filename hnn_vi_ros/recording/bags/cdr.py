@@ -140,6 +140,22 @@ def decode_joint_state(data: bytes) -> JointStates:
                        cursor.doubles(), cursor.doubles(), cursor.doubles())
 
 
+def decode_joint_trajectory(data: bytes) -> tuple[tuple[str, ...], list[tuple[float, ...]]]:
+    """
+    Return the joints of a trajectory_msgs/msg/JointTrajectory, and its points.
+
+    A point is (time from start [s], positions, velocities). ValueError if the bytes are invalid.
+    """
+    cursor = _Cursor(data)
+    cursor.number('i'), cursor.number('I'), cursor.text()
+    names = tuple(cursor.text() for _ in range(_count(cursor, data)))
+    points = []
+    for _ in range(_count(cursor, data)):
+        positions, velocities, _, _ = (cursor.doubles() for _ in range(4))
+        points.append((cursor.number('i') + 1e-9 * cursor.number('I'), positions, velocities))
+    return names, points
+
+
 def decode_string(data: bytes) -> str:
     """Return the text of a std_msgs/msg/String; raise ValueError if the bytes are invalid."""
     return _Cursor(data).text()

@@ -1,0 +1,273 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""``hnn check``: whether a log is fit for a fit, and what it can tell, before the fit."""
+
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files import write_text
+from hnn_vi_ros.hamiltonians import RigidBodyTree
+from hnn_vi_ros.identify import arguments as command_lines
+from hnn_vi_ros.identify.commanded import delays_of, forces_needed, regression, SPEED
+from hnn_vi_ros.identify.identify import source_by_format
+from hnn_vi_ros.learning import (
+    configuration_of, even_motions, EvenMotion, LogWarning, low_pass, Motion, recording_of,
+    warnings_of)
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+# Half-width of an interval of 95 % in standard errors, cut-off of the estimates [Hz], and the
+# motion that tells a number.
+_WIDTH, _CUTOFF = 1.96, 10.0
+_COMMANDED = {
+    'stiffness': ('N m/rad', 'steps of the command'), 'damping': ('N m s/rad', 'fast steps'),
+    'friction': ('N m', 'slow ramps in both directions'),
+    'rotor inertia': ('kg m2', 'steps that accelerate as fast as the servo can'),
+    'offset times stiffness': ('N m', 'rests on both sides of the middle')}
+_DRIVEN = {
+    'scale of masses': ('1', 'postures with different weights'),
+    'rotor inertia': ('kg m2', 'fast reversals'), 'damping': ('N m s/rad', 'several speeds'),
+    'friction': ('N m', 'slow motion in both directions'),
+    'offset': ('N m', 'the same posture from both sides')}
+# Amplitude of an excitation relative to the range of a joint, and without limits [rad], [m]; its
+# steps, their duration [s], and the time of a slow ramp [s].
+_SHARE, _UNLIMITED, _STEPS, _HELD, _RAMP = 0.2, 0.5, (1.0, -1.0, 0.5, -0.5, 0.0), 1.0, 8.0
+
+
+class Told(NamedTuple):
+    """A number of a joint: its name, value, half-width, unit, and the motion that tells it."""
+
+    name: str
+    value: float
+    half_width: float
+    unit: str
+    motion: str
+
+    @property
+    def known(self) -> bool:
+        """Return whether the half-width is less than the number."""
+        return self.half_width < abs(self.value)
+
+
+class Checked(NamedTuple):
+    """Result of a check: the samples as logged and at even times, and what was found."""
+
+    raw: list[Motion]
+    motions: list[EvenMotion]
+    names: list[str]
+    description: str
+    warnings: list[LogWarning]
+    numbers: list[Told]
+    delay: float | None
+
+    @property
+    def useless(self) -> list[str]:
+        """Return the reasons that the log is useless."""
+        found = [one.text for one in self.warnings if one.useless]
+        if self.numbers and not any(one.known for one in self.numbers):
+            found.append('it tells none of the numbers')
+        return found
+
+
+def main(argv: Sequence[str]) -> int:
+    """Print the check of a log; return 1 if it is useless."""
+    options = command_lines.check().parse_args(argv)
+    try:
+        found = check(options.log, options.robot)
+    except DataError as problem:
+        print(f'{problem}\n\nVerdict: useless.')
+        return 1
+    print('\n'.join(report_of(found)))
+    if options.plot:
+        draw(options.plot, found)
+    if options.excitation:
+        write_text(options.excitation, excitation_text(RigidBodyTree(str(options.robot))))
+    return int(bool(found.useless))
+
+
+def check(log: Sequence[str], robot: Path | None = None) -> Checked:
+    """
+    Check a log before a fit.
+
+    Parameters
+    ----------
+    log : sequence of str
+        Bags, arrays or logs of one machine.
+    robot : Path, optional
+        URDF of the robot, to estimate what the log tells.
+
+    Raises
+    ------
+    DataError
+        The log cannot be read, or holds no motion.
+
+    """
+    tree = None if robot is None else RigidBodyTree(str(robot))
+    coordinates: Sequence[Any] = tree.coordinates if tree is not None else [
+        Coordinate(one['name'], one['q_unit'], one['p_unit'])
+        for one in configuration_of(log)['coordinates']]
+    names = [one.name for one in coordinates]
+    options = Namespace(config=None, data=log, counts=None, inputs=None)
+    for commanded in (True, False):
+        source, data = source_by_format(options, coordinates, commanded)
+        raw = recording_of(source, data, names, log, [one.q_unit for one in coordinates])
+        if raw.motions[0].commanded or not commanded:
+            break
+    motions, description = even_motions(raw, data)
+    warnings = warnings_of(motions, names)
+    intervals = np.concatenate([np.diff(motion.t) for motion in raw.motions])
+    usual = float(np.median(intervals))
+    if (spread := float(np.quantile(np.abs(intervals / usual - 1.0), 0.9))) > 0.5:
+        warnings.append(LogWarning(f'a tenth of the intervals differ by more than {spread:.0%} '
+                                   'from the usual one'))
+    numbers, delay = list[Told](), None
+    if tree is not None and not any(one.useless for one in warnings):
+        numbers, delay = _told(tree, motions)
+    return Checked(raw.motions, motions, names, description, warnings, numbers, delay)
+
+
+def _told(tree: RigidBodyTree, motions: Sequence[EvenMotion]) -> tuple[list[Told], float | None]:
+    """Return what least squares of the forces of a measured motion tell, and the delay."""
+    names, delay = [one.name for one in tree.coordinates], None
+    if motions[0].commanded:
+        fits = [(_of_errors(tree, motions, one), one) for one in delays_of(motions)]
+        residuals = [sum(_solved(*part)[2] / (part[1]**2).sum() for part in parts)
+                     for parts, _ in fits]
+        parts, delay = fits[int(np.argmin(residuals))]
+        kinds = _COMMANDED
+    else:
+        parts = [(np.stack([forces_needed(tree, motion), motion.a_smooth, motion.v_smooth,
+                            np.tanh(motion.v_smooth / SPEED), np.ones_like(motion.q)], axis=-1),
+                  motion.tau) for motion in motions]
+        columns, forces = map(np.concatenate, zip(*parts, strict=True))
+        if forces.shape[1] != len(names) or not forces.any():
+            return [], None
+        kinds, parts = _DRIVEN, [(columns[:, k], forces[:, k]) for k in range(len(names))]
+    found = []
+    for name, part in zip(names, parts, strict=True):
+        values, widths, _ = _solved(*part)
+        if motions[0].commanded:
+            # Relative to the stiffness, whose reciprocal is the first coefficient.
+            values[0], widths[0] = 1.0 / values[0], widths[0] / values[0]**2
+            values[1:], widths[1:] = values[1:] * values[0], widths[1:] * abs(values[0])
+        found += [Told(f'{kind} of {name}', value, width, unit, motion)
+                  for (kind, (unit, motion)), value, width in zip(
+                      kinds.items(), values.tolist(), widths.tolist(), strict=True)]
+    return found, delay
+
+
+def _of_errors(tree: RigidBodyTree, motions: Sequence[EvenMotion], delay: float
+               ) -> list[tuple[np.ndarray, np.ndarray]]:
+    """
+    Return the columns of 1 / k, c / k, F / k, J / k, o and the errors r - q of each joint.
+
+    The forces, with their noisy accelerations, are among the columns: on the other side they would
+    be explained by a rotor with the negative inertia of the arm.
+    """
+    parts = []
+    for motion in motions:
+        columns, needed = regression(tree, [motion], delay)
+        table = np.concatenate([needed[..., None], -columns[..., 1:], columns[..., :1]], axis=-1)
+        on = columns[..., 4] != 0.0
+        # The equations hold for filtered motions as well, with less noise of accelerations.
+        table = low_pass(motion.where, table, motion.spacing, _CUTOFF)
+        parts.append(np.where(on[..., None], table, 0.0))
+    both = np.concatenate(parts)
+    return [(own[:, :5], own[:, 5]) for own in (
+        both[both[:, k].any(axis=1), k] for k in range(both.shape[1]))]
+
+
+def _solved(columns: np.ndarray, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return least squares, half-widths with the correlation of residuals, and their squares."""
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0.0] = 1.0
+    scaled = columns / size
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
+    values = inverse @ (scaled.T @ needed)
+    rest = needed - scaled @ values
+    squares = float(rest @ rest)
+    lag = float(rest[1:] @ rest[:-1]) / squares if squares else 0.0
+    share = np.linalg.eigvalsh(scaled.T @ scaled)
+    more = (1.0 + max(lag, 0.0)) / max(1.0 - lag, 1e-3)
+    variance = np.diag(inverse) * squares / max(len(needed) - len(values), 1) * more
+    # Columns that are zero, or a sum of others, tell nothing.
+    lost = (columns == 0.0).all(axis=0) | (share[0] < 1e-10 * share[-1])
+    return values / size, np.where(lost, np.inf, _WIDTH * np.sqrt(variance) / size), squares
+
+
+def report_of(found: Checked) -> Iterator[str]:
+    """Yield the lines of the report."""
+    yield f'# {found.description}\n'
+    intervals = np.concatenate([np.diff(motion.t) for motion in found.raw])
+    usual = float(np.median(intervals))
+    yield (f'{len(found.raw)} runs, {sum(len(one.t) for one in found.raw)} samples, '
+           f'{sum(float(np.ptp(one.t)) for one in found.raw):.4g} s; {1.0 / usual:.4g} samples per '
+           f'second, intervals {intervals.min():.3g} to {intervals.max():.3g} s\n')
+    has = 'commanded positions' if found.motions[0].commanded else 'forces' if any(
+        motion.tau.any() for motion in found.motions) else 'neither commands nor forces'
+    rates = 'velocities' if found.motions[0].v is not None else 'no velocities'
+    yield f'Read as: positions, {rates}, {has}.\n'
+    yield '| joint | least | largest | largest speed |\n|---|---|---|---|'
+    q, v = (np.concatenate([getattr(one, key) for one in found.motions])
+            for key in ('q_smooth', 'v_smooth'))
+    for k, name in enumerate(found.names):
+        yield (f'| {name} | {q[:, k].min():.4g} | {q[:, k].max():.4g} | '
+               f'{np.abs(v[:, k]).max():.3g} |')
+    if found.numbers:
+        late = '' if found.delay is None else f', with a delay of {found.delay:.3g} s'
+        yield (f'\nThe log tells (least squares of forces{late}; 95 %):\n\n'
+               '| number | value | half-width | unit |\n|---|---|---|---|')
+        yield from (f'| {one.name} | {one.value:.3g} | {one.half_width:.2g} | {one.unit} |'
+                    for one in found.numbers if one.known)
+        if lacking := [one for one in found.numbers if not one.known]:
+            yield '\nIt does not tell, and what would:\n'
+            yield from (f'- {one.name}: {one.motion}' for one in lacking)
+    if found.warnings:
+        yield '\nWarnings:\n'
+        yield from (f'- {one.text}' for one in found.warnings)
+    verdict = f'useless: {"; ".join(found.useless)}' if found.useless else 'usable' + (
+        ', see the warnings' if found.warnings else '')
+    yield f'\nVerdict: {verdict}.'
+
+
+def draw(path: Path, found: Checked) -> None:
+    """Draw positions, commands and intervals of the first run."""
+    # Imported lazily: the import is slow.
+    from matplotlib.figure import Figure
+    motion, raw, d = found.motions[0], found.raw[0], len(found.names)
+    figure = Figure(figsize=(8.0, 1.6 * (d + 1)), layout='constrained')
+    axes = figure.subplots(d + 1, 1)
+    for k, (axis, name) in enumerate(zip(axes, found.names, strict=False)):
+        if motion.commanded and k < motion.tau.shape[1]:
+            command = np.where(np.abs(motion.tau[:, k]) > 1e9, np.nan, motion.tau[:, k])
+            axis.step(motion.t, command, where='post', color='C1', label='command')
+        axis.plot(motion.t, motion.q[:, k], color='C0', label='position')
+        axis.set_ylabel(name)
+    axes[0].legend(loc='upper right')
+    axes[-1].plot(raw.t[1:], 1e3 * np.diff(raw.t), '.', markersize=2)
+    axes[-1].set(xlabel='t [s]', ylabel='interval [ms]')
+    figure.savefig(path)
+
+
+def excitation_text(robot: RigidBodyTree) -> str:
+    """Return a log of positions to command, joint by joint: steps, then slow ramps."""
+    names, rows, time = [one.name for one in robot.coordinates], list[list[float]](), 0.0
+    middle, size = np.zeros(len(names)), np.full(len(names), _UNLIMITED)
+    for k, joint in enumerate(robot.joints):
+        low, high = joint.bounds
+        if low is not None and high is not None:
+            middle[k], size[k] = 0.5 * (low + high), min(_SHARE * (high - low), _UNLIMITED)
+    for k in range(len(names)):
+        course = [(step, _HELD) for step in _STEPS] + [
+            (x, 0.02) for x in np.interp(np.arange(0.0, _RAMP, 0.02), np.array(
+                [0.0, 0.25, 0.75, 1.0]) * _RAMP, [0.0, 1.0, -1.0, 0.0])]
+        for share, held in course:
+            target = middle.copy()
+            target[k] += share * size[k]
+            rows.append([time, *target])
+            time += held
+    head = ','.join(['time', *(f'{name}_command' for name in names)])
+    return '\n'.join([head, *(','.join(f'{x:.6g}' for x in row) for row in rows)]) + '\n'

@@ -1,0 +1,133 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Warnings about measured motions from which a fit would learn little or something wrong."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from hnn_vi_ros.effects import LARGEST
+from hnn_vi_ros.learning.data.motions import EvenMotion
+import numpy as np
+
+# Shortest log [samples]; largest share of samples at an extreme value, and of different values in
+# a channel that is not held; coarsest resolution relative to the range; most steps of the
+# resolution in which a joint stands still.
+_SHORT, _AT_END, _DISTINCT, _COARSE, _STILL = 200, 0.02, 0.05, 0.02, 3.0
+# Differences that are rounding, relative to the range.
+_ROUNDED = 1e-6
+# Highest frequency of a motion, relative to the sampling rate.
+_FASTEST = 0.35
+# Least correlation of a position with its command, and that which another joint has; slopes
+# between which both have the same unit; longest delay of a command [s].
+_FOLLOWS, _OTHER, _UNITS, _LATEST = 0.5, 0.9, (0.2, 5.0), 0.3
+
+
+class LogWarning(NamedTuple):
+    """A warning, and whether the log is useless because of it."""
+
+    text: str
+    useless: bool = False
+
+
+def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str]) -> list[LogWarning]:
+    """Return the warnings about motions of named coordinates at even times."""
+    found, samples = list[LogWarning](), sum(len(motion.t) for motion in motions)
+    spacing = motions[0].spacing
+    if samples < _SHORT:
+        found.append(LogWarning(f'{samples} samples: record at least {_SHORT}', True))
+    fastest = max(0.5 * (motion.cutoff_alone or motion.cutoff) for motion in motions)
+    if fastest * spacing > _FASTEST:
+        found.append(LogWarning(
+            f'the motion has parts of up to {fastest:.3g} Hz, but {1.0 / spacing:.3g} samples per '
+            f'second: record more of them',
+            True))
+    moves = []
+    for k, name in enumerate(names):
+        q = np.concatenate([motion.q[:, k] for motion in motions])
+        moves.append(_moves(q))
+        if not moves[-1]:
+            found.append(LogWarning(f'{name} does not move'))
+        else:
+            found += _of_channel(q, f'position of {name}')
+    if not any(moves):
+        found.append(LogWarning('no joint moves: move them', True))
+    tau = np.concatenate([motion.tau for motion in motions])
+    if motions[0].commanded:
+        found += _of_commands(motions, tau, names, moves)
+    elif not motions[0].held:
+        for k in range(tau.shape[1] if tau.any() else 0):
+            found += _of_channel(tau[:, k], f'force {k + 1}')
+    return found
+
+
+def _resolution(x: np.ndarray) -> float:
+    steps = np.abs(np.diff(np.unique(x)))
+    return float(np.quantile(steps, 0.05)) if steps.size else 0.0
+
+
+def _moves(q: np.ndarray) -> bool:
+    """Return whether a coordinate moves by more than a few steps of its resolution, or noise."""
+    steps = np.diff(q)
+    slow = np.ptp(np.convolve(q, np.ones(5) / 5.0, 'valid'))
+    return bool(slow > _STILL * max(_resolution(q), 3.0 * np.median(np.abs(steps))))
+
+
+def _of_channel(x: np.ndarray, what: str) -> Iterator[LogWarning]:
+    """Yield warnings about the values of a channel that changes steadily."""
+    values = np.unique(x)
+    if len(values) < _DISTINCT * len(x):
+        if _resolution(x) > _COARSE * np.ptp(x):
+            yield LogWarning(f'{what} has {len(values)} different values: its resolution of '
+                             f'{_resolution(x):.3g} is coarse')
+        return
+    for limit, end in ((values[0], 'smallest'), (values[-1], 'largest')):
+        # Interpolation to even times rounds.
+        share = float(np.mean(np.abs(x - limit) < _ROUNDED * np.ptp(x)))
+        if share > _AT_END:
+            yield LogWarning(f'{what} is at its {end} value, {limit:.4g}, in {share:.0%} of '
+                             'the samples: it is saturated there', share > 10.0 * _AT_END)
+
+
+def _of_commands(motions: Sequence[EvenMotion], tau: np.ndarray, names: Sequence[str],
+                 moves: Sequence[bool]) -> Iterator[LogWarning]:
+    """Yield warnings about commands that stay, or that positions do not follow."""
+    on = (np.abs(tau) <= LARGEST).all(axis=1)
+    if not on.any():
+        yield LogWarning('the motors are off in all samples', True)
+        return
+    changing = np.ptp(tau[on], axis=0) > 0.0
+    for name, changes in zip(names, changing, strict=True):
+        if not changes:
+            yield LogWarning(f'{name} is commanded to one position: its stiffness is not told')
+    if not changing.any():
+        yield LogWarning('no command changes: command steps and slow ramps', True)
+        return
+    table = np.array([[_follows(motions, i, j) if moves[i] and changing[j] else (0.0, 1.0)
+                       for j in range(len(names))] for i in range(len(names))])
+    for k, name in enumerate(names):
+        if not (moves[k] and changing[k]):
+            continue
+        (own, slope), best = table[k, k], int(np.argmax(table[k, :, 0]))
+        if own < _FOLLOWS:
+            like = f', but that of {names[best]}: check the order of the columns' \
+                if table[k, best, 0] > _OTHER else ': check its column, sign and unit'
+            yield LogWarning(f'{name} does not follow its command (correlation {own:.2f}){like}',
+                             True)
+        elif not _UNITS[0] < slope < _UNITS[1]:
+            yield LogWarning(f'{name} moves {slope:.3g} times as far as its command: check the '
+                             'units, rad or deg', True)
+
+
+def _follows(motions: Sequence[EvenMotion], i: int, j: int) -> tuple[float, float]:
+    """Return the best correlation of coordinate i with command j by delays, and the slope."""
+    best = 0.0, 1.0
+    for delay in range(0, 1 + round(_LATEST / motions[0].spacing)):
+        pairs = [(motion.tau[:len(motion.t) - delay, j], motion.q[delay:, i])
+                 for motion in motions if len(motion.t) > delay + 2]
+        r, q = map(np.concatenate, zip(*pairs, strict=True))
+        on = np.abs(r) <= LARGEST
+        r, q = r[on] - r[on].mean(), q[on] - q[on].mean()
+        product = float(r @ q)
+        if product > best[0] * (size := float(np.sqrt((r @ r) * (q @ q)))):
+            best = product / size, product / float(r @ r)
+    return best

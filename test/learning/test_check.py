@@ -1,0 +1,145 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of logs before a fit: ten good logs, and ten that are useless in different ways."""
+
+from pathlib import Path
+import shutil
+
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.identify.check import check, main
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import simulate
+import numpy as np
+from pandas import DataFrame, read_csv
+import pytest
+from test_commanded import write_log
+
+Q = ['shoulder position [rad]', 'elbow position [rad]']
+R = ['shoulder command [deg]', 'elbow command [deg]']
+
+
+@pytest.fixture(scope='module')
+def logged(tmp_path_factory):
+    """Return the folder of a log of an arm of two servos, and its true numbers."""
+    folder = tmp_path_factory.mktemp('check')
+    return folder, write_log(folder, 2, 5)
+
+
+def torques(folder: Path, seed: int = 3) -> DataFrame:
+    """Return a log of an arm with measured torques, by Newton's law along sums of sines."""
+    from hnn_vi_ros.hamiltonians import RigidBodyTree
+    robot, rng = RigidBodyTree(str(folder / 'arm.urdf')), np.random.default_rng(seed)
+    t, h = 0.01 * np.arange(1500), 1e-5
+    rate, size, phase = rng.uniform(1.0, 6.0, (5, 2)), rng.uniform(0.2, 0.4, (5, 2)), rng.uniform(
+        0.0, 6.0, (5, 2))
+
+    def at(t):
+        x = rate * np.asarray(t)[:, None, None] + phase
+        q, v = (size * np.sin(x)).sum(1), (size * rate * np.cos(x)).sum(1)
+        return q, v, np.einsum('nij,nj->ni', robot.masses(q), v)
+    q, v, p = at(t)
+    tau = (at(t + h)[2] - at(t - h)[2]) / (2.0 * h) + robot.gradient(q, p)[0]
+    tau += [0.05, 0.03] * v + [0.2, 0.1] * np.tanh(v / 0.05) + 0.02 * rng.normal(size=q.shape)
+    q = q + 1e-4 * rng.normal(size=q.shape)
+    return DataFrame({'t [s]': t, Q[0]: q[:, 0], Q[1]: q[:, 1],
+                      'shoulder torque [N m]': tau[:, 0], 'elbow torque [N m]': tau[:, 1]})
+
+
+def frame(folder: Path) -> DataFrame:
+    return read_csv(folder / 'log.csv')
+
+
+def jittered(log: DataFrame) -> DataFrame:
+    log['t [s]'] += 0.001 * np.random.default_rng(1).normal(size=len(log))
+    return log.sort_values('t [s]')
+
+
+def with_values(log: DataFrame, names, values) -> DataFrame:
+    log[names] = values
+    return log
+
+
+GOOD = {
+    'as logged': lambda log: log,
+    'jitter': jittered,
+    'a gap': lambda log: log.drop(index=range(200, 230)),
+    'half the rate': lambda log: log.iloc[::2],
+    'rounded': lambda log: with_values(log, Q, log[Q].round(3)),
+    'glitches': lambda log: with_values(log, Q[0], log[Q[0]].where(
+        np.arange(len(log)) % 97 != 50, 9.0)),
+    'another order of columns': lambda log: log[['t [s]', R[1], Q[1], R[0], Q[0]]],
+    'dates': lambda log: with_values(log, 't [s]', log['t [s]'] + 1.7e9),
+}
+USELESS = {
+    'noise': lambda log: with_values(log, Q, np.random.default_rng(0).normal(size=(len(log), 2))),
+    'at rest': lambda log: with_values(log, Q, 0.1 + 1e-4 * np.random.default_rng(0).normal(
+        size=(len(log), 2))),
+    'short': lambda log: log.iloc[:100],
+    'times that go back': lambda log: with_values(log, 't [s]', log['t [s]'].to_numpy()[::-1]),
+    'no command changes': lambda log: with_values(log, R, 20.0),
+    'radians called degrees': lambda log: with_values(log, R, np.radians(log[R])),
+    'joints swapped': lambda log: with_values(log, R, log[R[::-1]].to_numpy()),
+    'wrong sign': lambda log: with_values(log, R, -log[R]),
+    'stops': lambda log: with_values(log, Q, log[Q].clip(-0.25, 0.25)),
+    'too slow': lambda log: log.iloc[::30],
+}
+
+
+@pytest.mark.parametrize('kind', GOOD)
+def test_good_logs_are_usable(logged, tmp_path, kind, capsys):
+    folder, truth = logged
+    GOOD[kind](frame(folder)).to_csv(tmp_path / 'log.csv', index=False)
+    found = check([str(tmp_path / 'log.csv')], folder / 'arm.urdf')
+    assert not found.useless, found.warnings
+    told = {one.name: one for one in found.numbers}
+    # A least squares of filtered accelerations only estimates: its order of size is right.
+    for k, name in enumerate(('shoulder', 'elbow')):
+        one = told[f'stiffness of {name}']
+        assert one.known and 0.5 < one.value / truth[f'servo.stiffness.{k}'] < 2.0
+    assert found.delay == pytest.approx(truth['servo.delay'], abs=0.03)
+
+
+def test_good_log_of_torques_and_of_free_motion_are_usable(logged, tmp_path, capsys):
+    folder, _ = logged
+    torques(folder).to_csv(tmp_path / 'log.csv', index=False)
+    found = check([str(tmp_path / 'log.csv')], folder / 'arm.urdf')
+    assert not found.useless, found.warnings
+    told = {one.name: one for one in found.numbers}
+    for name, friction in (('shoulder', 0.2), ('elbow', 0.1)):
+        scale, own = told[f'scale of masses of {name}'], told[f'friction of {name}']
+        assert abs(scale.value - 1.0) < max(2.0 * scale.half_width, 0.05)
+        assert abs(own.value - friction) < max(2.0 * own.half_width, 0.05)
+        assert not told[f'offset of {name}'].known
+    path = simulate(load_scene('exact_double_pendulum'), 20.0, every=2)
+    DataFrame({'t [s]': path.t, 'q1 [rad]': path.q[:, 0], 'q2 [rad]': path.q[:, 1]}).to_csv(
+        tmp_path / 'free.csv', index=False)
+    free = check([str(tmp_path / 'free.csv')])
+    assert not free.useless and not free.numbers, free.warnings
+
+
+@pytest.mark.parametrize('kind', USELESS)
+def test_useless_logs_are_told(logged, tmp_path, kind):
+    folder, _ = logged
+    USELESS[kind](frame(folder)).to_csv(tmp_path / 'log.csv', index=False)
+    try:
+        found = check([str(tmp_path / 'log.csv')], folder / 'arm.urdf')
+    except DataError as problem:
+        print(f'{kind}: {problem}')
+        return
+    print(f'{kind}: {found.useless}')
+    assert found.useless
+
+
+def test_report_is_one_page_with_a_picture_and_an_excitation(logged, tmp_path, capsys):
+    folder, _ = logged
+    shutil.copy(folder / 'log.csv', tmp_path)
+    status = main([str(tmp_path / 'log.csv'), '--robot', str(folder / 'arm.urdf'),
+                   '--plot', str(tmp_path / 'log.png'),
+                   '--excitation', str(tmp_path / 'move.csv')])
+    text = capsys.readouterr().out
+    assert status == 0 and 'Verdict: usable' in text and len(text.splitlines()) < 60
+    assert (tmp_path / 'log.png').exists()
+    moves = read_csv(tmp_path / 'move.csv')
+    assert [*moves] == ['time', 'shoulder_command', 'elbow_command']
+    assert (np.diff(moves.time) > 0.0).all()
+    assert np.abs(moves.shoulder_command).max() == 0.5 == np.abs(moves.elbow_command).max()
