@@ -141,7 +141,7 @@ def _events(simulation: Simulation, scene: Scene, conditions: Sequence[Condition
         with scene.placed('events', k):
             condition.check(simulation.hamiltonian)
     directions = [('down', 'both', 'up').index(event.direction) - 1 for event in scene.events]
-    before = [float(condition.values(simulation.hamiltonian, simulation.q, simulation.p))
+    before = [float(condition.values(simulation.hamiltonian, simulation.q, simulation.p, 0.0))
               for condition in conditions]
     return EventTable(np.array(directions, dtype=np.int64), np.array(before),
                       *np.zeros((2, len(before))))

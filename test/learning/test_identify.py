@@ -314,7 +314,7 @@ def test_delay_and_friction_of_a_driven_pendulum_are_found(tmp_path):
     assert mass == pytest.approx(1.0, rel=0.01)
 
 
-def test_windows_of_a_time_in_h_begin_at_their_times_and_their_energies_are_those_of_a_run(tmp_path):
+def test_windows_of_a_time_in_h_begin_at_their_times_and_have_the_energies_of_a_run(tmp_path):
     scene = load_scene('driven_duffing')
     run = hnn_vi_ros.simulate(scene, 1.0, every=10, energy_by_cause=True)
     parts = freed(scene, tmp_path, parameters__F=0.37).parts_at([0.37])

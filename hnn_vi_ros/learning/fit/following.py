@@ -240,15 +240,16 @@ class LogSimulation:
 
         They are summed over the windows [J]; see Ledger.
         """
+        q, p = np.split(starts[0], 2)
         simulation = self.simulation = Simulation(
-            self.hamiltonian, self.integrator, self.step_size, *np.split(starts[0], 2),
-            self.effects, self._on_failure, energy_by_cause=True)
+            self.hamiltonian, self.integrator, self.step_size, q, p, self.effects,
+            self._on_failure, energy_by_cause=True)
         assert simulation.ledger is not None, 'requested'
         names, total = simulation.ledger.names, np.zeros(len(simulation.ledger.names))
         self.states(starts[:, None])
         for row in self._ends[np.isfinite(self._ends[:, 2])]:
             simulation.put(row)
-            total += simulation.causes
+            total += np.array(simulation.causes)
         return {name: float(value) for name, value in zip(names, total, strict=True)
                 if name.startswith(('work/', 'heat/'))}
 
