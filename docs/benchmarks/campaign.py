@@ -48,13 +48,14 @@ _PAGE = """\
 
 The best row is the cheapest row of a sweep over {methods} methods, with steps up to half a period
 and a factor of {ratio} between steps. The error of each choice is measured again at every step,
-against an exact orbit or DOP853 of scipy at 3e-14. Energies are relative to the energy scale. Each
-cell contains the method that auto chose, and its {counted} per simulated second relative to the
-best row. Energies are held for 30 periods and paths for 6. The commits are from before `dop853` and
-`rk4` were among the methods of auto, which takes them today for path errors where they are cheaper,
-and before it counted the fixed cost of steps. The ratios of times (runs of each: {runs}) are {least:.2g} to {most:.2g}, with the
-median {median:.2g}. [automatic-choice.json](automatic-choice.json) contains steps, errors, times
-and the best rows.
+against an exact orbit or DOP853 of scipy at 3e-14. Energies are relative to the energy scale.
+Each cell contains the method that auto chose, and its {counted} per simulated second relative to
+the best row. Energies are held for 30 periods and paths for 6. The ratios of times (runs of each:
+{runs}) are {least:.2g} to {most:.2g}, with the median {median:.2g}.
+[automatic-choice.json](automatic-choice.json) contains steps, errors, times and the best rows.
+
+The commits are from before `dop853` and `rk4` were among the methods of auto, which takes them
+today for path errors where they are cheaper, and before it counted the fixed cost of steps.
 
 {table}
 

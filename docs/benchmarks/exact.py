@@ -10,6 +10,7 @@ documentation does, or from the same formula where they are long.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -135,24 +136,38 @@ def own_steps(case: Case, settings: Settings) -> Iterator[Row]:
     Errors are those at the instants, times those of one call to the end.
     """
     for duration, wanted in product((10.0, 100.0), (1e-6, 1e-9)):
-        case = replace(case, duration=duration, wanted=wanted)
-        true = case.theirs(1e-16)()
-        theirs = first_good(_TOLERANCES, lambda one: largest_error(case.theirs(one)(), true),
-                            wanted)
-        for kind, target in (('dop853', 0.6 if case.name == 'double pendulum' else 3.0),
-                             ('taylor', 1.5 if wanted == 1e-6 else 1.3)):
-            tolerance = first_good(_TOLERANCES, lambda one: largest_error(
-                case.ours(kind, one)()(), true), wanted)
-            if theirs is not None and tolerance is not None:
-                native = case.theirs(theirs, 1, 1)
-                yield race(f'{case.name}, T = {duration:g} s, path error {wanted:g}: {kind}', {
+        yield from _own_steps_of(replace(case, duration=duration, wanted=wanted), settings)
+
+
+def _own_steps_of(case: Case, settings: Settings) -> Iterator[Row]:
+    true = case.theirs(1e-16)()
+
+    def good(path: Callable[[float], np.ndarray]) -> float | None:
+        return first_good(_TOLERANCES, lambda one: largest_error(path(one), true), case.wanted)
+
+    def ours(kind: str, tolerance: float) -> np.ndarray:
+        return case.ours(kind, tolerance)()()
+
+    theirs = good(lambda one: case.theirs(one)())
+    loose = case.wanted > 1e-7
+    for kind, target in (
+            ('dop853', (0.6 if case.name == 'double pendulum' else 3.0) if loose else None),
+            ('taylor', 1.5 if loose else 1.3)):
+        tolerance = good(partial(ours, kind))
+        if theirs is not None and tolerance is not None:
+            native = case.theirs(theirs, 1, 1)
+            yield race(
+                f'{case.name}, T = {case.duration:g} s, path error {case.wanted:g}: {kind}', {
                     f'{kind}, tolerance {tolerance:.2g}': _several([
                         case.ours(kind, tolerance, 1) for _ in range(_RUNS)])}, {
-                            f'heyoka, tolerance {theirs:.2g}': _several(
-                                _RUNS * [lambda run=native: run])}, settings,
-                    target=target if kind == 'taylor' or wanted == 1e-6 else None,
-                    scale=1e6 / (duration * _RUNS), unit='us per simulated second',
-                    of_processor=True)
+                    f'heyoka, tolerance {theirs:.2g}': _several(
+                        _RUNS * [partial(_given, native)])}, settings, target=target,
+                scale=1e6 / (case.duration * _RUNS), unit='us per simulated second',
+                of_processor=True)
+
+
+def _given(run: Callable[[], np.ndarray]) -> Callable[[], np.ndarray]:
+    return run
 
 
 def _several(contestants: list[Contestant]) -> Contestant:

@@ -40,7 +40,7 @@ _TIMED = 4
 # the tolerance of the reference.
 _COMPARED = ('pendulum', 'double_pendulum', 'learned_kepler')
 _HORIZONS, _WANTED = (10.0, 100.0), (1e-4, 1e-7)
-_BATCH, _SEARCHED, _SPREAD, _EXACT = 1000, 50, 0.05, 1e-13
+_BATCH, _SEARCHED, _SPREAD, _EXACT = 1000, 50, 0.01, 1e-13
 _ADAPTIVE = ('Tsit5', 'Dopri8')
 _COMMAND = 'from hnn_vi_ros.cli import sweep; sweep()'
 

@@ -93,7 +93,8 @@ def as_page(results: _Results) -> str:
     """Return the page, from the results of each scene."""
     parts: dict[str, Callable[[_Results], Any]] = {
         'own_errors': _own_errors, 'choices': _choices, 'slower': _slower, 'missed': _missed,
-        'with_pair': _with_pair, 'left_out': _left_out, 'first_order': _first_order, 'drifting': _drifting, 'scenes': _scenes}
+        'with_pair': _with_pair, 'left_out': _left_out, 'first_order': _first_order,
+        'drifting': _drifting, 'scenes': _scenes}
     name = _example(results)
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
     made = {name: part(results) for name, part in parts.items()}

@@ -61,7 +61,8 @@ class LearnedHamiltonian(Hamiltonian):
             slopes = rounding(lambda z: np.hstack(
                 [*called.slopes(*_flat(z)).reshape(2, -1, d)]), z)
             (values,) = rounding(lambda z: called.energies(*_flat(z))[:, None], z)
-            self._shared['scales'] = (float(slopes[:d].max()), float(slopes[d:].max())), float(values)
+            self._shared['scales'] = (
+                (float(slopes[:d].max()), float(slopes[d:].max())), float(values))
         gradient, energy = self._shared['scales']
         return kernel._replace(gradient_scale=gradient, energy_scale=energy)
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from ensembles import OSCILLATOR
 from helpers import (
-    EPS, exact, jacobian, mostly_long, python_step, random_checkpoint, symplectic_defect, Uncompiled)
+    EPS, exact, jacobian, mostly_long, python_step, random_checkpoint, symplectic_defect,
+    Uncompiled)
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.files import shipped_file, shipped_names
 from hnn_vi_ros.hamiltonians import Hamiltonian

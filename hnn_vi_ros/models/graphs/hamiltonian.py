@@ -92,7 +92,8 @@ class GraphHamiltonian(LearnedHamiltonian):
                 pack(*program.layers, program.activation))
         # Imported lazily: it compiles.
         from hnn_vi_ros.models.graphs import machine
-        graph = machine.assembled(*program, self.dimension)
+        assembler, tapes = program
+        graph = machine.assembled(assembler, tapes, self.dimension)
         if self.time is not None:
             return self._kernel_of(machine.energy_at, machine.gradient_at,
                                    machine.hessian_vector_at, (graph, self.time))
