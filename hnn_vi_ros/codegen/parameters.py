@@ -4,7 +4,7 @@
 
 from collections.abc import Mapping
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hnn_vi_ros.codegen.image import Image, numbers_at
 from hnn_vi_ros.effects import LARGEST
@@ -58,7 +58,7 @@ def parameters_of(parts: Parts, simulation: Simulation, memory: Block, image: Im
     own = numbers_of(parts.scene)
     of_effects = all(name.startswith('effects.') for name in own)
 
-    def numbers(values: Mapping[str, float]) -> np.ndarray | None:
+    def numbers(**values: float) -> np.ndarray | None:
         """Return the memory with other values; None if they are not allowed or need other code."""
         try:
             scene = with_known_numbers(parts.scene, values)
@@ -70,72 +70,43 @@ def parameters_of(parts: Parts, simulation: Simulation, memory: Block, image: Im
         return numbers_at(memory) if taken else None
 
     # New workspaces, as after all other changes.
-    before = numbers({})
-
-    def words(values: Mapping[str, float]) -> np.ndarray | None:
-        """Return the image with other values; see ``numbers``."""
-        now = numbers(values)
-        if now is None or before is None or now.size != before.size:
-            return None
-        found, differ = image.words.copy(), now != before
-        found[image.order[differ]] = now[differ]
-        return found
+    before = numbers()
+    assert before is not None, 'the numbers of the scene itself'
 
     def parameter(name: str, value: float) -> Parameter:
         size, powers = abs(value) or 1.0, dict[int, float]()
-        trials = [(own, words({name: own})) for own in (value * factor or factor
-                                                        for factor in _FACTORS)]
-        bounded = simulation.system.constraints is not None or words({name: 1e3 * size}) is None
-        if not bounded and all(found is not None for _, found in trials):
-            powers = _powers(image.words, value, trials)
-        negative, zero = words({name: -size}) is not None, words({name: 0.0}) is not None
-        low = -LARGEST if negative else 0.0 if zero else math.ulp(0.0)
-        words({name: value})
+        trials = {own: numbers(**{name: own}) for own in (
+            value * factor or factor for factor in _FACTORS)}
+        if simulation.system.constraints is None and numbers(**{name: 1e3 * size}) is not None:
+            powers = _powers(before, value, trials, image.order)
+        low = -LARGEST if numbers(**{name: -size}) is not None else 0.0 if numbers(
+            **{name: 0.0}) is not None else math.ulp(0.0)
         return Parameter(name, value, low, powers)
 
     found = [parameter(name, value) for name, value in own.items()]
-    changes = {one.name: (one.value or 1.0) * (1.0 + 0.01 * k)
-               for k, one in enumerate(found, 1) if one.powers}
-    together = words(changes) if changes else None
-    if together is None or not np.allclose(
-            tuned(image.words, found, changes).view(np.float64), together.view(np.float64),
-            _ROUNDING, 0.0, equal_nan=True):
-        found = [one._replace(powers={}) for one in found]
     return sorted(found, key=lambda one: not one.powers)
 
 
-def _powers(words: np.ndarray, value: float, trials: list[tuple[float, Any]]) -> dict[int, float]:
-    """Return the exponents of a number in words, {} unless all are products of powers of it."""
+@np.errstate(all='ignore')
+def _powers(numbers: np.ndarray, value: float, trials: Mapping[float, np.ndarray | None],
+            order: np.ndarray) -> dict[int, float]:
+    """Return the exponents of a value in words, {} unless all are products of powers of it."""
     found = dict[int, float]()
-    for k in np.flatnonzero(np.any([words != other for _, other in trials], axis=0)).tolist():
-        base, *others = (float(own.view(np.float64)[k]) for own in (
-            words, *(other for _, other in trials)))
-        powers = [1.0] * len(trials) if base == value == 0.0 else [
-            math.log(other / base) / math.log(own / value) if value and base * other > 0.0
-            and own / value > 0.0 else math.nan
-            for other, (own, _) in zip(others, trials, strict=True)]
+    others = [now.view(np.float64) for now in trials.values()
+              if now is not None and now.size == numbers.size]
+    if len(others) < len(trials):
+        return {}
+    first, base = next(iter(trials)), numbers.view(np.float64)
+    differ = np.any([now.view(np.int64) != numbers for now in others], axis=0)
+    for k in np.flatnonzero(differ).tolist():
+        ratio = others[0][k] / base[k] if base[k] else 0.0
         # Roots have exponents of one half.
-        power = 0.5 * round(2.0 * powers[0]) if math.isfinite(powers[0]) else math.nan
-        made = [_changed(base, value, own, power) for own, _ in trials]
-        if not np.allclose(made, others, _ROUNDING, 0.0):
-            return {}
-        found[k] = power
-    return found
-
-
-def _changed(word: float, before: float, now: float, power: float) -> float:
-    """Return a word after a change of one of its factors; see entries."""
-    if word == before and power == 1.0:
-        return now
-    return word * (now / before)**power if before else math.nan
-
-
-def tuned(words: np.ndarray, parameters: list[Parameter], values: Mapping[str, float]
-          ) -> np.ndarray:
-    """Return the words with other values of parameters."""
-    found = words.copy()
-    for one in parameters:
-        for k, power in one.powers.items():
-            found.view(np.float64)[k] = _changed(
-                float(found.view(np.float64)[k]), one.value, values[one.name], power)
+        power = 0.5 * round(2.0 * math.log(ratio) / math.log(first / value)) if (
+            value and 0.0 < ratio < math.inf) else 1.0
+        for own, now in zip(trials, others, strict=True):
+            made = own if base[k] == value and power == 1.0 else (
+                base[k] * np.float64(own / value)**power if value else math.nan)
+            if not abs(made - now[k]) <= _ROUNDING * abs(made):
+                return {}
+        found[int(order[k])] = power
     return found
