@@ -10,10 +10,12 @@ import shutil
 import sys
 from tempfile import TemporaryDirectory
 from typing import Any
+import warnings
 
 from gallery import picture_of
 from hnn_vi_ros import load_scene, Scene, simulate, simulate_many, simulate_spread
 from hnn_vi_ros.control import assign
+from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.identify import identify
 from hnn_vi_ros.simulation import build
 from matplotlib.axes import Axes
@@ -59,6 +61,41 @@ def write_moving(path: Path) -> None:
               for k in samples.tolist()]
     frames[0].save(path, save_all=True, append_images=frames[1:], loop=0, optimize=True,
                    duration=round(1000.0 / _RATE))
+
+
+def write_log_result(path: Path) -> None:
+    """Cut the first panel out of the picture of the study bag_to_model."""
+    with Image.open(DOCS / 'evidence' / 'bag_to_model.png') as picture:
+        panel = picture.convert('RGB').crop((0, 0, picture.width, int(0.465 * picture.height)))
+    panel.thumbnail((720, 720), Image.Resampling.LANCZOS)
+    panel.quantize(64).save(path, optimize=True)
+
+
+def write_alarm_result(path: Path) -> None:
+    """Draw the energy of rk4 with steps that are too large, with the alarms of the run."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', AlarmWarning)
+        run = simulate('pendulum', 20.0, integrator='rk4', step_size=0.4)
+    figure, (axes,) = _figure(3.4)
+    axes.plot(run.t, run.energy, linewidth=2.0, label='H of rk4, h = 0.4 s')
+    axes.axhline(run.energy[0], color='black', linestyle='--', label='exact')
+    for k, alarm in enumerate(run.alarms):
+        t = alarm.step * 0.4
+        axes.axvline(t, color='#c0143c', linestyle=':')
+        axes.annotate(f'alarm: {alarm.kind}', (t, 11.3 - 1.1 * k), (5, 0), color='#c0143c',
+                      textcoords='offset points', fontsize=12, bbox={
+                          'facecolor': 'white', 'edgecolor': 'none', 'pad': 0.5})
+    axes.set(xlabel='t [s]', ylabel='energy [J]')
+    axes.legend(loc='upper right')
+    figure.savefig(path, dpi=90)
+
+
+def write_robot_result(path: Path) -> None:
+    """Write a small copy of the recording of the arm with six joints."""
+    with Image.open(DOCS / 'how-to' / 'recordings' / 'six_joint_arm.png') as picture:
+        small = picture.convert('RGB').crop((0, 64, picture.width, 595))
+    small.thumbnail((720, 720), Image.Resampling.LANCZOS)
+    small.quantize(96).save(path, optimize=True)
 
 
 def write_hover(path: Path) -> None:
@@ -359,6 +396,9 @@ def _figure(height: float, rows: int = 1) -> tuple[Figure, list[Axes]]:
 
 
 PICTURES: dict[str, Callable[[Path], None]] = {
+    '_static/result_log.png': write_log_result,
+    '_static/result_alarm.png': write_alarm_result,
+    '_static/result_robot.png': write_robot_result,
     '_static/scenes.png': write_strip, '_static/double_pendulum.gif': write_moving,
     'concepts/architecture.png': write_flow, 'evidence/orders.png': write_orders,
     'how-to/identify_fit.png': write_fit,
