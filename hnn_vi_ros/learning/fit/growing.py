@@ -62,18 +62,21 @@ def least_noise(measured: np.ndarray) -> np.ndarray:
 
 def first_length(motions: Sequence[EvenMotion]) -> float:
     """Return an initial window length [s]: four time scales of the motion."""
+    speed, pace = _speeds_and_paces(motions)
+    if not speed.any():
+        raise DataError(f'{motions[0].name}: no coordinate moves, so no parameter can be '
+                        'identified')
+    least = 2 * _LEAST_SAMPLES if motions[0].v is None else _LEAST_SAMPLES
+    return max(4.0 * float(pace[speed > 0.0].min()), (least - 1) * motions[0].spacing)
+
+
+def _speeds_and_paces(motions: Sequence[EvenMotion]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the usual speed and the time scale [s] of each coordinate, (d,)."""
     q, v, a = (np.concatenate([getattr(motion, name) for motion in motions])
                for name in ('q_smooth', 'v_smooth', 'a_smooth'))
     speed, rate = (np.sqrt((part**2).mean(axis=0)) for part in (v, a))
-    moves = speed > 0.0
-    if not moves.any():
-        raise DataError(f'{motions[0].name}: no coordinate moves, so no parameter can be '
-                        'identified')
     # The range of a joint that turns over and over tells nothing of its time scale.
-    pace = float(np.minimum(q.std(axis=0)[moves] / speed[moves], _TURNING * speed[moves] / (
-        rate[moves] + 1e-300)).min())
-    least = 2 * _LEAST_SAMPLES if motions[0].v is None else _LEAST_SAMPLES
-    return max(4.0 * pace, (least - 1) * motions[0].spacing)
+    return speed, np.minimum(q.std(axis=0) / (speed + 1e-300), _TURNING * speed / (rate + 1e-300))
 
 
 class FittedNumbers(NamedTuple):
@@ -174,6 +177,8 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
         found: list[tuple[FittedNumbers, FittedNumbers | None]] = []
         for model, before in alive:
             try:
+                if before is not None and horizon is None:
+                    _check_followed(before, motions, length, seen)
                 found.append((fit_longer_windows(
                     model, motions, length, noise, robust,
                     tolerance if length >= wanted else _ROUGH, before, seen), before))
@@ -337,6 +342,20 @@ def fit_longer_windows(model: ParametricModel, motions: Sequence[EvenMotion], le
         robust, tolerance, before is None)
     fits, sensor = ([], []) if before is None else (before.fits, before.sensor)
     return FittedNumbers([*fits, (length, solution, problem)], [], sensor)
+
+
+def _check_followed(fitted: FittedNumbers, motions: Sequence[EvenMotion], length: float,
+                    seen: MeasuredColumns | None) -> None:
+    """Raise CannotFollow if a fit is off by a swing in longer windows, as in a chaotic motion."""
+    model, values = fitted.problem.model, fitted.solution.values
+    windows = cut_windows(motions, length, seen)
+    off = LogSimulation(model.parts_at(values), windows).predict(
+        _starts(model, values, windows, fitted)) - windows.measured
+    swing = np.prod(_speeds_and_paces(motions), axis=0)
+    size = np.sqrt(np.mean(off[..., :len(swing)]**2, axis=1, where=windows.there[..., None]))
+    # The swing of a coordinate at rest is noise.
+    if not (size <= swing + _FALSE * fitted.solution.noise[:len(swing)]).all():
+        raise CannotFollow(f'{model.name} cannot follow windows of {length:.3g} s')
 
 
 def _judged(fitted: FittedNumbers) -> FittedNumbers:
