@@ -25,9 +25,10 @@ class Place(IntEnum):
     """
     Place where an effect acts, from the innermost to the outermost.
 
-    An effect acts between steps when a command arrives, is added to H, or acts as a force at the method's nodes, between the two halves of
-    the step, before and after the step, on the resulting state to keep it on a manifold, or around
-    all of these. Effects in the same place act in the scene's order, the first one innermost.
+    An effect acts between steps when a command arrives, is added to H, or acts as a force at the
+    method's nodes, between the two halves of the step, before and after the step, on the resulting
+    state to keep it on a manifold, or around all of these. Effects in the same place act in the
+    scene's order, the first one innermost.
     """
 
     COMMANDS = -1

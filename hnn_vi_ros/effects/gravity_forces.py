@@ -67,7 +67,7 @@ def fill_gravity(own: GravityModel, q: np.ndarray, forces: np.ndarray) -> None:
 
 
 @kept(error_model='numpy')
-def fill_nothing(own: tuple, q: np.ndarray, forces: np.ndarray) -> None:
+def fill_nothing(own: tuple[()], q: np.ndarray, forces: np.ndarray) -> None:
     """Leave the forces zero."""
 
 
@@ -87,5 +87,5 @@ def compensation_of(model: Hamiltonian, names: Sequence[str]) -> Compensation:
     rows = [coordinate_index(model.coordinates, name) for name in names]
     own = GravityModel(kernel.gradient, kernel.parameters, np.zeros(d), np.zeros((2, d)),
                        np.array(rows, dtype=np.int64))
-    fill = fill_gravity if kernel.compiled else fill_gravity.py_func
-    return Compensation(fill, own, np.zeros(len(rows)))
+    fill: Any = fill_gravity
+    return Compensation(fill if kernel.compiled else fill.py_func, own, np.zeros(len(rows)))

@@ -105,8 +105,8 @@ class WrenchOnLinks(Force, Commanded):
         body, rotation, origin = self._links.get(link, (0, np.eye(3), np.zeros(3)))
         if not body:
             valid = listed(name for name, (row, *_) in self._links.items() if row)
-            raise ValueError(f'frame_id = {frame[:80]!r}: expected a moving link for its own axes, '
-                             f'or {self._base}/LINK for those of the base; links: {valid}')
+            raise ValueError(f'frame_id = {frame[:80]!r}: expected a moving link for its own '
+                             f'axes, or {self._base}/LINK for those of the base; links: {valid}')
         parts = np.array([force, torque], dtype=np.float64)
         if parts.shape != (2, 3) or not (np.abs(parts) <= LARGEST).all():
             raise ValueError(f'wrench {parts.tolist()!s:.80}: expected finite numbers, at most '

@@ -51,12 +51,12 @@ class ServoParameters(NamedTuple):
         See EffectState; without plain numbers, one that has expired.
     delay, speed : float
         Delay of commands [s], and u.
+    gravity : Compensation
+        V'(q), zero for none.
     stiffness, damping, limit, back_emf, offset, punch, load : np.ndarray, shape (n,)
         k, c, F, b, o, P and l; F is infinite for no limit.
     start : np.ndarray, shape (n,)
         Positions at which the joints are held before the first command; NaN for none.
-    gravity : Compensation
-        V'(q), zero for none.
 
     """
 
@@ -66,6 +66,7 @@ class ServoParameters(NamedTuple):
     command: np.ndarray
     delay: float
     speed: float
+    gravity: 'Compensation'
     stiffness: np.ndarray
     damping: np.ndarray
     limit: np.ndarray
@@ -74,7 +75,6 @@ class ServoParameters(NamedTuple):
     offset: np.ndarray
     punch: np.ndarray
     load: np.ndarray
-    gravity: 'Compensation'
 
 
 class Servo(Compensated, Force, Commanded):
@@ -194,7 +194,7 @@ class Servo(Compensated, Force, Commanded):
         own = (per_coordinate(joints, name, value) for name, value in self.values.items())
         command = state.command if self.numbers else np.full(1, -math.inf)
         return ServoParameters(columns, state.reference, state.clock, command, self.delay,
-                               self.speed, *own, no_compensation(columns.size))
+                               self.speed, no_compensation(columns.size), *own)
 
     def prepare(self, command: Command, parameters: ServoParameters, q: np.ndarray
                 ) -> Callable[[], None]:

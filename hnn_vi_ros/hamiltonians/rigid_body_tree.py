@@ -153,9 +153,9 @@ class RigidBodyTree(Hamiltonian):
         if self.loops is not None:
             raise ValueError('gravity_compensation does not support robots with loops; remove it')
         if file is not None:
-            joints, *others = self._arguments
-            return RigidBodyTree(file, joints or [joint.name for joint in self.joints], *others,
-                                 loops=[])
+            _, locked, gravity, base, rotors = self._arguments
+            return RigidBodyTree(file, [joint.name for joint in self.joints], locked, gravity,
+                                 base, rotors, loops=[])
         other = self.copy()
         other._drives, other.carrier = {}, None
         other._build(self.robot)

@@ -33,8 +33,9 @@ _DRIVEN = {
     'friction': ('N m', 'slow motion in both directions'),
     'offset': ('N m', 'the same posture from both sides')}
 # Amplitude of an excitation relative to the range of a joint, and without limits [rad], [m]; its
-# steps, their duration [s], and the time of a slow ramp [s].
-_SHARE, _UNLIMITED, _STEPS, _HELD, _RAMP = 0.2, 0.5, (1.0, -1.0, 0.5, -0.5, 0.0), 1.0, 8.0
+# steps, which are small so that drives do not saturate, their duration [s], and the time of a
+# slow ramp [s].
+_SHARE, _UNLIMITED, _STEPS, _HELD, _RAMP = 0.2, 0.5, (0.2, -0.2, 0.3, -0.1, 0.0), 0.7, 8.0
 
 
 class Told(NamedTuple):
@@ -48,8 +49,8 @@ class Told(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Return whether the half-width is less than the number."""
-        return self.half_width < abs(self.value)
+        """Return whether the half-width is less than the number; only offsets are negative."""
+        return self.half_width < (abs(self.value) if 'offset' in self.name else self.value)
 
 
 class Checked(NamedTuple):
@@ -203,9 +204,10 @@ def report_of(found: Checked) -> Iterator[str]:
     yield f'# {found.description}\n'
     intervals = np.concatenate([np.diff(motion.t) for motion in found.raw])
     usual = float(np.median(intervals))
+    duration = sum(float(np.ptp(one.t)) for one in found.raw)
     yield (f'{len(found.raw)} runs, {sum(len(one.t) for one in found.raw)} samples, '
-           f'{sum(float(np.ptp(one.t)) for one in found.raw):.4g} s; {1.0 / usual:.4g} samples per '
-           f'second, intervals {intervals.min():.3g} to {intervals.max():.3g} s\n')
+           f'{duration:.4g} s; {1.0 / usual:.4g} samples per second, '
+           f'intervals {intervals.min():.3g} to {intervals.max():.3g} s\n')
     has = 'commanded positions' if found.motions[0].commanded else 'forces' if any(
         motion.tau.any() for motion in found.motions) else 'neither commands nor forces'
     rates = 'velocities' if found.motions[0].v is not None else 'no velocities'

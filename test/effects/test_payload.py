@@ -95,16 +95,18 @@ def test_compensation_bears_the_joints_behind_elastic_gears():
     assert (forces[2], forces[6]) == (0.0, pytest.approx(rigid[2], abs=1e-12))
 
 
-@pytest.mark.parametrize('file, link', [(ARM, 'flange'), (SMALL, 'forearm'), (GRIPPER, 'left_tip')])
+@pytest.mark.parametrize('file, link', [
+    (ARM, 'flange'), (SMALL, 'forearm'), (GRIPPER, 'left_tip')])
 def test_payload_is_a_link_of_the_same_numbers_in_the_urdf(file, link, tmp_path):
     base, rng = RigidBodyTree(file), np.random.default_rng(2)
     load = LOAD | {'link': link}
     xx, xy, xz, yy, yz, zz = load['inertia']
     x, y, z = load['centre']
-    text = base.robot.text.replace('</robot>', f'''<link name="load"><inertial>
+    text = base.robot.text.replace('</robot>', f"""<link name="load"><inertial>
       <origin xyz="{x} {y} {z}"/><mass value="{load['mass']}"/><inertia ixx="{xx}" ixy="{xy}"
       ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"/></inertial></link>
-      <joint name="grip" type="fixed"><parent link="{link}"/><child link="load"/></joint></robot>''')
+      <joint name="grip" type="fixed"><parent link="{link}"/><child link="load"/></joint>
+      </robot>""")
     (tmp_path / 'loaded.urdf').write_text(text)
     expected, own = RigidBodyTree(str(tmp_path / 'loaded.urdf')), RigidBodyTree(file, payload=load)
     q, p = rng.normal(size=(2, base.dimension))

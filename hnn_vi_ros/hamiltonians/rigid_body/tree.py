@@ -378,8 +378,8 @@ class _Builder:
         return Bodies(
             np.array([body.parent for body in rows]), np.array([0, *places]),
             np.array([int(body.slides) for body in rows]), np.array(placement),
-            np.array([body.row for body in rows]), np.array([0.0, *armature]), np.array(gravity, dtype=np.float64),
-            np.zeros(len(rows)))
+            np.array([body.row for body in rows]), np.array([0.0, *armature]),
+            np.array(gravity, dtype=np.float64), np.zeros(len(rows)))
 
 
 def links_of(robot: Robot, locked: Mapping[str, float], base: str

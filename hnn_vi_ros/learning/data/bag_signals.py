@@ -311,9 +311,10 @@ class SignalReader:
             if not points or not {*self._joints} <= {*names}:
                 continue
             order = [names.index(joint) for joint in self._joints]
-            t, q, v = zip(*points, strict=True)
-            ends, knots = np.array(t), np.array(q)[:, order]
-            slopes = np.array(v)[:, order] if all(map(len, v)) else None
+            ends = np.array([time for time, _, _ in points])
+            knots = np.array([own for _, own, _ in points])[:, order]
+            slopes = np.array([own for _, _, own in points])[:, order] if all(
+                len(own) for _, _, own in points) else None
             if ends[0] > 0.0:
                 first = rows[-1][-1:] if len(rows[-1]) else knots[:1]
                 ends, knots = np.append(0.0, ends), np.concatenate([first, knots])

@@ -8,7 +8,8 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files import StrictModel
-from hnn_vi_ros.learning.data.bag_signals import ARRAY, JOINT_STATE, SignalReader, STATES, TRAJECTORY
+from hnn_vi_ros.learning.data.bag_signals import (
+    ARRAY, JOINT_STATE, SignalReader, STATES, TRAJECTORY)
 from hnn_vi_ros.learning.data.dataset import (
     BLOCKS, Derivatives, mass_matrix, Names, SavitzkyGolay, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.motions import GAP, Motion, MotionData, NONE, Recording
@@ -212,10 +213,7 @@ def _motion(name: str, reader: SignalReader, data: BagData | BagMotions, joints:
                         'estimate them')
     reader.warn_of_publishers(topics.q, unwrap_turns(t, q, v)[0])
     commanded = isinstance(data, BagMotions) and data.command is not None
-    if commanded:
-        tau, notes = _positions_commanded(reader, data, t, len(joints)), list[str]()
-    else:
-        tau, notes = _forces(reader, topics, t, values[:, 2], data, joints)
+    tau, notes = _forces(reader, topics, t, values[:, 2], data, joints)
     if reader.bag.damage:
         notes.append(reader.bag.damage)
     return Motion(name, f'{reader.path}: {topics.q}', t, q, v, tau,
@@ -262,6 +260,8 @@ def _forces(reader: SignalReader, topics: MotionTopics, t: np.ndarray, efforts: 
             ) -> tuple[np.ndarray | None, list[str]]:
     """Return the forces of the motors at each time, shape (N, m), and notes about them."""
     tau, notes = efforts, list[str]()
+    if isinstance(data, BagMotions) and data.command is not None:
+        return _positions_commanded(reader, data, t, len(joints)), notes
     if topics.forces not in ('', EFFORT):
         tau, notes = _commands_at(reader, topics.forces, t, data)
         if isinstance(data, BagMotions) and not 1 <= tau.shape[1] <= len(joints):

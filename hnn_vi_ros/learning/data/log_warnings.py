@@ -121,7 +121,7 @@ def _of_commands(motions: Sequence[EvenMotion], tau: np.ndarray, names: Sequence
 def _follows(motions: Sequence[EvenMotion], i: int, j: int) -> tuple[float, float]:
     """Return the best correlation of coordinate i with command j by delays, and the slope."""
     best = 0.0, 1.0
-    for delay in range(0, 1 + round(_LATEST / motions[0].spacing)):
+    for delay in range(1 + round(_LATEST / motions[0].spacing)):
         pairs = [(motion.tau[:len(motion.t) - delay, j], motion.q[delay:, i])
                  for motion in motions if len(motion.t) > delay + 2]
         r, q = map(np.concatenate, zip(*pairs, strict=True))

@@ -140,7 +140,8 @@ def decode_joint_state(data: bytes) -> JointStates:
                        cursor.doubles(), cursor.doubles(), cursor.doubles())
 
 
-def decode_joint_trajectory(data: bytes) -> tuple[tuple[str, ...], list[tuple[float, ...]]]:
+def decode_joint_trajectory(
+        data: bytes) -> tuple[tuple[str, ...], list[tuple[float, np.ndarray, np.ndarray]]]:
     """
     Return the joints of a trajectory_msgs/msg/JointTrajectory, and its points.
 
