@@ -19,7 +19,7 @@ from hnn_vi_ros.learning.families.hnn import DGNet, DGNetChoice, HNN, HNNChoice
 from hnn_vi_ros.learning.families.lagrangian import VIN, VINChoice
 from hnn_vi_ros.learning.fit.config import load_config
 from hnn_vi_ros.learning.fit.field import FieldSamples, FittedField, LOSSES, network_of
-from hnn_vi_ros.learning.fit.steps import step
+from hnn_vi_ros.learning.fit.steps import path
 from hnn_vi_ros.learning.tasks.field import FIELD, judge_energy
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models import Checkpoint, load_learned, NeuralHamiltonian, VariationalHamiltonian
@@ -171,8 +171,7 @@ def test_gradient_through_implicit_steps_agrees_with_finite_differences(scheme: 
 
     def value() -> torch.Tensor:
         # Two steps: through the first state of the second as well as through the parameters.
-        return (weights * step(model.vector_field, scheme, step(
-            model.vector_field, scheme, z0, h), h)).sum()
+        return (weights * path(model.vector_field, scheme, z0, h, 2)[-1]).sum()
 
     parameter = model.network.linears[0].weight
     (exact,) = torch.autograd.grad(value(), parameter)
@@ -201,7 +200,7 @@ def test_steps_of_a_separable_field_solve_no_equations(monkeypatch, scheme: str)
             q, p = z.chunk(2, dim=1)
             return torch.cat([(weight[0] * p).sinh(), -(weight[1] * q).sin()], dim=1)
         z0 = torch.tensor([[0.7, -0.4], [-1.1, 0.3]], dtype=torch.float64)
-        return (z0 * step(field, scheme, step(field, scheme, z0, 0.1), 0.1)).sum()
+        return (z0 * path(field, scheme, z0, 0.1, 2)[-1]).sum()
 
     (exact,) = torch.autograd.grad(value(weight), weight)
     for k, unit in enumerate(1e-5 * torch.eye(2, dtype=torch.float64)):
@@ -209,6 +208,19 @@ def test_steps_of_a_separable_field_solve_no_equations(monkeypatch, scheme: str)
             difference = (value(weight + unit) - value(weight - unit)).item() / 2e-5
         # Central differences: truncation 1e-10, round-off 1e-15 / 1e-5.
         assert exact[k].item() == pytest.approx(difference, abs=2e-9)
+
+
+def test_leapfrog_of_a_separable_field_takes_two_gradients_a_step():
+    rows = []
+
+    def field(z: torch.Tensor) -> torch.Tensor:
+        rows.append(len(z))
+        q, p = z.chunk(2, dim=1)
+        return torch.cat([p.sinh(), -q.sin()], dim=1)
+
+    path(field, 'generalized_leapfrog', torch.ones(9, 2, dtype=torch.float64), 0.1, 5)
+    # One more at the start; fewer rows look whether the field is separable.
+    assert rows.count(9) == 11
 
 
 @pytest.mark.parametrize('scheme', SCHEMES)
@@ -220,7 +232,7 @@ def test_step_of_the_training_is_that_of_the_simulator(scheme: str):
         return torch.cat([(q * q + 1.0) * p, -q * (p * p + 1.0)], dim=1)
 
     z0 = np.array([[0.7, -0.4], [-1.1, 0.3]])
-    ours = step(field, scheme, torch.tensor(z0), h).detach().numpy()
+    ours = path(field, scheme, torch.tensor(z0), h, 1)[0].numpy()
     theirs = [python_step(INTEGRATORS[scheme](), exact, h, z) for z in z0]
     # Both are solved to round-off.
     assert np.abs(ours - theirs).max() <= 1e-14
@@ -229,7 +241,7 @@ def test_step_of_the_training_is_that_of_the_simulator(scheme: str):
 def test_step_too_large_for_the_field_gives_data_error():
     with refused(DataError):
         # z = 1 + 9 (((1 + z) / 2)^2 + 1) has no real solution.
-        step(lambda z: z.square() + 1.0, 'implicit_midpoint', torch.ones(1, 2).double(), 9.0)
+        path(lambda z: z.square() + 1.0, 'implicit_midpoint', torch.ones(1, 2).double(), 9.0, 1)
 
 
 @pytest.mark.parametrize('model', [

@@ -392,7 +392,9 @@ class ShiftedEnergy(torch.nn.Module):
 
 
 def gradient(function: Any, z: torch.Tensor) -> torch.Tensor:
-    """Return the gradient of the rows' values by the rows, differentiable again."""
-    z = z if z.requires_grad else z.detach().requires_grad_(True)
-    (result,) = torch.autograd.grad(function(z).sum(), z, create_graph=True)
+    """Return the gradient of the rows' values by the rows, differentiable again if recorded."""
+    recorded = torch.is_grad_enabled()
+    with torch.enable_grad():
+        z = z if recorded and z.requires_grad else z.detach().requires_grad_(True)
+        (result,) = torch.autograd.grad(function(z).sum(), z, create_graph=recorded)
     return result

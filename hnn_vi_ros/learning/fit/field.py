@@ -13,7 +13,7 @@ from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.fit.config import FieldConfig
 from hnn_vi_ros.learning.fit.loop import Fitted, Stage, Train, trained, TrainingProblem
-from hnn_vi_ros.learning.fit.steps import step
+from hnn_vi_ros.learning.fit.steps import path
 import numpy as np
 import torch
 
@@ -104,11 +104,8 @@ def _paths(choice: Any, dataset: Dataset) -> Batch:
 
 
 def _mean_rates(choice: Any, family: Any, z0: torch.Tensor) -> torch.Tensor:
-    z, rates = z0, []
-    for k in range(1, choice.count + 1):
-        z = step(family.vector_field, choice.integrator, z, choice.step_size)
-        rates.append((z - z0) / (k * choice.step_size))
-    return torch.cat(rates)
+    states = path(family.vector_field, choice.integrator, z0, choice.step_size, choice.count)
+    return torch.cat([(z - z0) / (k * choice.step_size) for k, z in enumerate(states, 1)])
 
 
 def _pairs(choice: Any, dataset: Dataset) -> Batch:

@@ -3,7 +3,7 @@
 """
 Differentiable steps of variational methods in torch, from the tableaus of the integrators.
 
-``step`` advances a field of (q, p). ``simulated`` advances windows of machine motions with the
+``path`` advances a field of (q, p). ``simulated`` advances windows of machine motions with the
 compiled methods of the same names on the same H, with friction and commands added at the methods'
 own nodes. The unknowns there are velocities w: with p = M(y) w and
 F(y, w) = (w . M w)_q / 2 - V_q - friction, every method is a chain of nodes
@@ -19,6 +19,7 @@ derivatives of the solution by everything else (implicit function theorem).
 
 from collections.abc import Callable, Sequence
 from functools import partial
+import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
@@ -36,6 +37,9 @@ _MOST_STEPS = 100
 # Relative tolerance of the equations before the last Newton step. Losses fall to 1e-10 of the
 # squared rates, where an error of 1e-6 in their gradients would be visible.
 _ENOUGH = 1e-9
+# Fixed-point iterations, which cost a fraction of one of Newton's, go on while each reduces the
+# residual by this factor.
+_FAST = 0.3
 _EPS = torch.finfo(torch.float64).eps
 
 Field = Callable[[torch.Tensor], torch.Tensor]
@@ -48,9 +52,10 @@ def nodes(integrator: str) -> list[Node]:
     return tableau.nodes()
 
 
-def step(field: Field, integrator: str, z0: torch.Tensor, h: float) -> torch.Tensor:
+def path(field: Field, integrator: str, z0: torch.Tensor, h: float, count: int
+         ) -> list[torch.Tensor]:
     """
-    Return the states after a step, differentiable with respect to all inputs.
+    Return the states after each of some steps, differentiable with respect to all inputs.
 
     Newton's method solves the implicit equation R(Z, z, theta) = 0 of each node. By the implicit
     function theorem dZ = -(R_Z)^-1 (R_z dz + R_theta dtheta), which is the derivative of one more
@@ -66,6 +71,8 @@ def step(field: Field, integrator: str, z0: torch.Tensor, h: float) -> torch.Ten
         Initial states.
     h : float
         Step size [s].
+    count : int
+        Number of steps.
 
     Raises
     ------
@@ -73,35 +80,58 @@ def step(field: Field, integrator: str, z0: torch.Tensor, h: float) -> torch.Ten
         Newton's method did not converge: the step is too large for the field.
 
     """
-    z, d = z0, z0.shape[1] // 2
-    for node in nodes(integrator):
-        own, onward = (h * z0.new_tensor(pair).repeat_interleave(d) for pair in (
-            (node.a, node.b), (node.u, node.w)))
-        z = z + onward * (_rates(field, z, own) if own.any() else field(z))
+    z, found, rates, d = z0, list[torch.Tensor](), None, z0.shape[1] // 2
+    chain = [[h * z0.new_tensor(pair).repeat_interleave(d) for pair in (
+        (node.a, node.b), (node.u, node.w))] for node in nodes(integrator)]
+    for _ in range(count):
+        for own, onward in chain:
+            rates = _rates(field, z, own, rates) if own.any() else field(z)
+            z = z + onward * rates
+        found.append(z)
     if not z.isfinite().all():
         raise DataError(f'a step of {h:g} s is too large for the learned field: its equation was '
                         'not solved; reduce loss.step_size')
-    return z
+    return found
 
 
-def _rates(field: Field, z: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+def _rates(field: Field, z: torch.Tensor, own: torch.Tensor, before: torch.Tensor | None
+           ) -> torch.Tensor:
     """Return field(Z) at the solution of Z = z + own field(Z), shape (N, 2 d)."""
-    def explicit(z: torch.Tensor) -> torch.Tensor | None:
-        first = own * field(z)
-        rates = field(z + first)
-        return rates if torch.equal(own * rates, first) else None
+    def explicit(z: torch.Tensor, about: torch.Tensor, share: float = 0.0) -> torch.Tensor | None:
+        rates = field(z + own * about)
+        same = torch.allclose(own * rates, own * about, share, 0.0)
+        return rates if same else None
 
     start = z.detach()
-    # Of a separable H, what an explicit node changes does not change its own rates; two rows tell
-    # most fields that are not, before all rows are evaluated.
-    if explicit(start[:2]) is not None and (rates := explicit(z)) is not None:
-        return rates
-    guess = start + own * field(start).detach()
-    unit = start.abs().amax(dim=0) + _EPS
-    found, matrix = newton(lambda at: at - start - own * field(at), guess, None, unit, unit,
-                           _ENOUGH)
-    missing = found - z - own * field(found)
-    return field(found - torch.linalg.solve_ex(matrix, missing[:, :, None])[0][:, :, 0])
+    # Of a separable H, what an explicit node changes does not change its own rates, which may be
+    # those of the node before; two rows, which round otherwise, tell most fields that are not,
+    # before all rows are evaluated.
+    with torch.no_grad():
+        known = before is not None and explicit(start[:2], before[:2], _ENOUGH) is not None
+        separable = known or explicit(start[:2], field(start[:2])) is not None
+    if separable:
+        rates = explicit(z, before if known and before is not None else field(z))
+        if rates is not None:
+            return rates
+    part = own.nonzero()[:, 0]
+    unit, step = (start.abs().amax(dim=0) + _EPS)[part], own[part]
+
+    def missing(z: torch.Tensor, at: torch.Tensor) -> torch.Tensor:
+        return at - z[:, part] - step * field(z.index_copy(1, part, at))[:, part]
+
+    with torch.no_grad():
+        at, change = start[:, part], math.inf
+        if before is not None:
+            at = at + step * before[:, part]
+        while change > _ENOUGH:
+            left = missing(start, at)
+            last, change = change, float((left / unit).abs().max())
+            if not change < _FAST * last:
+                break
+            at = at - left
+    found, matrix = newton(partial(missing, start), at, None, unit, unit, _ENOUGH)
+    end = found - torch.linalg.solve_ex(matrix, missing(z, found)[:, :, None])[0][:, :, 0]
+    return (end - z) / own if own.all() else field(z.index_copy(1, part, end))
 
 
 class NodeChain(NamedTuple):
