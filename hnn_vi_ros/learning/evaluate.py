@@ -107,7 +107,7 @@ def _judged(arguments: Namespace) -> _Judgement:
     known: dict[str, Any] = {} if card is None else {'noise': [], 'residuals': {}}
     said, judged = '', card if positions_alone(motions) else None
     if judged is not None:
-        parts = parts._replace(step_size=min(parts.step_size, resolving_step(judged, motions)))
+        parts = parts._replace(step_size=min(parts.step_size, resolving_step(judged)))
     _check_simulation(arguments.model, parts, motions)
     if judged is not None:
         # As in training.

@@ -13,8 +13,11 @@ from hnn_vi_ros.learning.data.motions import cutoff_of, Motion, smoothed
 from hnn_vi_ros.learning.families.choices import TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit import growing
+from hnn_vi_ros.learning.fit.growing import fits_by_length
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
+from hnn_vi_ros.learning.fit.shooting import FitProblem
 from hnn_vi_ros.learning.fit.windows import KnownModel, ModelParts
 from hnn_vi_ros.learning.judging.energy import momentum
 from hnn_vi_ros.learning.judging.missing import missing_force
@@ -225,6 +228,23 @@ def test_states_of_a_chaotic_motion_are_those_of_windows_that_grew():
     assert followed(residuals) == pytest.approx(6.0)
     # Four unknowns of 1202 samples; sixteen times (the chaos stretches their errors) as large.
     assert np.sqrt(np.mean((found.q_smooth - truth)**2)) < 16.0 * noise * np.sqrt(4 / 1202)
+
+
+def test_residuals_of_a_known_model_are_right_to_a_percent(monkeypatch):
+    """Of a pendulum whose gravity is a tenth too large, in a few steps of the search."""
+    motion, model = swing(0.5), HAMILTONIANS['pendulum'](mass=1.0, length=1.0, gravity=9.9)
+    evaluate, calls, found = FitProblem._evaluate, [], []
+    monkeypatch.setattr(FitProblem, '_evaluate', lambda *given: (
+        calls.append(1), evaluate(*given))[1])
+    for tolerance in (growing._JUDGED, 1e-8):
+        calls.clear()
+        monkeypatch.setattr(growing, '_JUDGED', tolerance)
+        fits = fits_by_length(KnownModel('the model', ModelParts(
+            model, INTEGRATORS['implicit_midpoint'](), [], 0.01)), [motion], np.deg2rad([0.5]))
+        found.append((len(calls), [ratios.item() for _, _, ratios in fits]))
+    (few, rough), (many, exact) = found
+    # Half a percent of a residual is a percent of its square, which the next step would gain.
+    assert exact[0] > 1.25 and rough == pytest.approx(exact, rel=0.01) and few < many
 
 
 @pytest.mark.long

@@ -19,6 +19,8 @@ import numpy as np
 
 # Tolerance of all searches but the last.
 _ROUGH = 1e-4
+# Tolerance of initial states that only tell the size of residuals, which is then right to 1 %.
+_JUDGED = 1.0
 # Minimum noise relative to the measured range: the size of rounding errors.
 _LEAST_NOISE = 1e-9
 _LEAST_SAMPLES = 10
@@ -275,7 +277,7 @@ def fits_by_length(model: ParametricModel, motions: Sequence[EvenMotion], noise:
     length, before = min(first_length(motions), longest), None
     found = list[tuple[float, Solution, np.ndarray]]()
     while True:
-        before = fit_longer_windows(model, motions, length, noise, True, _ROUGH, before)
+        before = fit_longer_windows(model, motions, length, noise, True, _JUDGED, before)
         ratios = noise_of(before.solution, False) / noise
         if not np.isfinite(ratios).all():
             return found
@@ -381,7 +383,7 @@ def fit_with_noise(model: ParametricModel, windows: Windows, noise: np.ndarray, 
         # residuals outliers. The first round therefore uses squares to estimate the noise.
         squares = robust and guessed and k == 0
         problem = FitProblem(model, windows, noise, starts, robust and not squares)
-        solution = search(problem, values, _ROUGH if squares else tolerance)
+        solution = search(problem, values, max(_ROUGH, tolerance) if squares else tolerance)
         told = noise_of(solution, robust)
         values, starts = solution.values, solution.starts
         ratio = told / noise

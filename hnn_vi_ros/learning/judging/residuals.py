@@ -67,10 +67,10 @@ def judged_along(model: ParametricModel, motions: Sequence[EvenMotion], noise: n
         fits[-1][1] if fits else None)
 
 
-def resolving_step(card: ModelCard, motions: Sequence[EvenMotion]) -> float:
-    """Return the step size with which a machine's model is judged [s]."""
+def resolving_step(card: ModelCard) -> float:
+    """Return the largest step size with which a machine's model is judged [s]."""
     assert card.mechanical is not None, 'of a machine'
-    return min(STEP, motions[0].spacing, card.mechanical.step_size or STEP)
+    return min(STEP, card.mechanical.step_size or STEP)
 
 
 def followed(residuals: Mapping[str, Sequence[float]]) -> float:

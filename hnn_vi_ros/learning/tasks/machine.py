@@ -214,7 +214,7 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
     horizons = [horizon for horizon in judging.horizons if any(
         motion.t[-1] - motion.t[0] >= horizon for motion in test)]
     hamiltonian, effects = _parts_of(checkpoint)
-    step = resolving_step(checkpoint.card, test)
+    step = resolving_step(checkpoint.card)
     parts = ModelParts(hamiltonian, ImplicitMidpoint(), effects, math.inf)
     names, open_scale = [one.name for one in config.coordinates], _scale_unit(config, data.train)
     said, known, residuals, longest = '', {}, dict[str, list[float]](), None
@@ -249,7 +249,7 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
         lambda path: draw_predictions(path, card.name, hamiltonian.coordinates,
                                       shown(fans, max(horizons))),
         longest, lambda model, place: machine_scene(
-            model, card, step, 'implicit_midpoint',
+            model, card, min(step, test[0].spacing), 'implicit_midpoint',
             any(motion.tau.any() for motion in data.train),
             {'q': test[0].q_smooth[0].tolist(), 'v': test[0].v_smooth[0].tolist()},
             place), open_scale)
