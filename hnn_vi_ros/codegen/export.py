@@ -4,6 +4,7 @@
 
 import os
 import shutil
+import sys
 
 from hnn_vi_ros.codegen import arguments
 from hnn_vi_ros.codegen.arguments import COMPILERS, HOST, PROCESSORS
@@ -33,6 +34,7 @@ def main(argv: list[str]) -> int:
     from hnn_vi_ros.codegen.scene_code import compile_scene
     scene = load_scene(options.scene)
     name = identifier(scene.name)
+    print(f'compiling {name}: about a minute', file=sys.stderr)
     code = compile_scene(scene, name, options.target)
     try:
         written = [] if options.out is None else write_project(options.out, name, code)
