@@ -233,7 +233,7 @@ def _missing(package: str) -> str:
         made = Path(sys.prefix) / '.installed'
         if made.is_file():
             checkout = made.read_text(encoding='utf-8').splitlines()[0].partition(' ')[2]
-            return f'{text}with: make -C {checkout} build TORCH=any (or cpu, or cuda)'
+            return f'{text}with: make -C {checkout} build TORCH=cpu (or any, or cuda)'
     else:
         text += 'it ' if len(packages) == 1 else 'its wheels '
     text += f'with: {pip_command(*packages)}'

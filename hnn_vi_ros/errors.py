@@ -284,12 +284,13 @@ class StoppedByEvent(HnnViRosError):
 
 # Requirements for pip that differ from the import name. Each version of rerun changes its API; the
 # range equals that in setup.py.
+_TORCH_FOR_CPUS = 'https://download.pytorch.org/whl/cpu'
 _REQUIREMENTS = {'rerun': 'rerun-sdk>=0.41,<0.42', 'yaml': 'pyyaml'}
 
 
 def pip_command(*packages: str) -> str:
     """
-    Return the command that installs packages for this Python.
+    Return the command that installs packages for this Python; torch in its build for CPUs.
 
     Parameters
     ----------
@@ -297,8 +298,9 @@ def pip_command(*packages: str) -> str:
         Import names, or requirements for pip.
 
     """
+    index = f' --extra-index-url {_TORCH_FOR_CPUS}' * ('torch' in packages)
     return f'{sys.executable} -m pip install ' + ' '.join(
-        f'"{_REQUIREMENTS.get(package, package)}"' for package in packages)
+        f'"{_REQUIREMENTS.get(package, package)}"' for package in packages) + index
 
 
 @contextmanager

@@ -251,7 +251,7 @@ class _Announcer(Listener):
         self._begin, self._seconds = time.perf_counter(), seconds
         seconds *= self._taken / self._expected
         if seconds >= _MIN_ANNOUNCED_SECONDS:
-            what = _NAMES.get(function.__name__, function.__name__)
+            what = _NAMES.get(function.__name__, 'the simulation')
             self._tell(f'compiling {what} once: about {seconds:.0f} s')
             self._wait(what, seconds)
 

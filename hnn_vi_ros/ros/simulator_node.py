@@ -7,7 +7,6 @@ import gc
 import time
 
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
-from hnn_vi_ros.kernels import announced
 from hnn_vi_ros.recording import BagTopics
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.initial_state import subscribe_initial_states
@@ -108,9 +107,7 @@ class SimulatorNode(Simulator):
 
     async def _compile_rest(self, simulation: Simulation) -> None:
         """Compile, during the run, functions that it may need later."""
-        logger = self.get_logger()
-        with announced(lambda line: logger.info(f'{line}, in the background')):
-            await self.in_thread(lambda: compile_rest(simulation))
+        await self.in_thread(lambda: compile_rest(simulation))
         # Exclude the compiled objects from garbage collection, as in Control.
         gc.freeze()
 

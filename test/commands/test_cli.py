@@ -93,9 +93,11 @@ def test_remedy_for_a_package_of_training_suits_the_environment(
     monkeypatch.setattr(sys, 'prefix', str(tmp_path))
     if made_by_make:
         (tmp_path / '.installed').write_text('wheels /a/checkout\nrun 1-2\n')
-    expected = ('make -C /a/checkout build TORCH=any' if made_by_make
+    expected = ('make -C /a/checkout build TORCH=cpu' if made_by_make
                 else f'{sys.executable} -m pip install "plotly" "torch"')
     assert f'with: {expected}' in cli._missing('torch')
+    # Without an index, pip on Linux installs CUDA: 5 GB instead of 1 GB.
+    assert made_by_make or 'https://download.pytorch.org/whl/cpu' in cli._missing('torch')
     assert '-m pip install "numba"' in cli._missing('numba')
 
 

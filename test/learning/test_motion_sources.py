@@ -376,7 +376,7 @@ def test_clock_that_is_set_back_begins_a_new_motion(back):
     t = np.where(np.arange(len(T)) < 250, T, T - back)
     (first, second), described = motions(t)
     assert (len(first.t), len(second.t)) == (250, 150) and 'left out' not in described
-    assert 'cut at 1 places' in described
+    assert 'cut at 1 place' in described
     assert np.abs(second.q - Q[250:]).max() < 1e-6
     with refused(DataError):
         motions(t, on_bad='fail')

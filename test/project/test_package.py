@@ -224,9 +224,20 @@ def test_version_is_the_same_everywhere():
     setup = re.search(r"version='(.*)'", (ROOT / 'setup.py').read_text())
     changelog = re.search(r'^(\d+\.\d+\.\d+) \(', (ROOT / 'CHANGELOG.rst').read_text(), re.M)
     citation = yaml.safe_load((ROOT / 'CITATION.cff').read_text())
+    recipe = yaml.safe_load((ROOT / 'conda' / 'recipe.yaml').read_text())
     assert manifest.findtext('version') == citation['version'] == __version__
+    assert recipe['context']['version'] == __version__
     assert setup is not None and setup.group(1) == __version__
     assert changelog is not None and changelog.group(1) == __version__
+
+
+def test_recipe_of_conda_requires_what_pip_installs():
+    recipe = yaml.safe_load((ROOT / 'conda' / 'recipe.yaml').read_text())
+    block = re.search(r'install_requires=\[(.*?)\]', (ROOT / 'setup.py').read_text(), re.S)[1]
+    wanted = {text.lower() for text in re.findall(r"'(.*?)'", block)} | {'python>=3.11'}
+    # conda-forge has matplotlib without its windows under another name.
+    assert {text.replace(' ', '').replace('-base', '') for text in
+            recipe['requirements']['run']} == wanted
 
 
 def test_public_names_are_complete_on_tab_and_typed():

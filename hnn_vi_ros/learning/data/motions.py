@@ -235,7 +235,7 @@ class ReadingReport:
             (self.close, 'less than half an interval after another'),
             (self.short, f'in pieces of fewer than {self.least}')) if count]
         found = [f'left out {" and ".join(parts)} of the samples'] if parts else []
-        found += [f'cut at {self.cuts} places'] if self.cuts else []
+        found += [f'cut at {self.cuts} place{"s" * (self.cuts > 1)}'] if self.cuts else []
         found += [f'velocities of {listed(self.differences)} are differences of the positions, '
                   'and not used'] if self.differences else []
         return '; '.join([*found, *self.notes])

@@ -232,12 +232,14 @@ def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
     """Return the scores of several predictors as a Markdown table."""
     first = next(iter(scores.values()))
     head = [f'{horizon:g} s: {", ".join(names)}' for horizon in first.horizons]
-    lines = [f'| prediction | {" | ".join(head)} | valid for [s] | energy mismatch | failed |',
+    mismatch_head = ', '.join(f'{horizon:g} s' for horizon in first.energy_mismatch or {})
+    lines = [f'| prediction | {" | ".join(head)} | valid for [s] | energy mismatch'
+             f'{": " * bool(mismatch_head)}{mismatch_head} | failed |',
              f'|---|{"---|" * (len(head) + 3)}']
     for name, found in scores.items():
         cells = [' '.join(f'{value:.4g}' for value in rms) for rms in found.horizons.values()]
         least = '>= ' if found.censored >= 0.5 else ''
-        mismatch = ' '.join(f'{100.0 * value:.3g}%'
+        mismatch = ' '.join(f'{100.0 * value:.3g} %'
                             for value in (found.energy_mismatch or {}).values())
         lines.append(f'| {name} | {" | ".join(cells)} | {least}{found.valid_prediction_time:.3g} '
                      f'| {mismatch or "-"} | {found.failed} |')

@@ -165,9 +165,14 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
         A parameter, the scene, its model or a file is not usable; one line.
 
     """
+    announced_before = False
+
     def tell(line: str) -> None:
-        begin(line)
-        logger.info(line)
+        # A scene has many parts; the progress of the configuration says how long they take.
+        nonlocal announced_before
+        if not announced_before:
+            logger.info('compiling the scene; later starts load the result from disk')
+        announced_before = True
 
     if settings.lockstep_period and not settings.lockstep:
         raise ParameterError('parameter lockstep_period: has no effect without lockstep; set '

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # P. Tol, Colour Schemes (2021), "high contrast", and black: distinguishable for colour-blind
-# readers and in grey, with lightness L* of 29, 73, 50 and 0. Each has its own dash pattern. A fifth
-# to eighth curve take colours of his scheme "bright".
+# readers and in grey, with lightness L* of 29, 73, 50 and 0. Each has its own dash pattern. Four
+# more curves take colours of his scheme "bright".
 COLOURS = ('#004488', '#ddaa33', '#bb5566', '#000000')
 _MORE_COLOURS = ('#66ccee', '#228833', '#aa3377', '#888888')
 DASHES = ('-', (0, (5, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.2)))
