@@ -87,12 +87,12 @@ def check() -> Parser:
     parser = Parser('check', (
         'Check a log before a fit: how it is read, its faults, what it can tell and how well.'), [
             'hnn check log.csv', 'hnn check log.csv --robot arm.urdf --plot log.png',
-            'hnn check bags/run7 --robot arm.urdf --excitation move.csv'], (
+            'hnn check --robot arm.urdf --excitation move.csv'], (
                 'Exit status: 0; 1 if the log is useless. `train` and `identify` print the same '
                 'warnings.'))
-    parser.add_argument('log', nargs='+', metavar='LOG', help=(
+    parser.add_argument('log', nargs='*', metavar='LOG', help=(
         'bags with joint states, .npz files of arrays, or logs with named columns, of one '
-        'machine'))
+        'machine; none: write only the excitation'))
     parser.add_argument('--robot', type=Path, metavar='URDF', help=(
         'estimate the numbers of motors and friction that the log tells, with the masses of '
         'this robot'))

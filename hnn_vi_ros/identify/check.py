@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files import write_text
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.identify import arguments as command_lines
@@ -76,6 +76,14 @@ class Checked(NamedTuple):
 def main(argv: Sequence[str]) -> int:
     """Print the check of a log; return 1 if it is useless."""
     options = command_lines.check().parse_args(argv)
+    if bool(options.excitation) > bool(options.robot):
+        raise ParameterError('--excitation needs the robot: add --robot URDF')
+    if not (options.log or options.excitation):
+        raise ParameterError('give a LOG, or --robot URDF and --excitation FILE.csv')
+    if options.excitation:
+        write_text(options.excitation, excitation_text(RigidBodyTree(str(options.robot))))
+    if not options.log:
+        return 0
     try:
         found = check(options.log, options.robot)
     except DataError as problem:
@@ -84,8 +92,6 @@ def main(argv: Sequence[str]) -> int:
     print('\n'.join(report_of(found)))
     if options.plot:
         draw(options.plot, found)
-    if options.excitation:
-        write_text(options.excitation, excitation_text(RigidBodyTree(str(options.robot))))
     return int(bool(found.useless))
 
 

@@ -5,10 +5,12 @@
 from pathlib import Path
 import shutil
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, ParameterError
+from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.identify.check import check, main
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import simulate
+from messages import refused
 import numpy as np
 from pandas import DataFrame, read_csv
 import pytest
@@ -27,7 +29,6 @@ def logged(tmp_path_factory):
 
 def torques(folder: Path, seed: int = 3) -> DataFrame:
     """Return a log of an arm with measured torques, by Newton's law along sums of sines."""
-    from hnn_vi_ros.hamiltonians import RigidBodyTree
     robot, rng = RigidBodyTree(str(folder / 'arm.urdf')), np.random.default_rng(seed)
     t, h = 0.01 * np.arange(1500), 1e-5
     rate, size, phase = rng.uniform(1.0, 6.0, (5, 2)), rng.uniform(0.2, 0.4, (5, 2)), rng.uniform(
@@ -143,3 +144,16 @@ def test_report_is_one_page_with_a_picture_and_an_excitation(logged, tmp_path, c
     assert [*moves] == ['time', 'shoulder_command', 'elbow_command']
     assert (np.diff(moves.time) > 0.0).all()
     assert np.abs(moves.shoulder_command).max() == 0.5 == np.abs(moves.elbow_command).max()
+
+
+@pytest.mark.parametrize('argv', [['--excitation', 'move.csv'], []])
+def test_check_without_a_log_or_a_robot_is_refused(argv):
+    with refused(ParameterError):
+        main(argv)
+
+
+def test_excitation_needs_no_log(logged, tmp_path):
+    folder, _ = logged
+    assert main(['--robot', str(folder / 'arm.urdf'),
+                 '--excitation', str(tmp_path / 'move.csv')]) == 0
+    assert len(read_csv(tmp_path / 'move.csv')) > 100
