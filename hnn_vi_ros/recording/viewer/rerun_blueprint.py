@@ -79,8 +79,8 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
         **second,
         '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [J]'],
         **({'/invariants': list(invariants)} if invariants else {}),
-        **{path: [f'{causes[k].partition("/")[2]} [J]' for k in entries]
-           for path, entries in entries_of(causes).items()},
+        **{path: [f'{causes[k].partition("/")[2].replace("hamiltonian", "rest of H")} [J]'
+                  for k in entries] for path, entries in entries_of(causes).items()},
     }
 
 

@@ -136,6 +136,8 @@ def test_recording_shows_the_energy_by_cause_by_kind(path: Path):
     assert shown['/energy_by_cause/work']['Scalars:scalars'] == [[0.0], [0.0], [0.0]]
     assert shown['/energy_by_cause/stored']['Scalars:scalars'] == [
         [s.causes[1], s.causes[2]] for s in samples]
+    labels = series_labels(HarmonicOscillator().coordinates, True, False, False, causes=names)
+    assert labels['/energy_by_cause/stored'] == ['spring [J]', 'rest of H [J]']
 
 
 def test_recording_shows_the_invariants_by_their_names(path: Path):
