@@ -222,6 +222,8 @@ REFUSED: dict[str, Callable[[], str | bytes]] = {
                                        np.ravel([Q, 0.3 * np.cos(2.0 * T)], 'F'),
                                        head='t,name,theta'),
     'two bodies at the same times': lambda: rows(np.repeat(T, 2), np.ravel([Q, -Q], 'F')),
+    'a force that is a copy': lambda: rows(T, Q, Q, head='t,theta [rad],torque [Nm]'),
+    'a joint that is a copy': lambda: rows(T, Q, Q, head='t,q1 [rad],q2 [rad]'),
     'no times': lambda: rows(Q, V, head='theta,omega'),
     'a row too short': lambda: rows(T, Q).replace(f'\n{T[9]:.5f},', f'\n{T[9]:.5f};'),
     'a sheet': lambda: b'PK\x03\x04' + bytes(range(256)) * 9,

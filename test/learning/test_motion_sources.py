@@ -543,8 +543,8 @@ def test_motor_that_commands_never_name_is_none(tmp_path):
 
 def test_motor_of_an_array_that_is_never_commanded_is_told(tmp_path):
     given = array(T, np.stack([TAU[:, 1], np.full(len(T), np.nan)], axis=-1), '/motors')
-    messages = [(*message[:3], state(T[i], ['a', 'b', 'c'], [*Q[i], Q[i, 0]],
-                                     [*V[i], V[i, 0]])[3]) for i, message in enumerate(driver())]
+    messages = [(*message[:3], state(T[i], ['a', 'b', 'c'], [*Q[i], -Q[i, 0]],
+                                     [*V[i], -V[i, 0]])[3]) for i, message in enumerate(driver())]
     path = write(tmp_path / 'a.mcap', sorted([*messages, *given], key=lambda item: item[2]))
     (motion,), described = read_motions(
         Path(), BagMotions(forces='motors'), ['a', 'b', 'c'], [path])

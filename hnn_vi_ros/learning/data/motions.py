@@ -257,6 +257,8 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
     motions = [replace(motion, tau=None if data.forces == NONE else motion.tau,
                        v=None if data.velocities == NONE else motion.v)
                for motion in recording.motions]
+    for motion in motions:
+        _check_copies(motion)
     cut = [pieces_of(motion, data.on_bad, report) for motion in motions]
     _check_motions(cut)
     # The interval of most samples is used for motions at different rates.
@@ -319,6 +321,20 @@ class Pieces(NamedTuple):
     motion: Motion
     rows: list[np.ndarray]
     spacing: float
+
+
+def _check_copies(motion: Motion) -> None:
+    """Raise DataError if a coordinate or a force is a copy of a coordinate."""
+    what, d = 'command' if motion.commanded else 'force', motion.q.shape[1]
+    forces = () if motion.tau is None else motion.tau.T
+    columns = [*zip(motion.labels, motion.q.T, strict=False),
+               *((f'{what} {k + 1}', x) for k, x in enumerate(forces))]
+    for k, (label, x) in enumerate(columns):
+        # Several motors may have one command.
+        for other, y in columns[:min(k, d)]:
+            if np.ptp(x) > 0.0 and np.array_equal(x, y):
+                raise DataError(f'{motion.where}: {label} has the numbers of {other}: one column '
+                                'is a copy of the other; check the columns or topics')
 
 
 def _check_motions(cut: Sequence[Pieces]) -> None:
