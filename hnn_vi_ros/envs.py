@@ -270,7 +270,7 @@ class SceneVectorEnv(SyncVectorEnv):
     """
     Many environments of one scene, stepped together.
 
-    Results and resets equal those of gymnasium's ``SyncVectorEnv`` of ``SceneEnv`` bit by bit. The
+    Results and resets equal gymnasium's ``SyncVectorEnv`` of ``SceneEnv`` bit by bit. The
     environments of a thread step in one compiled loop that releases Python's lock, so threads pay
     off if actions last several steps.
 
@@ -332,7 +332,7 @@ class SceneVectorEnv(SyncVectorEnv):
 
 def check_action(action: ArrayLike, space: Any) -> np.ndarray:
     """
-    Return an action, or those of several environments, as a new float64 array.
+    Return one or several environments' actions as a new float64 array.
 
     Parameters
     ----------

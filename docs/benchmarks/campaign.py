@@ -87,7 +87,7 @@ class Row:
     took : float
         Wall time of the choice [s].
     counted : str
-        What auto and the sweep counted as the cost.
+        Costs counted by auto and the sweep.
     runs : int
         Number of runs whose median the times are.
     commit, machine : str

@@ -171,7 +171,7 @@ def _given(run: Callable[[], np.ndarray]) -> Callable[[], np.ndarray]:
 
 
 def _several(contestants: list[Contestant]) -> Contestant:
-    """Return the contestant of several runs, of which one would be too short to time."""
+    """Return the contestant of several runs, because one is too short to time."""
     def prepare() -> Callable[[], object]:
         runs = [contestant() for contestant in contestants]
         return lambda: [run() for run in runs]

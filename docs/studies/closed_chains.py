@@ -31,7 +31,7 @@ class Drift(NamedTuple):
     Parameters
     ----------
     scene, program, method : str
-        The linkage, and by what it was simulated.
+        The linkage and its simulator.
     steps : int
         Number of steps taken.
     closure : float

@@ -70,7 +70,7 @@ class Case:
     """
     A scene, which of its numbers are free, the length of a log [s] and steps per sample.
 
-    A case with effects of its own, instead of those of the scene, is named after the first one.
+    A case with effects of its own, instead of the scene's, is named after the first one.
     One with gears, from a start q, is named drives; its rotors are not measured. With a push, a
     force [N], [N m] whose sign changes every 0.6 s is commanded.
     """

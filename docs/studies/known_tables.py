@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page docs/evidence/published-tables.md: published figures next to those of the studies."""
+"""The page docs/evidence/published-tables.md: published figures next to the studies' figures."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

@@ -3,7 +3,7 @@
 """
 Count the starts from which control tasks succeed although the machine is not the model.
 
-The axes are those of RealAIGym (F. Wiebe et al., Open source dual-purpose acrobot and pendubot
+The axes are from RealAIGym (F. Wiebe et al., Open source dual-purpose acrobot and pendubot
 platform, 2023): noise and delay of measurements, late torques, and pushes. Simulated time waits
 for plans. A start is a success if all angles stay upright in the last two seconds.
 """

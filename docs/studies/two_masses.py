@@ -3,7 +3,7 @@
 """
 Identify two masses from noisy measurements, and simulate them with other steps and methods.
 
-System and input are those of S. Moradi et al., Port-Hamiltonian neural networks with output error
+System and input are from S. Moradi et al., Port-Hamiltonian neural networks with output error
 noise models, Automatica 187 (2026), and of its public notebook: two masses with a cubic spring and
 two dampers, a multisine of 100 frequencies up to 1 Hz on the second mass, 10 Hz. The training data
 are both positions with noise, not the velocity of the second mass, which is the test.

@@ -146,7 +146,7 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
         _begin_panel(ax, panel, _limits_of(panel, rows, floor))
         _draw_lines(ax, panel, series, groups)
         _draw_levels(ax, panel, floor, known)
-        # The lines of a panel with those of the one before are explained once.
+        # Panels with the same lines share a legend.
         if k == 0 or groups != panels[k - 1][1]:
             ax.legend(handles=_handles(series, groups), loc='upper left', frameon=False,
                       fontsize=8.0, bbox_to_anchor=(1.01, 1.02))
@@ -248,7 +248,7 @@ def _begin_panel(ax: Axes, panel: Panel, limits: tuple[float, float, float, floa
 
 
 def _limits(values: np.ndarray, floor: float) -> tuple[float, float]:
-    """Return whole decades that contain all errors except those of lost runs, and labels."""
+    """Return whole decades that contain all errors except lost runs, and labels."""
     usual = values[(values > 0.0) & (values <= _LOST)]
     usual = usual if usual.size else np.array([_EPS, _LOST])
     low = usual.min() if math.isnan(floor) else min(usual.min(), floor / 3.0)

@@ -35,7 +35,7 @@ SHOWN = {
     'pendulum': _Shown('pendulum', 100.0, 0.5, (0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5), 0.1),
     'double_pendulum': _Shown('double pendulum', 20.0, 0.1,
                               (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1), 0.01)}
-# Method and step size [s] of the reference, whose errors are those of rounding.
+# Method and step size [s] of the reference, whose errors are rounding errors.
 _METHOD, _STEP_SIZE = 'gauss16', 0.01
 
 

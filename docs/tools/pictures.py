@@ -291,7 +291,7 @@ def write_learned(path: Path) -> None:
 
 
 def write_machines(path: Path) -> None:
-    """Draw the errors of models of machines relative to those of others."""
+    """Draw the errors of models of machines relative to other models."""
     results = DOCS / 'evidence' / 'learning' / 'machines.json'
     rows = [row for row in json.loads(results.read_text('utf-8'))
             if row['measure'].startswith('RMS')]

@@ -18,7 +18,7 @@ import numpy as np
 
 # Kinds of the numbers of a command.
 EFFORTS, POSITIONS, VELOCITIES = range(3)
-# Statuses besides those of steps.
+# Further statuses, not of steps.
 INVALID_COMMAND, INVALID_STATE, INTERNAL, EVENT = range(100, 104)
 _ON_POSITION, _ON_VELOCITY = 1, 2
 _OPTIONS: dict[str, Any] = {'nogil': True, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True,
@@ -89,7 +89,7 @@ class OutputTable(NamedTuple):
     q_size, p_size : int
         Numbers of columns of q and p.
     sources : tuple of np.ndarray
-        Arrays of which outputs are entries: q, p, velocities, forces of the motors, totals and
+        Arrays whose entries are outputs: q, p, velocities, forces of the motors, totals and
         counts of events.
     table : np.ndarray of int64, shape (m, 2)
         Source of each output, and the index in it.

@@ -55,7 +55,7 @@ class SceneCode(NamedTuple):
     parameters : list of Parameter
         Numbers of the scene, those that can be changed first.
     machine : Machine
-        The memory of which the image is a copy.
+        The memory that the image copies.
     target : str
         System that runs the code.
 
@@ -244,7 +244,7 @@ def _domain(hamiltonian: Hamiltonian) -> tuple[np.ndarray, int]:
 
 def _assembly(name: str, image: Image, found: dict[str, str], tuned: list[Parameter]
               ) -> Iterator[str]:
-    """Yield LLVM's assembly of the exported functions, which call those of entries by symbol."""
+    """Yield LLVM's assembly of the exported functions, which call the entries by symbol."""
     called = list(image.entries.items())
     powers = sorted((word, k) for k, one in enumerate(tuned) for word in one.powers)
     rows = [(word, image.words[word:word + 1].view(np.float64)[0], k, tuned[k].value,

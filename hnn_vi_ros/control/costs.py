@@ -265,7 +265,7 @@ class _Path(NamedTuple):
     work : TreeWork
         Its workspace; like a kernel, a path is for one thread at a time.
     by_q : np.ndarray, shape (k, d)
-        Derivative of each joint's coordinate with respect to those of the system.
+        Derivative of each joint's coordinate with respect to the system's.
     fixed : np.ndarray, shape (k,)
         Constant offset of each joint's coordinate.
     end : np.ndarray, shape (3,)

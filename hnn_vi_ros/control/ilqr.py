@@ -124,7 +124,7 @@ class Ilqr(Planner):
         return self._take(best, t)
 
     def _candidates(self, z: np.ndarray, t: float) -> list[Plan]:
-        """Return the initial plans: those of the last call, or the best of random ones."""
+        """Return the initial plans: from the last call, or the best of random ones."""
         last, since = self._last, self._steps_since(t)
         self.mode = 'plan'
         if last is not None and since < self._horizon:

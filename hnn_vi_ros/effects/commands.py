@@ -88,7 +88,7 @@ class LinkWrench(NamedTuple):
     Parameters
     ----------
     frame : str
-        Name of the link, for its own axes; BASE/LINK for those of the base.
+        Name of the link, for its own axes; BASE/LINK for axes of the base.
     force, torque : sequence of float
         Force at the origin of the link [N], and torque [N m].
 

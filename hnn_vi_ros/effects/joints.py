@@ -34,7 +34,7 @@ def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,
     of : callable
         Function that returns the number of a joint, or None.
     given : mapping of str to float or None
-        Numbers that replace those of the source, by coordinate.
+        Numbers that replace the source's, by coordinate.
 
     Raises
     ------

@@ -82,7 +82,7 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
                  kinds: tuple[type[Force], ...], joints: tuple[bool, ...]) -> Functions:
     internal = sum(kind.internal for kind in kinds)
     add_all = _chain(kinds, internal, 0, True, joints)
-    # Of forces with internal variables there are derivatives.
+    # Forces with internal variables have derivatives.
     add_others, add_tangents = (
         _chain(kinds, internal, 0, False, joints), _tangents(kinds, internal, 0))
     set_time = _time_setter(kinds, internal)

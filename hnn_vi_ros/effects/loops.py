@@ -61,7 +61,7 @@ class LoopManifold:
     kernel : Kernel
         H with the forces, for d coordinates and their channels.
     effects : int
-        Number of effects, of which the loops are the last one.
+        Number of effects; the loops are the last one.
 
     Attributes
     ----------

@@ -16,7 +16,7 @@ class FormulaPotential(Potential):
     """
     A potential energy V(q) as a formula of coordinates, such as ``k*(x - y)^2 / 2``.
 
-    Syntax and compilation are those of H in ``hamiltonian: {kind: formula}``. Energy account: V is
+    Syntax and compilation are as for H in ``hamiltonian: {kind: formula}``. Energy account: V is
     part of H.
 
     Parameters

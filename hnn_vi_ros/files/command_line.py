@@ -71,7 +71,7 @@ class Parser(argparse.ArgumentParser):
 
     @property
     def known(self) -> list[argparse.Action]:
-        """Return all arguments including those of groups; argparse has no public list of them."""
+        """Return all arguments, also of groups; argparse has no public list of them."""
         return self._actions
 
     @property

@@ -71,7 +71,7 @@ CALLS = {name: _NUMPY.get(name) or getattr(np, name) for name in _SLOPES}
 
 class Graph:
     """
-    Expressions as integers, larger than those of their arguments; equal ones have equal integers.
+    Expressions as integers, larger than their arguments'; equal ones have equal integers.
 
     Attributes
     ----------
@@ -654,7 +654,7 @@ class Reader:
         return self._graph.name(self._called.get(token, token))
 
     def _arguments(self, begin: int) -> list[int]:
-        """Return the nodes up to the closing bracket; those of comparisons are 0 or 1."""
+        """Return the nodes up to the closing bracket; comparisons are 0 or 1."""
         found = list[int]()
         while not found or self._takes(','):
             node = self._deeper(self._sum)

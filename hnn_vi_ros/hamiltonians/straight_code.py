@@ -32,7 +32,7 @@ class AnalyticHamiltonian(Hamiltonian):
         Names of the columns of q in the formula; momenta have the prefix p. Missing columns of
         momenta, such as the fourth of a quaternion, stay zero.
     formula : str
-        H, in these names and those of constants.
+        H, in these names and constants.
     constants : dict of str to float
         Values of the constants.
 

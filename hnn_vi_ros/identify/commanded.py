@@ -45,7 +45,7 @@ def commanded_scene(robot: Path, folder: Path, hamiltonian: Hamiltonian,
     """
     Return the scene of a robot with servos and friction, near a log of commanded positions.
 
-    The numbers are those of least squares of the forces that the measured motion needs, with the
+    The numbers are the least-squares fit of the forces that the measured motion needs, with the
     delay that explains them best.
 
     Parameters

@@ -358,7 +358,7 @@ def with_robot_numbers(scene: Scene, numbers: Mapping[str, float], file: Path) -
     Raises
     ------
     ModelError
-        The numbers are not those of a rigid body, even combined with the links fixed to it.
+        The numbers do not describe a rigid body, even combined with the links fixed to it.
 
     """
     root = _parsed(robot_file(scene))

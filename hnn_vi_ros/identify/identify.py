@@ -101,7 +101,7 @@ def draw_correlations(path: Path, estimates: Estimates) -> None:
 # Warn if residuals exceed the noise in short windows by this factor.
 _POOR = 3.0
 # Change of a number at half the step that matters, in standard errors, and most halvings: the
-# rest of the error of a method of order 2 is a third more, of which intervals of 95 % hold 94 %.
+# rest of the error of a method of order 2 is a third more; intervals of 95 % then hold 94 %.
 _MOVED, _HALVED = 0.2, 6
 # Names of velocities, and of commanded positions, in arrays.
 _VELOCITIES = 'dq', 'v'

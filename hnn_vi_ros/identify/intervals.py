@@ -101,7 +101,7 @@ def estimates_of(solution: Solution, problem: FitProblem, free: FreeScene,
 
     An error is a weighted sum over the noise of the samples, with least-squares weights. The
     covariance of these sums is computed for each process the noise may be (see
-    identify_correlation); the intervals are those of the mixture.
+    identify_correlation); the intervals describe the mixture.
     """
     weights = problem.weights(solution.residuals)
     slopes, back = projected(solution, weights)

@@ -45,7 +45,7 @@ class PairState(NamedTuple):
     """
     State from which the next step of the clock continues; n is the number of all coordinates.
 
-    Rows of trajectories that step together are those of their first coordinates.
+    Rows of trajectories that step together have the numbers of their first coordinates.
 
     Parameters
     ----------

@@ -330,7 +330,7 @@ class TimeTransformed(Integrator):
         return (self.base.options(attempt, dimension), self._force, self._exponent)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the unknowns of the equations of H, then of those of the internal steps."""
+        """Return the unknowns of the equations of H, then of the internal steps."""
         more = 0 if self._control == 'integrating' else 1
         return (*self.base.unknowns(n), *self.base.unknowns(n + more))
 

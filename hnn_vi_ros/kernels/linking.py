@@ -333,7 +333,7 @@ class _Files(IndexDataCacheFile):
     have a digest with a key that only this user can read.
     """
 
-    # Files beside the source of the function, which another user may have compiled.
+    # Files next to the source of the function, which another user may have compiled.
     beside: '_Files | None' = None
     # Owner of the package, for files beside it.
     owner: int | None = None

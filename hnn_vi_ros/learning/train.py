@@ -86,7 +86,7 @@ def train(module: torch.nn.Module, data: str | Path | Sequence[EvenMotion], out:
         ``loss(module, states, predicted, target)`` returns one number; rates of change, shape
         (N, 2 d), are in units of their root mean squares. Default: the mean square error.
     coordinates : sequence of Coordinate, optional
-        Names and units; required for motions, else default those of the data.
+        Names and units; required for motions, else default to the data's.
     callbacks : sequence of callable
         ``callback(epoch)`` is called with stage, step, loss, held_out and module at each step of
         Adam, and every 20 of L-BFGS; the stage ends if it returns True.

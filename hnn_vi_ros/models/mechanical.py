@@ -69,7 +69,7 @@ class MechanicalHamiltonian(LearnedHamiltonian):
     Parameters
     ----------
     checkpoint : Checkpoint
-        A model of the family mechanical, or an ensemble of such models.
+        A model of the family mechanical, or an ensemble of them.
 
     References
     ----------

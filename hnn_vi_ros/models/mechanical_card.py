@@ -95,7 +95,7 @@ class FittedNumber(Quantity):
 
 
 class PriorCard(StrictModel):
-    """A parametric system whose M and V are added to those of the networks."""
+    """A parametric system to whose M and V the networks are added."""
 
     kind: str = Field(description=(
         'planar chain of rigid links, rigid_body with its tree, or exact system in these '

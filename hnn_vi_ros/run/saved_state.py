@@ -52,7 +52,7 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
             name: (array.shape, array.dtype) for name, array in own.items()}:
         raise RecordingError(f'{where}: its {STATE_FILE} belongs to another simulation; was it '
                              'recorded by another version?')
-    # No number in a file may be out of the range of the methods, each of which has memories:
+    # No number in a file may be out of the range of the methods, which all have memories:
     # `way` is the number of the active method.
     methods = {name.partition('.')[0] for name in own if name.startswith('memory')}
     if found['steps'] < 0 or f'memory{found["way"]}' not in methods | {'memory0'}:

@@ -261,7 +261,7 @@ class Scene(StrictModel):
 
     def create_effects(self) -> list[Effect]:
         """
-        Create the effects in order; those of the drives of a robot follow them.
+        Create the effects in order, followed by a robot's drives.
 
         Raises
         ------

@@ -105,7 +105,7 @@ class Loop:
     Parameters
     ----------
     loop : callable
-        Loop function, such as those of this module.
+        Loop function, such as in this module.
     kernel : Kernel
         Kernel of the Hamiltonian.
     method : Integrator

@@ -60,7 +60,7 @@ class Ledger:
             REST, *(HEAT + name for name in self._heats), ERROR)
 
     def _join_motors(self, causes: list[Cause], names: list[str]) -> None:
-        """Add the works of motors to those of the external_force of their joints."""
+        """Add the works of motors to the external_force of their joints."""
         for motor in (cause for cause in causes if cause.effect.corrects_command):
             force = next(cause for cause in causes if NUMBERS in getattr(
                 cause.effect, 'takes', ()))

@@ -295,7 +295,7 @@ class StabilityWatch(StepLayer):
     @staticmethod
     @cache
     def wrap(step: Callable, keeps_gradient: bool) -> Callable:
-        """Return the step with a watch; its options are those of the step and the interval."""
+        """Return the step with a watch; its options are the step's and the interval."""
         @inlined
         def watched(kernel: Kernel, h: float, options: tuple, z: PhasePoint, z1: PhasePoint,
                     memory: tuple) -> tuple[int, float, int]:

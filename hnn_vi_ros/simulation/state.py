@@ -24,7 +24,7 @@ class State:
     Parameters
     ----------
     named : mapping of str to np.ndarray
-        The arrays before the first step; those of the point come first.
+        The arrays before the first step; the point's come first.
     point : Point
         The point that some of the arrays belong to.
 

@@ -183,7 +183,7 @@ class Motors:
 
 def refill(kernel: Kernel, other: Kernel) -> bool:
     """
-    Replace the parameters of a kernel by address in place, with those of another kernel.
+    Replace the parameters of a kernel by address in place, with another kernel's.
 
     Parameters
     ----------

@@ -54,6 +54,6 @@ def test_list_prints_the_keys_of_a_name(capsys):
 
 def test_unknown_name_and_list_without_keys_are_refused():
     with refused(ParameterError):
-        names.main(['effects', 'dampin'])
+        describe('effects', 'dampin', {'damping': {}, 'gravity': {}})
     with refused(ParameterError):
         names.main(['scenes', 'pendulum'])

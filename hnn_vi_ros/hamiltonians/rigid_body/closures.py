@@ -178,7 +178,7 @@ def _loop(element: Element, links: tuple[str, ...], poses: list[Pose], axis: np.
         return loop | {'points': [origin.tolist() for _, origin in poses]}
     turn = frame_of(axis / length) if kind == 'hinge' else np.eye(3)
     with warnings.catch_warnings():
-        # Of the angles of one rotation any will do.
+        # Any of the angles of one rotation will do.
         warnings.filterwarnings('ignore', 'Gimbal lock')
         angles = [Rotation.from_matrix(rotation @ turn).as_euler('xyz') for rotation, _ in poses]
     return loop | {'frames': [[*origin.tolist(), *rpy.tolist()] for (_, origin), rpy in zip(

@@ -15,7 +15,7 @@ _NUMBER = re.compile(r'[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?
 _MAX_NAME_LENGTH = 200
 # In SI units; larger numbers, whose products overflow, are mistakes. Limits may be any number.
 _MAX_NUMBER = 1e12
-# Elements of which the first counts, as in urdfdom.
+# Elements that may repeat; the first counts, as in urdfdom.
 _FIRST = ('inertial', 'origin', 'axis', 'limit', 'dynamics')
 
 

@@ -48,7 +48,7 @@ class LoopRows(NamedTuple):
     Parameters
     ----------
     bodies : Bodies
-        The tree, of which only the geometry is used.
+        The tree; only its geometry is used.
     work : TreeWork
         Workspace for one state.
     origin : np.ndarray, shape (d + 1, 3)

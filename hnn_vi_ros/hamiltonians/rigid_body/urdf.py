@@ -128,7 +128,7 @@ def parse_urdf(text: bytes, where: str) -> Robot:
 
 
 def _warn_of_units(robot: Robot) -> None:
-    """Warn if lengths are those of a robot in mm."""
+    """Warn if lengths appear to be in mm."""
     lengths = [(float(np.abs(joint.origin).max()), joint.place, 'origin')
                for joint in robot.joints.values()]
     for link in robot.links.values():

@@ -58,7 +58,7 @@ def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, labels: Sequence[
     where : str
         File and run, for error messages.
     sticks : bool, optional
-        True if joints stick and start at once, as those of servos do: no sensor is stuck.
+        True if joints stick and start at once, as servos do: no sensor is stuck.
 
     Returns
     -------
@@ -160,7 +160,7 @@ def _repeat_count(x: np.ndarray) -> int:
 
 
 def _stuck_samples(x: np.ndarray) -> np.ndarray:
-    """Return the mask of samples that repeat the one before while the motion goes on."""
+    """Return the mask of samples that repeat the one before while the motion continues."""
     found, steps = np.zeros(len(x), dtype=bool), np.abs(np.diff(x))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0.0, [False]])))
     runs = [(i, j) for i, j in edges.reshape(-1, 2) if j - i >= _EQUAL - 1]

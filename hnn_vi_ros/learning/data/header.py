@@ -64,7 +64,7 @@ _SETTINGS = {name: re.compile(
     'counts': r'(?:counts?|ticks?)[ _]*(?:per|/)[ _]*(?:turn|rev\w*|rotation)|\bcpr\b',
     'gear': r'\bgear[ _]*(?:ratio)?', 'torque_constant': r'torque[ _]*constant|\bk_?t\b'}.items()}
 _COUNTED = frozenset(('encoder', 'enc', 'counts', 'count', 'ticks', 'tick'))
-# Words of which each names a coordinate of its own.
+# Words that each name a coordinate.
 _LETTERS = frozenset((
     'theta', 'th', 'phi', 'psi', 'alpha', 'beta', 'pitch', 'roll', 'yaw', 'x', 'y', 'z', 's'))
 _DERIVED = re.compile(r'(?P<before>d*?)(?P<of>q|theta|th|phi|psi|alpha|beta|x|y|z|angle|pos)'
@@ -131,7 +131,7 @@ class Reading:
     path : Path
         Path of the log.
     columns : list of str
-        Names of all columns if they are not those of the header, else empty.
+        Names of all columns if they differ from the header, else empty.
     time, trial : Column, Column or None
         Times, and the number of the run.
     q, v, tau : list of Column
@@ -273,7 +273,7 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
     path : Path
         Path of the log.
     coordinates : sequence of Named
-        Coordinates of the scene or model, which the log is to have; none: those of the log.
+        Coordinates of the scene or model, which the log is to have; none: as in the log.
     counts : float, optional
         Counts per turn of a coordinate; default: those in the lines above the names.
 
@@ -453,7 +453,7 @@ def _joint(one: Column) -> tuple[str, str]:
 
 def _with_kind(path: Path, one: Column, count: int, others: Sequence[Column],
                doubts: list[str]) -> Column:
-    """Return a coordinate with its kind, by its name or those of its velocity and force."""
+    """Return a coordinate with its kind, by its name, velocity or force."""
     kinds = {other.kind for other in others
              if other.kind and (count == 1 or other.key == one.key)}
     if one.unit and not one.kind:

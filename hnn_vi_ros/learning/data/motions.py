@@ -338,7 +338,7 @@ def _check_copies(motion: Motion) -> None:
 
 
 def _check_motions(cut: Sequence[Pieces]) -> None:
-    """Raise DataError if positions are those of bodies in turn, or all of them are noise."""
+    """Raise DataError if positions of bodies alternate, or all of them are noise."""
     runs = [(one.motion, unwrap_turns(one.motion.t[rows], one.motion.q[rows], None)[0])
             for one in cut for rows in one.rows]
     for motion, q in runs:

@@ -98,7 +98,7 @@ def is_noise(x: np.ndarray) -> bool:
 
 
 def interleaved(x: np.ndarray) -> bool:
-    """Return True if samples are those of two smooth curves in turn."""
+    """Return True if samples alternate between two smooth curves."""
     # A sinusoid of 2.4 samples a period or less looks alike.
     rough, *parts = (np.median(np.abs(np.diff(part, 3))) for part in (x, x[::2], x[1::2]))
     return len(x) >= 2 * _LEAST and bool(rough > _RELATED * max(parts))

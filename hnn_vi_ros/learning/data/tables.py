@@ -145,7 +145,7 @@ def _decompress(stream: BytesIO, suffix: str, most: int) -> bytes:
 
 
 def _columns(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Return the columns of arrays of equal length; those of a matrix have numbers."""
+    """Return the columns of arrays of equal length; columns of a matrix have numbers."""
     found: dict[str, np.ndarray] = {}
     for key, values in arrays.items():
         if isinstance(values, np.ndarray) and values.dtype == object and values.size == 1:

@@ -79,7 +79,7 @@ class LogColumns(LogFormat):
     """
     Columns of a log; units in their names, such as ``x [mm]`` or ``theta_deg``, are converted.
 
-    The units are s, rad and those of the coordinates; a unit of something else is refused.
+    The units are s, rad and the coordinates' units; a unit of something else is refused.
     """
 
     # Configuration key of the columns of each channel of a motion.

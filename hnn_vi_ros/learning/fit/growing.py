@@ -289,7 +289,7 @@ def fits_by_length(model: ParametricModel, motions: Sequence[EvenMotion], noise:
 
 def with_states_of(model: ParametricModel, motions: Sequence[EvenMotion], fitted: Solution
                    ) -> list[EvenMotion]:
-    """Return motions whose smoothed states are those of a model, fitted to every n-th sample."""
+    """Return motions whose smoothed states are a model's, fitted to every n-th sample."""
     none, windows = np.zeros(0), refined(fitted.windows, motions)
     # From other states, long windows of a chaotic motion would end in a false minimum.
     solution, _ = fit_with_noise(

@@ -36,7 +36,7 @@ def fit_machine(config: MachineConfig, motions: Sequence[EvenMotion],
     motions : sequence of EvenMotion
         Training motions.
     rigid : FittedRigidBody, optional
-        Rigid body on top of which networks are trained; by default it is fitted as well.
+        Rigid body to which networks are added; by default it is fitted as well.
     train : callable
         Runs the stages of the networks.
 

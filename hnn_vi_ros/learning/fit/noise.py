@@ -33,7 +33,7 @@ _PRICE = 1.5
 # Models that cost more than the best one by this are dropped: their weight is 2 %.
 _BEHIND = 4.0
 # Number of processes drawn per order and kept in total; and the degrees of freedom of the proposal
-# distribution, whose tails are longer than those of the likelihood.
+# distribution, whose tails are longer than the likelihood's.
 _DRAWN, _KEPT, _TAILS = 200, 400, 5.0
 # Maximum of x in reflection coefficients k = tanh x.
 _MOST = 6.0

@@ -244,7 +244,7 @@ def _refitted_without(fitted: FittedNumbers, model: RigidModel, values: np.ndarr
     """
     Return the fit of a model without some numbers in the longest windows where it is no worse.
 
-    Long windows of a chaotic motion have false minima even beside the solution.
+    Long windows of a chaotic motion have false minima even close to the solution.
     """
     for k in range(len(fitted.fits), 0, -1):
         try:

@@ -28,7 +28,7 @@ LEAST, ABOVE = 1e-7, 1e-3
 _SHARP = 0.02
 # Bounds of the Stribeck speed: this share of the usual speed, and one minus this share.
 _SHARE = 0.01
-# Method of the windows of positions, so accurate that the parameters are those of the machine.
+# Method of the windows of positions, so accurate that the parameters describe the machine.
 _METHOD = 'gauss4'
 
 

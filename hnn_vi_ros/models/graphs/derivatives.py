@@ -144,7 +144,7 @@ def _largest(b: Builder, x: int, k: int) -> tuple[int, int]:
 
 
 def _forth(b: Builder, k: int, found: dict[int, int]) -> int:
-    """Return the tangent of a node, given those of its inputs that depend on x."""
+    """Return the tangent of a node, given the tangents of its inputs that depend on x."""
     node = b.nodes[k]
     own = [found[i] if i in found else b.full(i, 0.0) for i in node.inputs]
     x, t = node.inputs[0], own[0]
@@ -182,7 +182,7 @@ def _forth(b: Builder, k: int, found: dict[int, int]) -> int:
 
 
 def _reached(b: Builder, k: int, found: dict[int, np.ndarray], count: int) -> np.ndarray:
-    """Return the dependence of a node, given those of its inputs."""
+    """Return the dependence of a node, given its inputs' dependences."""
     node = b.nodes[k]
     size, own = math.prod(node.shape), [found[i] for i in node.inputs]
     match node.op:

@@ -248,7 +248,7 @@ class Builder:
         return self._add(GraphNode('take', (x,), index.shape, (), number))
 
     def put(self, x: int, index: np.ndarray, shape: Sequence[int]) -> int:
-        """Return zeros of a shape, to whose values at an index those of x are added."""
+        """Return zeros of a shape, with the values of x added at an index."""
         shape = tuple(shape)
         found, size = self.value(x), math.prod(shape)
         if found is not None:

@@ -208,7 +208,7 @@ def serialize(message: Any) -> bytes:
 @final
 class Template:
     """
-    Serialised message of which only numbers change; each message costs one copy.
+    Serialised message in which only numbers change; each message costs one copy.
 
     Parameters
     ----------

@@ -42,7 +42,7 @@ class RecordedMessage(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """A piece of a file, with the map of its channel numbers to those of the reader."""
+    """A piece of a file, with the map from its channel numbers to the reader's."""
 
     piece: MessagePart
     source: Source

@@ -30,7 +30,7 @@ class _Record(bytes):
     __slots__ = ()
 
     def write(self, builder: RecordBuilder) -> None:
-        """Append the record to those of the summary."""
+        """Append the record to the summary."""
         builder.write(self)
 
 

@@ -91,7 +91,7 @@ class RobotPicture:
             self._draw_skeleton(robot)
 
     def _draw_skeleton(self, robot: Robot) -> None:
-        """Draw a bone from the origin of each link to those of its joints, or to its end."""
+        """Draw a bone from the origin of each link to its joints, or to its end."""
         for name, link in robot.links.items():
             tip = tip_of(link)
             ends = [joint.origin for joint in link.joints] + ([] if tip is None else [tip])

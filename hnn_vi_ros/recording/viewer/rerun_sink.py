@@ -156,7 +156,7 @@ class RerunSink:
             self._send_if_due()
 
     def event(self, text: str, level: str = 'INFO', at: tuple[int, int] | None = None) -> None:
-        """Show an event at a stamp [ns] and step, by default those of the newest sample."""
+        """Show an event at a stamp [ns] and step, by default of the newest sample."""
         if self._closed:
             raise RecordingError('the rerun recording is closed; open a new one')
         newest = (self._newest.stamp, self._newest.step) if self._newest else self._begin

@@ -295,7 +295,7 @@ def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Comm
 
 
 class _Readings:
-    """Readings of the sensor of joint_states in a repeated run, compared with those of its bag."""
+    """Readings of the sensor of joint_states in a repeated run, compared with its bag."""
 
     def __init__(self, run: RecordedRun, simulation: Simulation):
         self._sensor, self.omitted = None, ''

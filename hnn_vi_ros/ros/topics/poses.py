@@ -34,7 +34,7 @@ class OdometryEncoder:
 
     def __init__(self, coordinates: Sequence[Coordinate], frame_id: str):
         q, p = columns(coordinates)
-        # Message; first columns of the position in q and p, or None; those of the attitude.
+        # Message; first columns of the position in q and p, or None, and of the attitude.
         self._bodies: list[tuple[Template, tuple[int, int] | None, int, int]] = []
         for coordinate in coordinates:
             if coordinate.kind == 'scalar':

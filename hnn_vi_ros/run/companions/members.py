@@ -144,7 +144,7 @@ def member_scenes(scene: Scene, count: int) -> list[Scene]:
     Return the scene with the mean replaced by each of the first members of its ensemble.
 
     Effects with friction or an input map from the same file are replaced too. Initial states
-    remain those of the mean; see ``members_of``.
+    remain the mean's; see ``members_of``.
     """
     choice, files = scene.hamiltonian.model_dump(), scene.model_files()
 

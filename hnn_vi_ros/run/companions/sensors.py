@@ -172,7 +172,7 @@ class JointSensor:
             self._past[-1][0] - self._first >= self._delay + self._every + self._interval)
 
     def _at(self, step: float) -> JointReading:
-        """Return the values at a step, those of the first known sample before it."""
+        """Return the values at a step: the first known sample before it."""
         later = next((i for i, (k, _) in enumerate(self._past) if k >= step), 0)
         if later == 0 or self._past[later][0] == step:
             return self._past[later][1]

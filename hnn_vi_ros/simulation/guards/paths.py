@@ -28,7 +28,7 @@ _MIN_RANGE_SHARE = 1e-3
 _MAX_PATH_ERROR = 0.5 * math.pi / 400.0
 # Maximum number of steps between samples for a trial to start at the earlier one.
 _MAX_SAMPLE_STEPS = 16
-# Steps at which trials of conservative runs start, relative to those of the trial before.
+# Steps at which trials of conservative runs start, relative to the trial before.
 _TIMES_APART = 4
 # Largest estimated error of a coordinate over its amplitude so far. Estimates are right within a
 # factor of about five: runs that are off by 1 % of the amplitude pass, by 30 % do not.

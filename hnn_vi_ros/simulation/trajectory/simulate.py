@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 
 # An initial state.
 State = tuple[ArrayLike, ArrayLike] | Mapping[str, ArrayLike]
-# Maximum gradients of `name_step`, as a share of those of a calibration run: tenths of a second.
+# Maximum gradients of `name_step`, as a share of a calibration run: tenths of a second.
 _MAX_GRADIENT_SHARE = 0.1
 
 
