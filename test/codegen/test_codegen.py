@@ -24,7 +24,7 @@ from hnn_vi_ros.codegen.entries import EVENT, INVALID_COMMAND, INVALID_STATE
 from hnn_vi_ros.codegen.project import FUNCTIONS
 from hnn_vi_ros.effects import JointCommand
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.files import prefixes
+from hnn_vi_ros.files import prefixes, share_folder
 from hnn_vi_ros.integrators import base, IN_DOUBT, NO_CONVERGENCE, NOT_FINITE, OK, REASONS
 from hnn_vi_ros.scene import load_scene, Scene, with_numbers
 from hnn_vi_ros.simulation import build, watched
@@ -458,7 +458,9 @@ def test_steps_on_aarch64_are_those_of_simulate(tmp_path, name):
 @pytest.mark.skipif(shutil.which('valgrind') is None, reason='no valgrind')
 @pytest.mark.parametrize('name', SCENES)
 def test_valgrind_finds_no_error(tmp_path, name):
-    (tmp_path / f'{name}.yaml').write_text(SCENES[name]().to_yaml())
+    text = SCENES[name]().to_yaml()
+    (tmp_path / f'{name}.yaml').write_text(
+        text.replace('../robots', str(share_folder() / 'config/robots')))
     # Code for this processor may be unknown to valgrind; any x86-64 is known.
     subprocess.run([sys.executable, '-m', 'hnn_vi_ros', 'export', f'{name}.yaml', '--out', 'c',
                     '--cpu', 'x86-64'], check=True, cwd=tmp_path)
