@@ -171,9 +171,9 @@ def key_table(definition: dict[str, Any]) -> list[str]:
     rows = []
     for key in keys_of(definition):
         shown = f'**`{key.name}`**' if key.required else f'`{key.name}`'
-        cells = (shown, key.type, key.unit, f'`{key.default}`' if key.default else '',
-                 key.meaning)
+        default = f', default `{key.default}`' if key.default else ''
+        cells = (shown, f'{key.type} {key.unit}'.rstrip() + default, key.meaning)
         rows.append(f'| {" | ".join(cell.replace("|", chr(92) + "|") for cell in cells)} |')
     if not rows:
         return ['No keys except `kind`.']
-    return ['| key | type | unit | default | meaning |', '|---|---|---|---|---|', *rows]
+    return ['| key | type, unit, default | meaning |', '|---|---|---|', *rows]
