@@ -166,7 +166,7 @@ def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool,
     def add_work(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
                  p: np.ndarray, H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray,
                  pace: np.ndarray, space: np.ndarray) -> None:
-        time, others = forces
+        (time,), others = forces
         minus_power[k], pace[k] = -time[1], 1.0
         rest(others, clock, times, q, p, H_q, H_p, minus_power, pace, space)
 
@@ -277,7 +277,7 @@ def _time_setter(kinds: tuple[type[Force], ...], k: int) -> Callable[..., None]:
     if kinds[0] is TimeDrive:
         @inlined
         def set_time(forces: Parameters, clock: np.ndarray, times: np.ndarray) -> None:
-            forces[0][0] = clock[0] + (clock[1] + times[k])
+            forces[0][0][0] = clock[0] + (clock[1] + times[k])
         return set_time
     rest = _time_setter(kinds[1:], k + 1)
 
