@@ -204,9 +204,9 @@ def reference(hamiltonian: Hamiltonian, start: np.ndarray, horizon: float
 
 
 def counts(hamiltonian: Hamiltonian, events: Sequence[str], z: np.ndarray) -> list[int]:
-    """Return the number of sign changes of each condition on a path (n, 2 d)."""
-    d = z.shape[1] // 2
-    signs = [np.sign(Condition(text).values(hamiltonian, z[:, :d], z[:, d:])) for text in events]
+    """Return the number of sign changes of each condition, without times, on a path (n, 2 d)."""
+    q, p = np.split(z, 2, axis=1)
+    signs = [np.sign(Condition(text).values(hamiltonian, q, p, 0.0)) for text in events]
     return [int(np.count_nonzero(np.diff(one[one != 0.0]))) for one in signs]
 
 

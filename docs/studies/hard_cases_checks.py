@@ -108,6 +108,11 @@ def _exact_energies(set_up: _SetUp, samples: int) -> np.ndarray:
     return hamiltonian.energy(*simulation.record(samples, job.steps // samples))
 
 
+def _times(job: Job, steps: int) -> np.ndarray:
+    """Return the times after each of the first steps [s]."""
+    return job.set_up.step_size * np.arange(1, steps + 1)
+
+
 def _thinned(job: Job, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return times that grow geometrically [s], and the largest error since the one before."""
     ends = np.unique(np.geomspace(1, len(errors), _TIMES).round().astype(int))
@@ -187,7 +192,7 @@ def run_repeatability(job: Job) -> Measured:
     d = simulation.hamiltonian.dimension
     if simulation.conservative:
         path = once[:, :d], once[:, d:]
-        energies = energies_of(simulation, *path)
+        energies = energies_of(simulation, *path, _times(job, 2 * half))
         measured.band = energy_band(energies[0] - start)
         for part in np.array_split(np.arange(2 * half), BLOCKS):
             watch.show(part + 1, tuple(z[part] for z in path),
@@ -237,10 +242,11 @@ def run_counts(job: Job) -> Measured:
             taken = simulation.steps
             simulation.restart(*np.split(z, 2))
             if taken:
-                energies, _ = energies_of(simulation, *simulation.record(taken, 1))
+                energies, _ = energies_of(simulation, *simulation.record(taken, 1),
+                                          _times(job, taken))
                 _draw_energies(job, energies - start, measured)
             return measured
-        energies = energies_of(simulation, q, p)
+        energies = energies_of(simulation, q, p, _times(job, job.steps))
         watch.show(np.arange(1, job.steps + 1), (q, p), energies, job.steps)
     _note(measured, simulation, q, p)
     summarise(energies[0] - start, measured)

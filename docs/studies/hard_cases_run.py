@@ -81,10 +81,10 @@ def _run_all(job: Job, simulation: Simulation, measured: Measured) -> None:
     energies, modified, seen = [], [], []
     try:
         for q, p in blocks(job, simulation):
-            energy, others = energies_of(simulation, q, p)
+            steps = simulation.steps - stride(job) * np.arange(len(q) - 1, -1, -1)
+            energy, others = energies_of(simulation, q, p, simulation.step_size * steps)
             energies.append(energy - start)
             modified.append(others)
-            steps = simulation.steps - stride(job) * np.arange(len(q) - 1, -1, -1)
             watch.show(steps, (q, p), (energy, others), WATCHED)
             measured.residual = max(measured.residual, simulation.residual)
             measured.largest = max(measured.largest, float(np.abs([q, p]).max()))
