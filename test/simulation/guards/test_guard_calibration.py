@@ -105,7 +105,7 @@ def test_energy_that_is_lost_bit_by_bit_is_told_before_a_tenth_of_it_is(end):
     watch, first = Watch(RunFacts(simulation)), look(simulation)
     q, p = (np.vstack([x, y]) for x, y in zip(
         (first.q, first.p), simulation.record(62_832, 1), strict=True))
-    energies = energies_of(simulation, q, p)
+    energies = energies_of(simulation, q, p, 0.0)
     watch.show(np.arange(len(q)), (q, p), energies)
     alarm = next(alarm for alarm in watch.alarms if alarm.kind == ResolutionGuard.kind)
     assert np.ptp(energies[0]) > 0.2 and np.ptp(energies[0][:alarm.step]) < 0.06
@@ -140,5 +140,5 @@ def test_path_that_is_shown_in_one_go_raises_the_alarms_of_its_samples():
         simulation.advance(1)
         q[step], p[step] = simulation.q, simulation.p
         one.update(look(simulation))
-    other.show(np.arange(1501), (q, p), energies_of(simulation, q, p))
+    other.show(np.arange(1501), (q, p), energies_of(simulation, q, p, 0.0))
     assert one.alarms == other.alarms != []

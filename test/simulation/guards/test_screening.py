@@ -29,7 +29,7 @@ def shown(name: str, integrator: str, step_size: float, steps: int, every: int
         q[0, k], p[0, k] = start
         q[1:, k], p[1:, k] = simulation.record(steps // every, every)
     times = np.arange(len(q)) * every
-    energy, modified = energies_of(simulation, q, p)
+    energy, modified = energies_of(simulation, q, p, 0.0)
     alarmed = []
     for k in range(60):
         watch = Watch(RunFacts(simulation))
