@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike
 
 
 def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
-             energy: np.ndarray, modified: np.ndarray) -> np.ndarray:
+             energy: np.ndarray, modified: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return a mask of the trajectories that may raise an alarm.
+    Return masks of the trajectories that leave the training box, and that may raise other alarms.
 
     The guards' limits are applied to the whole band of a trajectory and the smallest energy scale
     along it: a trajectory within them raises no alarm at any sample.
@@ -44,13 +44,13 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
 
     Returns
     -------
-    np.ndarray, shape (m,)
-        True for trajectories that the guards must check.
+    outside, others : np.ndarray, shape (m,)
+        True for trajectories that the guard of the box, or all guards, must check.
 
     """
     hamiltonian, m = simulation.hamiltonian, q.shape[1]
     if not hamiltonian.canonical or hamiltonian.invariants or len(steps) < 2:
-        return np.ones(m, bool)
+        return np.ones(m, bool), np.ones(m, bool)
     found = np.zeros(m, bool)
     domain = domain_of(hamiltonian)
     if domain is not None:
@@ -60,7 +60,7 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
     elif hamiltonian.box is not None:
         found |= hamiltonian.outside(q, p).any(axis=0)
     if not simulation.conservative:
-        return found
+        return found, np.zeros(m, bool)
     known = modified if simulation.modification is not None else energy
     weights = np.maximum(np.diff(np.round(steps), prepend=steps[0]), 1.0)
     # Non-finite values compare false, so are suspect. The band bounds every lasting change.
@@ -74,7 +74,7 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
             gap = np.where((height - energy[0]) * (height - kept[0]) > 0.0,
                            np.abs(height - kept[0]), 0.0)
             good &= np.ptp(kept, axis=0) <= gap
-    return found | ~good
+    return found, ~good
 
 
 # Capacity of the buffer of samples, in coordinates.
@@ -236,15 +236,16 @@ def judge_many(simulation: Simulation, t: np.ndarray, q: np.ndarray, p: np.ndarr
     kinds = (Guard,) if simulation.conservative else (BoxGuard, InvariantGuard)
     hamiltonian = simulation.hamiltonian
     if simulation.conservative or hamiltonian.box is not None or hamiltonian.invariants:
-        found = np.ones(len(alarms), bool)
+        outside, others = np.ones((2, len(alarms)), bool)
         # Guards check only a part of the samples of longer paths, unlike the screening.
         if len(steps) < 2 * MAX_OBSERVED:
-            for first in range(0, len(found), _SCREENED_TRAJECTORIES):
+            for first in range(0, len(others), _SCREENED_TRAJECTORIES):
                 block = np.s_[:, first:first + _SCREENED_TRAJECTORIES]
-                found[block[1]] = suspects(simulation, steps, q[block], p[block], energy[block],
-                                           modified[block])
-        for k in np.flatnonzero(found):
-            watch = Watch(RunFacts(simulation), kinds)
+                outside[block[1]], others[block[1]] = suspects(
+                    simulation, steps, q[block], p[block], energy[block], modified[block])
+        for k in np.flatnonzero(outside | others):
+            # Trials of the path take longer than many trajectories.
+            watch = Watch(RunFacts(simulation), kinds if others[k] else (BoxGuard,))
             watch.show(steps, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
             alarms[k] += watch.alarms
     return energy

@@ -5,7 +5,8 @@
 import warnings
 
 from helpers import long
-from hnn_vi_ros import load_scene
+from hnn_vi_ros import load_scene, simulate_many
+from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.simulation import build, RunFacts, Watch
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.watch import energies_of, suspects
@@ -36,7 +37,8 @@ def shown(name: str, integrator: str, step_size: float, steps: int, every: int
         watch.show(times, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
         # Paths are tried of single trajectories.
         alarmed.append(any(alarm.kind != PathGuard.kind for alarm in watch.alarms))
-    return suspects(simulation, times, q, p, energy, modified), np.array(alarmed)
+    outside, others = suspects(simulation, times, q, p, energy, modified)
+    return outside | others, np.array(alarmed)
 
 
 @pytest.mark.parametrize('integrator, step_size', [
@@ -61,10 +63,19 @@ def test_energies_that_overflow_are_suspect_without_a_warning():
     energy = np.array([[0.125, 0.125], [0.125, np.inf]])
     with warnings.catch_warnings(), np.errstate(over='raise', invalid='raise'):
         warnings.simplefilter('error')
-        found = suspects(simulation, np.array([0, 1]), q, 0.0 * q, energy, energy)
+        _, found = suspects(simulation, np.array([0, 1]), q, 0.0 * q, energy, energy)
     assert found[1]
 
 
 def test_who_raises_an_alarm_is_suspect_among_others_who_do_not():
     suspect, alarmed = shown('henon_heiles', 'variational_euler', 0.5, 100, 1)
     assert 0 < alarmed.sum() < 60 and (suspect | ~alarmed).all()
+
+
+def test_paths_of_trajectories_that_only_leave_the_training_box_are_not_tried(monkeypatch):
+    def tried(*_):
+        raise AssertionError('the path is tried')
+    monkeypatch.setattr(PathGuard, 'take', tried)
+    scene = load_scene('pendulum')
+    with pytest.warns(AlarmWarning, match='out of the training box in 1 of 2'):
+        simulate_many(scene, [[0.1], [3.0]], [[0.0], [2.5]], 1.0)
