@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 import math
-from typing import Any
+from typing import Any, cast
 import warnings
 
 from hnn_vi_ros.hamiltonians.argument_order import call_order, TIME
@@ -270,6 +270,10 @@ def trace(function: Callable[..., Any], q: Any) -> tuple[list[str], str]:
             made = np.asarray(function(*given[::order or 1], *[
                 Symbol(graph, graph.name(TIME))] * timed), dtype=object)
     except Exception as problem:  # noqa: B902  the user's code may raise any
+        if isinstance(problem, TypeError) and not cast(Any, problem.__traceback__).tb_next:
+            # The call itself failed, before the function began.
+            raise ValueError(f'{problem}: H takes (q, p), or (q, p, t) with the time t; bind '
+                             'other arguments with functools.partial') from problem
         told: BaseException | None = problem
         while told is not None and not isinstance(told, Untraceable):
             # numpy reports its own errors instead.

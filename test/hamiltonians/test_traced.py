@@ -70,6 +70,7 @@ REFUSED = {
     'try': lambda q, p: p**2 + (q if hasattr(q, '__float__') and attempt(q) else 0.0),
     'method of symbols': lambda q, p: p**2 + q.sin(),
     'index': lambda q, p: np.ones(3)[q], 'None': lambda q, p: None, 'number': lambda q, p: 1.0,
+    'another argument': lambda q, p, k: p**2 / 2 + k * q,
     'one argument': lambda q: q, 'its own error': lambda q, p: 1 / 0,
     'module': type('Net', (), {'state_dict': dict, '__call__': lambda self, z: z})(),
     'nan': lambda q, p: p * np.nan,
