@@ -12,7 +12,7 @@ import warnings
 
 from hnn_vi_ros.effects import (
     Command, Effect, LoopManifold, NUMBERS, Observation, PAYLOAD, whole_turns)
-from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.errors import StateError, StepFailure
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum, Payload
 from hnn_vi_ros.integrators import (
     arrays_of, BEYOND, DenseOutput, discard_history, IN_DOUBT, Integrator, is_finite, NO_SOLUTION,
@@ -223,8 +223,15 @@ class Simulation:
     def _change_payload(self, payload: Payload) -> None:
         """Replace the payload at constant velocities; the jump of the energy is its work."""
         before, velocity = self.energy, self.hamiltonian.gradient(self.q, self.p)[1]
+        row = self.row
         self.motors.command(payload, self.q)
-        self.p[...] = momentum(self.hamiltonian, self.q, velocity, self.p)
+        try:
+            self.p[...] = momentum(self.hamiltonian, self.q, velocity, self.p)
+        except StateError as problem:
+            self.put(row)
+            raise StateError(
+                f'payload of {payload.mass:g} kg at {payload.centre}: no momenta keep the '
+                'velocities; give a smaller mass, centre or inertia') from problem
         self.system.effect_state.work[self.system.labels.index(PAYLOAD), 0] += \
             self.energy - before
         for memory in self._memories:
