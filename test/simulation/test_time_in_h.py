@@ -8,7 +8,8 @@ from hnn_vi_ros import torch as hnn_torch
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import simulate, simulate_many, Trajectory
+from hnn_vi_ros.simulation import build, RunFacts, simulate, simulate_many, Trajectory, Watch
+from hnn_vi_ros.simulation.guards.watch import energies_of, look_at_rows
 from messages import refused
 import numpy as np
 import pytest
@@ -158,6 +159,19 @@ def test_auto_chooses_among_methods_that_support_the_time():
 def test_methods_that_do_not_support_the_time_say_so(method):
     with refused(UnsupportedSystem):
         simulate(load_scene('pulsating_primary').with_overrides(0.02, method), 1.0)
+
+
+def test_guards_of_many_trajectories_evaluate_h_at_their_times():
+    scene = MASS.with_overrides(0.02, 'gauss4')
+    simulation, t = build(scene), np.array([0.0, 0.5, 1.5])
+    watch, seen = Watch(RunFacts(simulation)), []
+    watch.update = seen.append
+    q, p = np.full((3, 1), 0.7), np.full((3, 1), 0.1)
+    watch.show(t / 0.02, (q, p), energies_of(simulation, q, p, t))
+    rows = simulation.rows(np.array([[0.7, 0.1]]), step=75)
+    seen.append(look_at_rows(simulation, rows, q[:1], p[:1]))
+    velocities = [float(np.ravel(look.dH_dp)[0]) for look in seen]
+    assert velocities == pytest.approx(0.1 / (1.0 + 0.3 * np.sin([*t, 1.5])), rel=1e-14)
 
 
 def test_step_size_is_not_differentiable_with_a_time_in_h():

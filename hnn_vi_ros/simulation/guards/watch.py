@@ -51,10 +51,10 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
     hamiltonian, m = simulation.hamiltonian, q.shape[1]
     if not hamiltonian.canonical or hamiltonian.invariants or len(steps) < 2:
         return np.ones(m, bool), np.ones(m, bool)
-    found = np.zeros(m, bool)
+    found, times = np.zeros(m, bool), steps * simulation.step_size
     domain = domain_of(hamiltonian)
     if domain is not None:
-        velocities = hamiltonian.gradient(q, p)[1]
+        velocities = hamiltonian.gradient(q, p, times[:, None])[1]
         for k in range(m):
             found[k] = domain.excess(q[:, k], velocities[:, k]).any()
     elif hamiltonian.box is not None:
@@ -162,7 +162,8 @@ class Watch:
         if hamiltonian.box is not None:
             chosen.add(int(hamiltonian.outside(q, p).argmax()))
         shown = np.array(sorted(chosen))
-        slopes = hamiltonian.gradient(q[shown], p[shown])
+        times = steps[shown] * self.simulation.step_size
+        slopes = hamiltonian.gradient(q[shown], p[shown], times)
         for i, H_q, H_p in zip(shown, *slopes, strict=True):
             self.update(GuardState(round(steps[i]), q[i], p[i], H_q, H_p, float(energy[i]),
                                    float(modified[i])))
@@ -198,8 +199,9 @@ def look_at_block(simulation: Simulation) -> GuardState:
 def look_at_rows(simulation: Simulation, rows: np.ndarray, q: np.ndarray, p: np.ndarray
                  ) -> GuardState:
     """Return the state for ``watch_of_block`` of rows with states q and p, (m, d)."""
-    energy, modified = energies_of(simulation, q, p, rows[0, 1] * simulation.step_size)
-    return GuardState(int(rows[0, 1]), q, p, *simulation.hamiltonian.gradient(q, p),
+    t = rows[0, 1] * simulation.step_size
+    energy, modified = energies_of(simulation, q, p, t)
+    return GuardState(int(rows[0, 1]), q, p, *simulation.hamiltonian.gradient(q, p, t),
                       float(energy.sum()), float(modified.sum()), simulation.work_in(rows))
 
 
