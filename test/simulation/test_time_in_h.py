@@ -174,6 +174,12 @@ def test_guards_of_many_trajectories_evaluate_h_at_their_times():
     assert velocities == pytest.approx(0.1 / (1.0 + 0.3 * np.sin([*t, 1.5])), rel=1e-14)
 
 
+def test_initial_state_beside_numbers_without_names_is_refused():
+    with refused(TypeError):
+        simulate(lambda q, p, t: p**2 / 2 + (2 + np.sin(t)) * q**2, 3.0, step_size=0.01,
+                 initial_state=(0.7, 0.1))
+
+
 def test_step_size_is_not_differentiable_with_a_time_in_h():
     h = torch.tensor(0.02, dtype=torch.float64, requires_grad=True)
     q, p = torch.tensor([[0.7]]).double(), torch.tensor([[0.1]]).double()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 import warnings
 
-from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.errors import listed, StepFailure
 from hnn_vi_ros.scene import Choice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
@@ -167,6 +167,10 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
     given: dict[str, Any] = dict(zip(names, more, strict=False))
     duration, step_size = _once('duration', given, duration), _once('step_size', given, step_size)
     if callable(scene):
+        if initial_state and more:
+            raise TypeError(f'{listed(names[:len(more)])} and initial_state are both given; after '
+                            'a function H, numbers without a name are q, p, duration and '
+                            'step_size: write duration=10.0')
         scene = Scene.build(
             hamiltonian=scene, integrator=integrator or 'gauss8', step_size=step_size,
             initial_state=initial_state or {name: given.get(name) for name in 'qp'}, name='H')
