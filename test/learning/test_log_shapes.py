@@ -170,6 +170,28 @@ READ: dict[str, Callable[[], tuple[str | bytes, np.ndarray]]] = {
     'joint states': lambda: (rows(
         T, Q, V, U, head='/time,/joint_states/arm/position,/joint_states/arm/velocity,'
         '/joint_states/arm/effort'), Q),
+    'stamps beside times of PlotJuggler': lambda: (rows(T + 1.7e9, T + 1.7e9, Q, head=(
+        '__time,/joint_states/header/stamp,/joint_states/arm/position')), Q),
+    'stamps since 1970 in microseconds': lambda: (rows(
+        [f'{1692089273 * 10**6 + round(1e6 * t)}' for t in T], Q, head='timestamp_us,theta'), Q),
+    'data set of Vernier': lambda: (rows(T, DEG, head=(
+        '"Data Set 1:Time(s)","Data Set 1:Angle(°)"')), Q),
+    'Logger Pro': lambda: (
+        'Vernier Format 2\nuntitled.cmbl 1/1/2026 10:00:00 .\nLatest\nTime\tAngle\nt\tA\n'
+        's\trad\n\n' + rows(T, Q, head='', mark='\t'), Q),
+    'German Excel': lambda: ('sep=;\n' + rows(
+        comma(T), comma(DEG), comma(np.degrees(V)), mark=';', end='\r\n',
+        head='Zeit in s;Winkel in °;Winkelgeschwindigkeit in °/s'), Q),
+    'French Excel': lambda: ('\ufeff' + rows(
+        comma(T), comma(DEG), comma(np.degrees(V)), mark=';', end='\r\n',
+        head='Temps (s);Angle (°);Vitesse angulaire (°/s)'), Q),
+    'German phyphox': lambda: (rows(comma(T), comma(DEG), mark='\t', head=(
+        '"Zeit (s)"\t"Winkel (°)"')), Q),
+    'frames of OptiTrack': lambda: ('Format Version,1.23,Take Name,a\n\n' + rows(
+        [f'{k}' for k in range(len(T))], T, Q, head='Frame,Time (Seconds),Rotation (rad)'), Q),
+    'units in a row': lambda: (rows(T, DEG, head='Time,Angle\ns,deg'), Q),
+    'numbers in quotes': lambda: (rows(*([f'"{x:.5f}"' for x in column] for column in (T, Q)),
+                                       head='"t","theta"'), Q),
 }
 # Logs with two readings: the message has the data of the one that is meant.
 DOUBTFUL: dict[str, Callable[[], tuple[str, np.ndarray]]] = {
