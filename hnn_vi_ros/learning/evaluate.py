@@ -36,7 +36,8 @@ from hnn_vi_ros.learning.judging.evaluation import (
     as_json, finite, judge, Judging, outside, table, TrajectoryBundle, verdict, whole_records)
 from hnn_vi_ros.learning.judging.predictors import (
     linear_model, names_of, parts_of, Predict, predicted_by, simulated)
-from hnn_vi_ros.learning.judging.residuals import errors_text, judged_along, resolving_step
+from hnn_vi_ros.learning.judging.residuals import (
+    errors_text, is_off, judged_along, resolving_step)
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models import domain_of, load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
@@ -115,11 +116,13 @@ def _judged(arguments: Namespace) -> _Judgement:
         noise = np.array(error.noise) if error and error.noise else first_noise(motions)
         residuals, motions, _ = judged_along(KnownModel('the model', parts), motions, noise)
         known = {'noise': noise.tolist(), 'residuals': residuals}
-        said = '\n' + errors_text(residuals, noise, judged.coordinates)
     others = _baselines(arguments, hamiltonian)
     with elapsed('simulating'):
         scores, fans = judge(parts, motions, judging.horizons, judging.every,
                              judging.longest, others)
+    if judged is not None:
+        said = '\n' + errors_text(residuals, noise, judged.coordinates, is_off(
+            scores['model'].horizons.values(), motions))
     numbers = as_json(scores) | known
     text = (f'{arguments.model} on {description}, simulated from a measured state every '
             f'{judging.every:g} s:\nRMS error at the end of each horizon, median of the valid '

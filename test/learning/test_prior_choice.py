@@ -8,11 +8,14 @@ from helpers import alarm_of
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import AUTO, Structure
 from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.fitted_rigid_body import FittedRigidBody
 from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import Fading
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
+from hnn_vi_ros.learning.judging.residuals import errors_text, is_off
 from hnn_vi_ros.learning.tasks.selection import (
-    best_of, Candidate, held_out, OF_VELOCITIES, RIGID, selected, trust_text)
+    _is_explained, _Trials, best_of, Candidate, held_out, OF_VELOCITIES, RIGID, selected,
+    trust_text)
 from hnn_vi_ros.models.domain import CandidateCard, Domain, DomainCard, SelectionCard
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
@@ -127,7 +130,8 @@ def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
     assert all(own < other for horizon, errors in first.furthest.items()
                for own, other in zip(errors, alone.furthest[horizon], strict=True))
     assert f'**{card.chosen}**' in card.text
-    assert 'Trust it for motions like' in trust_text(card, chosen, {})
+    assert 'Trust it for motions like' in trust_text(
+        card, chosen, {}, [cart_and_pole(1)], False)
     prior = fit_machine(chosen, [cart_and_pole(1)]).module.card().prior
     # The midpoint rule at 10 ms is off by (0.01 omega)^2 / 12, the filter by less than 1 %.
     assert [prior.values[name] for name in ('inertia1', 'inertia2', 'coupling12', 'gravity2')] == (
@@ -257,12 +261,39 @@ def test_domain_says_what_goes_beyond():
 
 
 def test_trust_follows_from_residuals_along_whole_motions():
-    config, noise = machine_config(), {'0.3': [0.95]}
+    config, noise, motions = machine_config(), {'0.3': [0.95]}, [carriage(1, 1.0)]
     card = SelectionCard(held_out='', chosen=RIGID, candidates=[CandidateCard(
         name=RIGID, residuals=noise, furthest={'0.1': [2e-4]}, ordinary={'0.1': [1e-4]})])
-    assert 'its own error is below the noise' in trust_text(card, config, noise)
+    assert 'its own error is below the noise' in trust_text(card, config, noise, motions, False)
     # Pieces of motions may be shorter than what shows an error.
     for whole in ({'0.3': [0.95], '3': [1.6]}, {'0.3': [13.0]}):
-        text = trust_text(card, config, whole)
+        text = trust_text(card, config, whole, motions, False)
         assert 'below the noise' not in text and 'go further: 0.0002' in text
         assert f'{max(max(row) for row in whole.values()):.2g} times the noise' in text
+
+
+@pytest.mark.parametrize('near, far, final', [
+    (9.43e19, 9.43e19, False), (None, 1e-4, False), (1e-4, 1e-4, True), (1e-4, None, False)])
+def test_model_whose_simulations_leave_the_motions_is_not_trusted(near, far, final: bool):
+    """Fits of initial states come through with stiff friction that explodes in other steps."""
+    config, noise, motions = machine_config(), {'0.3': [0.95], '2': [1.02]}, [carriage(1, 1.0)]
+    card = SelectionCard(held_out='', chosen=RIGID, candidates=[CandidateCard(
+        name=RIGID, residuals=noise, furthest={'0.1': [far]}, ordinary={'0.1': [near]})])
+    for error in (near, far):
+        assert is_off([[1e-4], [error]], motions) is (error != 1e-4)
+    text = trust_text(card, config, noise, motions, final)
+    assert 'below the noise' not in text and 'and for those that go further' not in text
+    assert text.startswith('Do not trust it') is (near != 1e-4 or final)
+    said = errors_text(noise, np.array([1e-3]), config.coordinates, True)
+    assert 'leave the motions' in said and 'below the noise' not in said
+
+
+def test_rigid_body_whose_simulations_leave_the_motions_explains_nothing():
+    run, config = carriage(1, 1.0), sliding(prior='planar_chain', residual=False)
+    fitted = fit_machine(config, [run])
+    assert isinstance(fitted, FittedRigidBody)
+    trials = _Trials.cut([run], [run])._replace(furthest=[run], ordinary=[run])
+    for error, explained in ((1e-4, True), (1e19, False)):
+        card = CandidateCard(name=RIGID, residuals={'2': [1.0]}, furthest={'0.1': [1e-4]},
+                             ordinary={'0.1': [error]})
+        assert _is_explained(Candidate(config, trials, fitted, card)) is explained

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Residuals of a model on measured motions, in units of the noise of their sensors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.learning.data.motions import EvenMotion
@@ -10,6 +10,7 @@ from hnn_vi_ros.learning.fit.fitted_rigid_body import downsampled
 from hnn_vi_ros.learning.fit.growing import fits_by_length, with_states_of
 from hnn_vi_ros.learning.fit.shooting import Solution
 from hnn_vi_ros.learning.fit.windows import ParametricModel
+from hnn_vi_ros.learning.judging.evaluation import variance_of
 from hnn_vi_ros.models import ModelCard
 import numpy as np
 
@@ -17,6 +18,9 @@ import numpy as np
 STEP = 0.01
 # Residual in units of the noise up to which nothing but noise is left.
 ONLY_NOISE = 1.25
+# RMS error in standard deviations of the motions beyond which simulations have left them: the
+# mean of a motion, and a state at another time, are off by less.
+_LEFT = 3.0
 
 # Residual of each coordinate in units of its noise, by the length of the windows [s].
 Residuals = dict[str, list[float]]
@@ -88,15 +92,23 @@ def is_noise(residuals: Mapping[str, Sequence[float]]) -> bool:
     return bool(residuals) and followed(residuals) == float([*residuals][-1])
 
 
-def noise_text(residuals: Mapping[str, Sequence[float]]) -> str:
-    """Describe the residuals in a clause."""
+def is_off(errors: Iterable[Sequence[float | None] | np.ndarray], motions: Sequence[EvenMotion]
+           ) -> bool:
+    """Return True if an RMS error is not finite, or far larger than the motions."""
+    most = _LEFT * np.sqrt(variance_of(motions))
+    return not all((np.array(rms, dtype=float) < most).all() for rms in errors)
+
+
+def noise_text(residuals: Mapping[str, Sequence[float]], off: bool = False) -> str:
+    """Describe the residuals in a clause; `off` if simulations leave the motions."""
     if not residuals:
         return 'no simulation comes through the shortest windows'
     within, (last, ratios) = followed(residuals), [*residuals.items()][-1]
     worst = max(ratios)
     if is_noise(residuals):
         return (f'its residuals are {worst:.2f} times the noise of the sensors in windows of up '
-                f'to {last} s, so its own error is below the noise')
+                f'to {last} s, ' + ('but simulations from states along them leave the motions'
+                                    if off else 'so its own error is below the noise'))
     growing = f'{worst:.2g} times the noise in windows of {last} s'
     if not within:
         return f'its residuals exceed the noise of the sensors: {growing}'
@@ -105,9 +117,9 @@ def noise_text(residuals: Mapping[str, Sequence[float]]) -> str:
 
 
 def errors_text(residuals: Mapping[str, Sequence[float]], noise: np.ndarray,
-                coordinates: Sequence[Any]) -> str:
+                coordinates: Sequence[Any], off: bool) -> str:
     """Return the sentences on errors and noise; the coordinates have a name and a unit."""
     sizes = ', '.join(f'{x:.3g} {one.q_unit} of {one.name}' for x, one in zip(
         noise.tolist(), coordinates, strict=False))
-    return (f'On these motions {noise_text(residuals)}. The noise, {sizes}, is part of the errors '
-            'above.')
+    return (f'On these motions {noise_text(residuals, off)}. The noise, {sizes}, is part of the '
+            'errors above.')

@@ -37,7 +37,7 @@ from hnn_vi_ros.learning.judging.predictors import (
     linear_model, own_effects, Predict, predicted_by)
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.judging.residuals import (
-    errors_text, is_noise, judged_along, resolving_step)
+    errors_text, is_noise, is_off, judged_along, resolving_step)
 from hnn_vi_ros.learning.tasks import OPEN_BY_MAP, TrainingTask
 from hnn_vi_ros.learning.tasks.selection import selected, trust_text
 from hnn_vi_ros.models import (
@@ -223,19 +223,21 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
         parts = parts._replace(step_size=step)
         residuals, test, longest = judged_along(KnownModel('the model', parts), test, noise)
         known = {'residuals': residuals, 'noise': noise.tolist()}
-        missing = '' if is_noise(residuals) else missing_force(
-            network, [*data.train, *data.test], names)
-        said = errors_text(residuals, noise, config.coordinates) + (
-            f'\nOf all motions, also those of the training: {missing}' if missing else '')
     scores, fans = judged_scores(
         parts, test, horizons, judging.every, judging.longest, _baselines(data, network))
+    everything = [*data.train, *data.test]
+    off = is_off(scores['model'].horizons.values(), everything)
+    if known:
+        missing = '' if is_noise(residuals) else missing_force(network, everything, names)
+        said = errors_text(residuals, noise, config.coordinates, off) + (
+            f'\nOf all motions, also those of the training: {missing}' if missing else '')
     domain = domain_of(hamiltonian)
     checkpoint = with_energy_error(checkpoint, test)
     card = checkpoint.card.model_copy(update={
         'prediction_error': PredictionError.model_validate(numbers(scores['model']) | known)})
     if card.selection is not None:
         card = card.model_copy(update={'selection': card.selection.model_copy(
-            update={'trust': trust_text(card.selection, config, residuals)})})
+            update={'trust': trust_text(card.selection, config, residuals, everything, off)})})
     text = '\n\n'.join(filter(None, (
         table(scores, names), verdict(scores), said.rstrip(),
         '' if domain is None else outside(domain, fans, horizons).text,

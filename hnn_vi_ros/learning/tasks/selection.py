@@ -23,7 +23,7 @@ from hnn_vi_ros.learning.judging.evaluation import finite, samples_in, score
 from hnn_vi_ros.learning.judging.missing import missing_force
 from hnn_vi_ros.learning.judging.predictors import predicted_by
 from hnn_vi_ros.learning.judging.residuals import (
-    is_noise, judged_along, noise_text, ONLY_NOISE, Residuals)
+    is_noise, is_off, judged_along, noise_text, ONLY_NOISE, Residuals)
 from hnn_vi_ros.models import (
     CandidateCard, chain_angles, Errors, HIGHEST_POWER, PLANAR_CHAIN, SelectionCard)
 import numpy as np
@@ -310,10 +310,11 @@ def _is_explained(candidate: Candidate) -> bool:
     shows in the accelerations, the fit to whole motions decides.
     """
     trials, config, rigid = candidate.trials, candidate.config, candidate.rigid
-    if rigid is None or not is_noise(candidate.card.residuals):
+    card, pieces = candidate.card, [*trials.furthest, *trials.ordinary]
+    if rigid is None or not is_noise(card.residuals) or is_off(
+            [*card.ordinary.values(), *card.furthest.values()], pieces):
         return False
-    if not missing_force(rigid.module, [*trials.furthest, *trials.ordinary], [
-            one.name for one in config.coordinates]):
+    if not missing_force(rigid.module, pieces, [one.name for one in config.coordinates]):
         return True
     try:
         whole = fit_machine(_short(config, trials.motions), trials.motions)
@@ -608,7 +609,8 @@ def _line(errors: Errors, config: MachineConfig) -> str:
     ) + f' after {horizon} s' for horizon, values in errors.items())
 
 
-def trust_text(selection: SelectionCard, config: MachineConfig, whole: Residuals) -> str:
+def trust_text(selection: SelectionCard, config: MachineConfig, whole: Residuals,
+               motions: Sequence[EvenMotion], off: bool) -> str:
     """
     Return advice on how far to trust the selected model.
 
@@ -620,6 +622,10 @@ def trust_text(selection: SelectionCard, config: MachineConfig, whole: Residuals
         Configuration of the model.
     whole : dict of str to list of float
         Residuals of the model along whole held-out motions; empty if velocities were measured.
+    motions : sequence of EvenMotion
+        All motions, with which errors are compared.
+    off : bool
+        True if simulations of the final model leave the held-out motions.
 
     """
     chosen = next(one for one in selection.candidates if one.name == selection.chosen)
@@ -627,10 +633,13 @@ def trust_text(selection: SelectionCard, config: MachineConfig, whole: Residuals
         if chosen.name == ALONE else \
         'outside of its training domain it returns to the rigid body' if chosen.name != RIGID \
         else 'it has no networks that could fail outside of its training domain'
-    if is_noise(chosen.residuals) and is_noise(whole):
+    off = off or is_off(chosen.ordinary.values(), motions)
+    anywhere = off or is_off(chosen.furthest.values(), motions)
+    if is_noise(chosen.residuals) and is_noise(whole) and not anywhere:
         return ('Trust it for motions like those of its data and for those that go further: '
                 f'along whole motions {noise_text(whole)}; {beyond}.')
-    along = f' Along whole motions {noise_text(whole)}.' if whole else ''
-    return ('Trust it for motions like those of its data: RMS error '
-            f'{_line(chosen.ordinary, config)}; for motions that go further: '
-            f'{_line(chosen.furthest, config)}; {beyond}.{along}')
+    along = f' Along whole motions {noise_text(whole, anywhere)}.' if whole else ''
+    errors = (f'RMS error {_line(chosen.ordinary, config)}; for motions that go further: '
+              f'{_line(chosen.furthest, config)}; {beyond}.{along}')
+    return ('Do not trust it: its simulations leave the measured motions. ' if off else
+            'Trust it for motions like those of its data: ') + errors
