@@ -5,7 +5,8 @@
 from collections.abc import Callable, Iterator
 
 from benchmarks.measurement import assert_close, Contestant, race, Row, Settings
-from hnn_vi_ros.effects import Effect, EFFECTS, gear_effects, OBSERVATION, Observation
+from hnn_vi_ros.effects import (
+    Effect, EFFECTS, gear_effects, LINK_WRENCH, LinkWrench, OBSERVATION, Observation)
 from hnn_vi_ros.files import share_folder, shipped_file
 from hnn_vi_ros.hamiltonians import DESCRIBED, ElasticDrive, Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.integrators import Integrator, INTEGRATORS, PhasePoint
@@ -43,6 +44,7 @@ _EFFECTS = {
     'quadratic_drag': ('pendulum', {'coordinates': ['angle'], 'coefficient': 0.1}),
     'periodic_drive': ('pendulum', {'coordinate': 'angle', 'amplitude': 0.5, 'frequency': 0.5}),
     'external_force': ('pendulum', {'coordinates': ['angle']}),
+    'link_wrench': ('forearm', {'timeout': 1e9}),
     'motor': ('pendulum', {'coordinate': 'angle', 'time_constant': 0.05, 'torque_limit': 1.0,
                            'no_load_speed': 10.0}),
     'servo': ('pendulum', {'coordinates': ['angle'], 'stiffness': 20.0, 'damping': 0.1,
@@ -61,6 +63,7 @@ _EFFECTS = {
 # A motor changes the command of this effect, which is on both sides.
 _BESIDE = {'motor': 'external_force'}
 _SEEN = Observation(['angle'], 0.0, np.array([1.9]), np.array([0.0]))
+_PUSH = LinkWrench('tool', [0.1, 0.0, 0.0], [0.0, 0.0, 0.0])
 # These need this method; others are measured with the method of the paper.
 _LEAPFROG = ('thermostat', 'holonomic_constraint', 'impact', 'joint_limits')
 
@@ -145,6 +148,8 @@ def _race(system: str, what: str, effects: list[Effect], others: list[Effect],
                 simulation.set_command([0.1])
             if OBSERVATION in simulation.motors.takes:
                 simulation.set_command(_SEEN)
+            if LINK_WRENCH in simulation.motors.takes:
+                simulation.set_command(_PUSH)
             return lambda: simulation.advance(_ADDED_STEPS)
         return prepare
 

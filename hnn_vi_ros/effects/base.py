@@ -63,7 +63,7 @@ class EffectState(NamedTuple):
         Internal variable of each effect: x of an InternalForce, and for an effect with rigid
         stops the sum of 2^k over the stops k on which coordinates rest. Bags have this name.
     expiry : np.ndarray, shape (1,)
-        Expiry time of the wrench on a link [s].
+        Expiry time of the wrench on a link [s], part of snapshots of scenes that have one.
     step : np.ndarray, shape (1,)
         Size of the attempted step [s], not part of snapshots; 1 before the first step.
     reference : Reference
@@ -111,7 +111,7 @@ class EffectState(NamedTuple):
         self.clock[0], self.draws[2], self.step[0] = time, stream, 1.0
         if held is not None:
             self.command[...] = held['live.command']
-            self.expiry[...] = held['live.expiry']
+            self.expiry[...] = held.get('wrench.expiry', 0.0)
             for name, array in zip(Reference._fields, self.reference, strict=True):
                 array[...] = held[f'live.reference.{name}'][:len(array)]
 

@@ -87,15 +87,15 @@ class WrenchOnLinks(Force, Commanded):
             return self.resolve(hamiltonian.coordinates, state)
         robot: Any = hamiltonian
         # The same for all copies of a robot.
-        self._base, self._links = robot.base, robot.links
+        self._base, self._links = robot.base_link, robot.links
         bodies, n = robot.bodies, len(robot.bodies.parent) - 1
         following = robot.following or Following(np.arange(n), np.ones(n), np.zeros(n))
         return WrenchParameters(bodies, TreeWork.empty(n), following, np.zeros(n), state.clock,
                                 state.expiry, np.zeros(11), np.zeros(0, dtype=np.int64))
 
     def changing(self, parameters: WrenchParameters) -> dict[str, np.ndarray]:
-        """Return the wrench."""
-        return {'wrench.held': parameters.held}
+        """Return the wrench and its expiry time."""
+        return {'wrench.held': parameters.held, 'wrench.expiry': parameters.expiry}
 
     def prepare(self, command: Command, parameters: WrenchParameters, q: np.ndarray
                 ) -> Callable[[], None]:

@@ -123,14 +123,14 @@ class RigidBodyTree(Hamiltonian):
         return other
 
     @property
-    def base(self) -> str:
+    def base_link(self) -> str:
         """Return the name of the fixed link."""
         return self._arguments[3]
 
     @property
     def links(self) -> dict[str, tuple[int, np.ndarray, np.ndarray]]:
         """Return the body of each link, and the pose of its frame in that of the body."""
-        return links_of(self.robot, self.robot.locked, self.base)
+        return links_of(self.robot, self.robot.locked, self.base_link)
 
     def payload_numbers(self, payload: Payload) -> np.ndarray:
         """Return the inertia of a payload on its body; ValueError if it is impossible."""

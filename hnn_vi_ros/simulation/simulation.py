@@ -676,7 +676,8 @@ class Simulation:
             f'memory{active}.{k}': workspace.kept for active, memory in enumerate(self._memories)
             for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
         return {name: array for place, group in groups.items()
-                for name, array in arrays_of(place, group) if name != 'live.step'
+                for name, array in arrays_of(place, group)
+                if name not in ('live.step', 'live.expiry')
                 } | self.system.changing
 
     def _evaluate_gradient(self) -> None:

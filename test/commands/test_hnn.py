@@ -40,7 +40,7 @@ def ask(executable: str, *words: str) -> subprocess.CompletedProcess:
 def test_every_executable_is_a_command():
     assert set(EXECUTABLES) == set(re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", SETUP))
     assert {*COMMANDS, *ALIASES} - {*EXECUTABLES} == {
-        'run', 'list', 'cost', 'export', 'doctor', 'completion'}
+        'run', 'list', 'cost', 'check', 'export', 'doctor', 'completion'}
 
 
 def test_help_tells_all_commands_in_groups_without_what_they_take():

@@ -20,7 +20,8 @@ import pytest
 
 # What every effect is made of, and what solves all constraints together, or keeps loops closed.
 BASES = {
-    'registry', 'base', 'commands', 'kernels', 'loops', 'manifold', 'payload_changes', 'wrapped'}
+    'registry', 'base', 'commands', 'kernels', 'loops', 'manifold', 'payload_changes',
+    'time_drive', 'wrapped'}
 
 
 class Kick(StepEffect):

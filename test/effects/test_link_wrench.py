@@ -47,7 +47,7 @@ def test_wrench_on_a_link_is_that_of_pinocchio(file, link, arguments, own):
         model, data, model.getFrameId(link),
         pinocchio.LOCAL if own else pinocchio.LOCAL_WORLD_ALIGNED)
     expected = (jacobian.T @ [*FORCE, *TORQUE])[places]
-    base = simulation.hamiltonian.base
+    base = simulation.hamiltonian.base_link
     # Rounding of sums of some ten terms of size 10.
     assert force_of(simulation, link if own else f'{base}/{link}') == pytest.approx(
         expected, abs=1e-13)

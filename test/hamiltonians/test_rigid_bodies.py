@@ -103,6 +103,6 @@ def test_condition_names_the_columns_of_a_rotation():
     top, (q, p) = HAMILTONIANS['heavy_top'](), states()
     condition = Condition('attitude_qw + p_attitude_rz = v_attitude_rx')
     condition.check(top)
-    np.testing.assert_array_equal(condition.values(top, q, p), q[:, 3] + p[:, 2] - p[:, 0])
+    np.testing.assert_array_equal(condition.values(top, q, p, 0.0), q[:, 3] + p[:, 2] - p[:, 0])
     with refused(ValueError):
         Condition('p_attitude_qx = 0').check(top)

@@ -19,8 +19,9 @@ PRIVATE = {
     'files/command_line.py': ('argparse', {'_actions'}),
     'kernels/linking.py': ('numba', {
         '_cache', '_codegen', '_config_fname', '_data_path', '_final_module',
-        '_finalize_dynamic_globals', '_get_module_for_linking', '_index_name', '_index_path',
-        '_linking_libraries', '_loopvect', '_module_pass_manager', '_opt_level', '_py_func',
+        '_finalize_dynamic_globals', '_get_module_for_linking',
+        '_guard_against_spurious_io_errors', '_index_name', '_index_path', '_linking_libraries',
+        '_load_overload', '_loopvect', '_module_pass_manager', '_opt_level', '_py_func',
         '_raise_if_finalized', '_reload_init', '_set_uuid',
         '_source_stamp', '_tm_features', 'numba._dynfunc'}),
     'learning/graph_of_module.py': ('torch', {

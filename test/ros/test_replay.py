@@ -142,7 +142,7 @@ def test_commands_are_played_only_if_they_are_named(tmp_path, options, published
     scene = write_scene(
         tmp_path / 'scene.yaml', effects='{kind: external_force, coordinates: [x]}')
     driven = record_run(tmp_path / 'bag', load_scene(scene), 2,
-                        commands={0: [[1.0], WrenchStamped()], 1: [[2.0]]})
+                        commands={0: [[1.0], WrenchStamped()], 1: [[2.0]]}, refuse=True)
     status, _, log = finish(start_replay(driven, '--discovery-time', 0, *options))
     assert status == 0 and f'{published} messages published' in log
     for topic in ('commands', 'wrench'):

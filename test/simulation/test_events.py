@@ -52,8 +52,10 @@ def test_condition_is_left_less_right_side(text, expected):
     condition = Condition(text)
     condition.check(hamiltonian)
     q, p = np.array([[2.0], [2.0]]), np.array([[-3.0], [-3.0]])
-    assert condition.values(hamiltonian, q, p).tolist() == pytest.approx([expected] * 2, abs=1e-15)
-    assert float(condition.values(hamiltonian, q[0], p[0])) == pytest.approx(expected, abs=1e-15)
+    assert condition.values(hamiltonian, q, p, 0.0).tolist() == pytest.approx(
+        [expected] * 2, abs=1e-15)
+    assert float(condition.values(hamiltonian, q[0], p[0], 0.0)) == pytest.approx(
+        expected, abs=1e-15)
 
 
 @pytest.mark.parametrize('text', [

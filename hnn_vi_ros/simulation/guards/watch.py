@@ -176,7 +176,7 @@ def energies_of(simulation: Simulation, q: np.ndarray, p: np.ndarray, t: ArrayLi
     energy = hamiltonian.energy(q, p, t)
     modified = None if simulation.modification is None else \
         simulation.integrator.modified_energy(
-            hamiltonian, simulation.step_size, q, p, energy, *hamiltonian.gradient(q, p))
+            hamiltonian, simulation.step_size, q, p, energy, *hamiltonian.gradient(q, p, t))
     return energy, np.full(energy.shape, math.nan) if modified is None else modified
 
 
