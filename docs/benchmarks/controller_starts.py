@@ -6,7 +6,7 @@ A control task from random starts: separate processes of simulator and controlle
 Each start has a bag, which is simulated again without the controller and compared bit by bit. A
 start is a success where both angles stay upright through the last two seconds. The latency is
 simulated time, at the pace of the clock, from the state that a command answers to when it acts.
-With --lockstep, simulated time waits for commands, and a digest tells whether two machines had the
+With --lockstep, simulated time waits for commands, and a digest shows whether two machines had the
 same run: of all messages and their log times, except diagnostics, which hold wall times, and the
 scene, which names its folder.
 

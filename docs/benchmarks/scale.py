@@ -147,7 +147,7 @@ def _against_diffrax(name: str, horizon: float, settings: Settings) -> Iterator[
     reference = ours(_EXACT, z)
 
     def error(end: np.ndarray) -> float:
-        # Of the median trajectory: the largest error is that of the closest encounter.
+        # The median trajectory: the largest error comes from the closest encounter.
         return float(np.median(np.abs(end - reference[:len(end)]).max(axis=1)))
 
     def contestant(way: Callable[..., np.ndarray], tolerance: float) -> Contestant:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Closed chains over many steps beside MuJoCo's `equality`: closure, energy; writes a table."""
+"""Closed chains over many steps and MuJoCo's `equality`: closure, energy; writes a table."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import chdir

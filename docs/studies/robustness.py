@@ -24,7 +24,7 @@ CLOSE, END, PUSH, BETWEEN = 0.1, 2.0, 0.1, 1.0
 
 
 class Axis(NamedTuple):
-    """What differs from the model: keys of the sensor, a lag [s], pushes as share of the limit."""
+    """Differences from the model: keys of the sensor, a lag [s], pushes as share of the limit."""
 
     name: str
     sensor: dict[str, float] = {}

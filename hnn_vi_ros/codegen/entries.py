@@ -286,7 +286,7 @@ def _start(block: int, q: int, p: int) -> int:
 
 def _tune(state: int, size: int, block: int, numbers: int, lows: int, count: int, powers: int,
           rows: int) -> int:
-    """Change numbers of the scene; NaN stands for its own value."""
+    """Change numbers of the scene; NaN means its own value."""
     values, table = array_at(numbers, count), array_at(powers, 5 * rows)
     low, words, own = array_at(lows, count), array_at(state, size), load(block, kind)
     for k in range(count):

@@ -57,7 +57,7 @@ def _choose_processor(name: str, target: str) -> None:
         if name != 'host':
             raise ParameterError(f'--cpu {name}: chooses among processors of {HOST}; remove it, '
                                  f'or --target {target}')
-        # Code for all processors of this kind uses no instruction by its name.
+        # Code for all processors of this kind names no special instruction.
         name = 'generic'
     elif name == 'host':
         return

@@ -90,7 +90,7 @@ def parameters_of(parts: Parts, simulation: Simulation, memory: Block, image: Im
 @np.errstate(all='ignore')
 def _powers(numbers: np.ndarray, value: float, trials: Mapping[float, np.ndarray | None],
             order: np.ndarray) -> dict[int, float]:
-    """Return the exponents of a value in words, {} unless all are products of powers of it."""
+    """Return the exponents of a value in each word, {} unless all are products of its powers."""
     found = dict[int, float]()
     others = [now.view(np.float64) for now in trials.values()
               if now is not None and now.size == numbers.size]

@@ -119,7 +119,7 @@ def compile_scene(scene: Scene, name: str, target: str = HOST) -> SceneCode:
 
 
 def _check(scene: Scene, simulation: Simulation) -> None:
-    """Raise UnsupportedSystem for what is not part of the compiled step."""
+    """Raise UnsupportedSystem for parts that the compiled step lacks."""
     if scene.measurements:
         raise UnsupportedSystem(f'{scene.place("measurements")}: measurements are not part of the '
                                 'compiled step, and cannot be exported; remove them')

@@ -72,7 +72,7 @@ def write_outputs(paths: Mapping[str, Path | None],
     writers : mapping
         Function that writes to a path, by option.
     shown : text stream, optional
-        Where paths are printed, by default standard output.
+        Stream for the printed paths, by default standard output.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def main(argv: list[str]) -> int:
 
 
 def _next_steps(name: str, trajectory: Trajectory) -> str:
-    """Return where the scene and its models are, and commands for what to do next."""
+    """Return the places of the scene and its models, and the next commands."""
     scene = trajectory.scene
     assert scene is not None, 'a run has a scene'
     models = ''.join(f', {path}' for path in scene.model_files().values())

@@ -8,7 +8,7 @@ and viscous) and m2 (with the Stribeck curve); the friction of m3 to m6 depends 
 that of no effect here. M. Duclusaud, G. Passault et al., Extended friction models for the
 physics simulation of servo actuators, 2024.
 
-Those of sts3215_so101 were fitted here to positions of the servo of the arm SO-101 at 12 V, which
+sts3215_so101 was fitted here to positions of the servo of the arm SO-101 at 12 V, which
 swung .5 and 1.2 kg at .10 and .15 m with gains kp of 4 to 32: a voltage of .190 kp 12 V per radian
 of error, .028 s after the command, while the motor is switched off at once. In 120 runs of 6 s
 that the fit did not use, simulated from their first sample with `servo` and `joint_friction`
@@ -96,7 +96,7 @@ DRIVES = {
 
 
 def find_drive(name: str) -> Drive:
-    """Return a drive by its name, or raise ValueError with the valid names."""
+    """Return the drive of this name, or raise ValueError with the valid names."""
     if name not in DRIVES:
         raise ValueError(f'no drive {name!r}; valid drives: {listed(DRIVES)}')
     return DRIVES[name]

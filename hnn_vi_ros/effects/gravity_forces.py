@@ -38,7 +38,7 @@ class GravityModel(NamedTuple):
     Parameters
     ----------
     gradient : callable
-        That of its kernel, see Kernel.
+        Signature of its kernel, see Kernel.
     parameters : tuple
         Its first argument.
     rest : np.ndarray, shape (d,)

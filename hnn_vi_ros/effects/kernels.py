@@ -153,7 +153,7 @@ def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool,
     Return a function that adds the forces from channel k on, each with its power.
 
     The variables of forces with internal ones begin at channel j; without ``internal`` such
-    forces are left out. ``joints`` says which of them have a channel for each joint.
+    forces are left out. Effects in ``joints`` have a channel for each joint.
     """
     if not kinds:
         return _add_none

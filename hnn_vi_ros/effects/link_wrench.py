@@ -26,9 +26,9 @@ class WrenchParameters(NamedTuple):
     Parameters
     ----------
     bodies, work
-        The bodies, of which only the geometry is used, and workspace for one state.
+        The bodies (only their geometry is used) and workspace for one state.
     following : Following
-        The values of all joints, also of those that follow no other.
+        The values of all joints, computed from those that are coordinates.
     joints : np.ndarray, shape (n,)
         Workspace for these values.
     clock, expiry : np.ndarray

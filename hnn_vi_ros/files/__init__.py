@@ -5,7 +5,7 @@
 Read and write files: YAML, XML, standard streams, command lines, size limits.
 
 All external files are read here, within limits and without executing their content. ``recording``
-has the formats of bags, ``learning.data`` those of logs to learn from.
+has the formats of bags, ``learning.data`` the formats of training logs.
 """
 
 from typing import TYPE_CHECKING

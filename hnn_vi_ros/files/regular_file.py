@@ -73,7 +73,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     with temporary_beside(path) as (temporary, _):
         yield temporary
-        # Opened again, since the writer may have created it anew.
+        # Opened again, since the writer may have created it again.
         with open(temporary, 'rb', opener=open_no_link) as written:
             os.fsync(written.fileno())
         temporary.replace(path)

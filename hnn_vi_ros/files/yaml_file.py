@@ -148,7 +148,7 @@ def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationErr
 
 
 def _excludes(places: KeyPlaces, first: Any, second: Any) -> bool:
-    """Return True if a problem is not one of its own beside another."""
+    """Return True if a problem is a consequence of another."""
     loc, other, types = first['loc'], second['loc'], (first['type'], second['type'])
     if types == ('extra_forbidden', 'missing') and loc[:-1] == other[:-1]:
         # A misspelt key is reported as unknown rather than as missing under its correct name.

@@ -218,7 +218,7 @@ class Hamiltonian(ABC):
         """
         Return H''(q, p) (v_q, v_p) as two arrays of shape (..., d), the shape of every argument.
 
-        Of H(q, p, t) it is that at t = 0.
+        For H(q, p, t) it is the value at t = 0.
 
         Raises
         ------

@@ -122,7 +122,7 @@ class Symbol:
         return partial(_on_symbols(name), self)
 
 
-# By their names in numpy: functions of one number, and of others, as nodes.
+# Names in numpy: functions of one number, and of others, as nodes.
 _SMOOTH = {CALLS[name].__name__: name for name in CALLS if name != 'versine'}
 _OF_SYMBOLS: dict[str, Callable[..., int]] = {
     'arctan2': Graph.atan2, 'maximum': Graph.largest, 'fmax': Graph.largest,
@@ -189,7 +189,7 @@ def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> 
 
 
 def _determinant(a: Any) -> Any:
-    # By cofactors: without values no row is known to be the pivot.
+    # Cofactors: without values no row is known to be the pivot.
     if len(a) > _MAX_ROWS:
         raise Untraceable(f'no formula contains a matrix with more than {_MAX_ROWS} rows')
     return sum(((-1.0) ** k * a[0, k] * _determinant(np.delete(a[1:], k, axis=1))

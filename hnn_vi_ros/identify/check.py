@@ -137,7 +137,7 @@ def check(log: Sequence[str], robot: Path | None = None) -> Checked:
 
 
 def _told(tree: RigidBodyTree, motions: Sequence[EvenMotion]) -> tuple[list[Told], float | None]:
-    """Return what least squares of the forces of a measured motion tell, and the delay."""
+    """Return the least-squares estimates from forces of a measured motion, and the delay."""
     names, delay = [one.name for one in tree.coordinates], None
     if motions[0].commanded:
         fits = [(_of_errors(tree, motions, one), one) for one in delays_of(motions)]

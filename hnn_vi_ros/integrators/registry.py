@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Integrators by their names in scenes, and searches for methods with a property."""
+"""Integrators by name in scenes, and searches for methods with a property."""
 
 from collections.abc import Callable
 

@@ -88,7 +88,7 @@ class _Library(_Vectorised):
 
     def creates_arrays(self) -> bool:
         """Return True if the code, or code that it calls, allocates what references are to."""
-        # Those that are linked contain what they call.
+        # Linked functions contain their callees.
         return any(function.name.startswith('NRT_MemInfo_alloc')
                    for library in dict.fromkeys((self, *self._linking_libraries))
                    for function in library._final_module.functions)
@@ -328,14 +328,14 @@ class _Files(IndexDataCacheFile):
     Damaged files, and files of another function, count as absent: a changed bit in machine code
     ends a process, or changes a number. Files of other versions count as absent as well.
 
-    Files are unpickled, which may run code. Those beside the package are trusted like its sources,
+    Files are unpickled, which may run code. Files of the package are trusted like its sources,
     if they belong to its owner, to root or to this user, and nobody else can write to them. Others
     have a digest with a key that only this user can read.
     """
 
     # Files next to the source of the function, which another user may have compiled.
     beside: '_Files | None' = None
-    # Owner of the package, for files beside it.
+    # Owner of the package, for files next to it.
     owner: int | None = None
 
     def _digest(self, data: bytes) -> bytes:
@@ -494,7 +494,7 @@ def _safe_folder(folder: str) -> str:
 
 @cache
 def _owner(source: Path, beside: Path) -> int | None:
-    """Return the owner of a source file; None if others can write to the folder beside it."""
+    """Return the owner of a source file; None if others can write to the folder next to it."""
     owner = source.stat().st_uid
     with suppress(FileNotFoundError):
         if is_own(beside.lstat(), stat.S_IFDIR, 0, owner):

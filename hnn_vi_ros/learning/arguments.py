@@ -23,7 +23,7 @@ its authors chose."""
 
 
 def add_config(parser: Parser, text: str, metavar: str = 'NAME|FILE') -> Action:
-    """Add ``--config`` with this help, or ``--counts``, which tells how a log is read without."""
+    """Add ``--config`` with this help, or ``--counts`` to read logs without one."""
     either = parser.add_mutually_exclusive_group()
     either.add_argument('--counts', type=_positive_number, metavar='N', help=(
         'coordinates of a log that are in counts have N per turn (default: as in the lines above '

@@ -180,7 +180,7 @@ _MODES = 'AlphaDropout', 'BatchNorm', 'Dropout', 'FeatureAlpha', 'InstanceNorm',
 
 def _copied(module: torch.nn.Module, kind: str) -> torch.nn.Module:
     """Return a copy of a module in float64 and in evaluation mode, whose weights are fixed."""
-    # What torch.compile returns cannot be traced; the module in it can.
+    # The result of torch.compile cannot be traced; the module in it can.
     module = getattr(module, '_orig_mod', module)
     if any(map(torch.nn.parameter.is_lazy, (*module.parameters(), *module.buffers()))):
         _refuse(kind, 'has layers without weights yet (as LazyLinear): load its weights, or call '

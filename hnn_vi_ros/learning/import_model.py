@@ -69,7 +69,7 @@ def read_state(path: Path, entry: str | None = None) -> tuple[dict[str, torch.Te
                          'in it was executed; ask its author to save the state_dict') from problem
     key = ''
     if isinstance(state, Mapping) and not _is_state(state):
-        # A checkpoint: the one entry that is a state_dict, beside that of an optimizer.
+        # A checkpoint: the one entry that is a state_dict, apart from the optimizer's.
         keys = [str(name) for name, part in state.items() if _is_state(part)]
         if entry is not None or len(keys) > 1:
             if entry not in keys:

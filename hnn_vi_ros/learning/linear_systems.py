@@ -100,7 +100,7 @@ def _unchecked(*arguments: Any, **keywords: Any) -> None:
     """Report no failure of a factorisation: H would not be finite."""
 
 
-# By the name of the operation of torch.
+# Keys are names of operations of torch.
 LINEAR_SYSTEMS: dict[str, Callable[..., Any]] = {
     'linalg_inv_ex': _inverse, '_linalg_solve_ex': _solve, 'linalg_solve_triangular': _triangular,
     'linalg_cholesky_ex': _cholesky, '_cholesky_solve_helper': _cholesky_solve,

@@ -33,7 +33,7 @@ _PICKLES = 5
 
 
 class _Number:
-    """Stands for a number of numpy beside the tensors, whose value is not read."""
+    """Placeholder for a number of numpy among the tensors; its value is not read."""
 
     def __init__(self, *parts: object):
         pass
@@ -42,7 +42,7 @@ class _Number:
         """Ignore the state."""
 
 
-# What pickles name for numbers of numpy; none of it is called.
+# Names that pickles use for numbers of numpy; none of them is called.
 _NUMBERS = [(_Number, name) for name in (
     'numpy._core.multiarray.scalar', 'numpy.core.multiarray.scalar', 'numpy.dtype',
     '_codecs.encode', *(f'numpy.dtypes.{name}DType' for name in (
@@ -113,7 +113,7 @@ def _check_pickle(stream: BinaryIO) -> None:
         if opcode.name == 'GLOBAL' and not _PLAIN.fullmatch(str(value)) and not any(
                 str(value).replace(' ', '.') == name for _, name in _NUMBERS):
             raise ValueError(f'contains {str(value)[:80]!r}')
-        # Bytes of numpy are encoded text; encoded anew and anew, such as in hex, they double.
+        # Bytes of numpy are encoded text; encoded repeatedly, such as in hex, they double.
         if texts and not ('PUT' in opcode.name or 'UNICODE' in opcode.name):
             raise ValueError('contains text that is encoded again')
         if 'PUT' in opcode.name:

@@ -109,7 +109,7 @@ class UserModule(EnergyFamily):
 
     def __init__(self, module: torch.nn.Module, loss: Loss | None, scales: Scales):
         super().__init__()
-        # What torch.compile returns cannot be traced; the module in it can.
+        # The result of torch.compile cannot be traced; the module in it can.
         own, d = getattr(module, '_orig_mod', module), len(scales.q_centre)
         low, high = scales.centre - scales.half, scales.centre + scales.half
         box = np.stack([low, high], axis=1).tolist()

@@ -73,7 +73,7 @@ class Checkpoint:
 
     @property
     def tensors(self) -> dict[str, np.ndarray]:
-        """Return the weights and biases of all networks by their names in a file."""
+        """Return the weights and biases of all networks, keyed by name in the file."""
         return {name: part for network, layers in self.networks.items()
                 for names, parts in zip(
                     _names(self.card, network), zip(*layers, strict=True), strict=True)

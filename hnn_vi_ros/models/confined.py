@@ -141,7 +141,7 @@ def load_learned(model: Path, confine: bool | None = None, member: int | None = 
 
 @lru_cache(maxsize=4)
 def _learned(model: Path, digest: str, confine: bool | None, member: int | None) -> Hamiltonian:
-    """Return the Hamiltonian of a file with this content, of which simulations have copies."""
+    """Return the Hamiltonian of a file with this content; simulations copy it."""
     checkpoint = load_checkpoint(model, ensembles=True)
     if checkpoint.sha256 != digest:
         raise ModelError(f'{model}: changed while it was read; try again')

@@ -60,7 +60,7 @@ class MechanicalHamiltonian(LearnedHamiltonian):
     Its friction is the effect learned_friction. A prior of the card, rigid links or an exact
     system, adds its M and V with fitted parameters, and the networks give the remainder.
 
-    Of an ensemble, M and V are the means of the members': the mean of their Lagrangians, which
+    For an ensemble, M and V are the means of the members': the mean of their Lagrangians, which
     are functions of the measured q and q'. With the mean of friction and input maps, the force
     that the mean needs for a motion is the mean of the members' forces: a motion of all members
     is also one of the mean, even if they differ by a common factor of M, V and friction, which

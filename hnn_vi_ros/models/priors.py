@@ -67,7 +67,7 @@ class Priors(NamedTuple):
 
 
 def priors_of(cards: Sequence[MechanicalCard]) -> Priors:
-    """Return the priors of cards, each of which has one, or none has."""
+    """Return the priors of cards; either each card has one, or none has."""
     found = []
     for card in cards:
         if card.prior is not None:

@@ -5,7 +5,7 @@ Account of the energy of a simulation by cause.
 
     H - H0 = sum of the works of all effects + error,    H = sum of the energies stored in H
 
-A passive effect turns its work into heat, but for what it stores outside of H, such as in
+A passive effect turns its work into heat, except energy stored outside of H, such as in
 bristles: heat = -(work + stored energy). The error is what no effect explains, H - H0 - W, which
 is of the order of the method.
 """

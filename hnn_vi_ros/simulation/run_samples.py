@@ -156,7 +156,7 @@ def record(simulation: Simulation, schedule: Schedule, commands: Commands | None
     t = schedule.times(simulation.step_size)
     if commands is not None:
         simulation = CommandedSimulation(simulation, commands, schedule)
-    # By number of steps.
+    # Keys are numbers of steps.
     works, causes = dict[int, float](), dict[int, np.ndarray]()
 
     def note() -> None:

@@ -52,7 +52,7 @@ class Carrier:
     Attributes
     ----------
     payload : Payload
-        That of the scene.
+        Payload of the scene.
 
     Raises
     ------

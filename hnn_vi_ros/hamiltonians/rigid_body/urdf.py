@@ -42,7 +42,7 @@ _ATTRIBUTES: dict[str, tuple[str, ...]] = {
     'mimic': ('joint', *_MIMIC), 'calibration': (
         'rising', 'falling', 'reference_position'), 'safety_controller': (
         'soft_lower_limit', 'soft_upper_limit', 'k_position', 'k_velocity')}
-# Further elements of robots without physical meaning; others are told.
+# Further elements of robots without physical meaning; others are reported.
 _KNOWN = ('material', 'gazebo', 'transmission', 'ros2_control', 'sensor', 'mujoco')
 # Other formats, and tools that write URDFs of them.
 _FORMATS = {'sdf': ('SDF', 'sdf2urdf of pysdf'),

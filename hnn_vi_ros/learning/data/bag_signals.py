@@ -369,7 +369,7 @@ class SignalReader:
         return origin
 
     def _published_scene(self) -> str | None:
-        """Return the first scene beside the only ~/state, as other recorders keep it."""
+        """Return the first scene of the only ~/state, as other recorders keep it."""
         state = self.state_topic()
         if state is None:
             return None
@@ -424,7 +424,7 @@ class SignalReader:
 
 
 def _scene_of(state: str) -> str:
-    """Return the topic of the scene beside a topic ~/state."""
+    """Return the topic of the scene of the node of a topic ~/state."""
     return f'{state.rpartition("/")[0]}/scene'
 
 

@@ -130,7 +130,7 @@ def _glitches(t: np.ndarray, x: np.ndarray, far: float) -> np.ndarray:
     usual = maximum_filter1d(_usual_steps(t, x), _MEDIAN)
     usual = np.append(usual, usual[-1])
     found = _abrupt_samples(x, np.abs(x - median_filter(x, _MEDIAN, mode='reflect')) > far * usual)
-    # A value that stands for none comes again and again, mostly off the line of its neighbours.
+    # A placeholder for a missing value repeats, mostly off the line of its neighbours.
     _, value, count = np.unique(x, return_inverse=True, return_counts=True)
     off = np.zeros(len(x), dtype=bool)
     off[1:-1] = np.abs(x[1:-1] - 0.5 * (x[2:] + x[:-2])) > _OFF * usual[1:-1]
@@ -152,7 +152,7 @@ def _abrupt_samples(x: np.ndarray, found: np.ndarray) -> np.ndarray:
 
 
 def _repeat_count(x: np.ndarray) -> int:
-    """Return how often a sensor that is slower than its log repeats each value, 0 for one."""
+    """Return the repetitions of each value by a sensor slower than its log, 0 for none."""
     between = np.diff(np.flatnonzero(np.diff(x)))
     count = int(np.median(between)) if between.size else 1
     regular = np.abs(between - count) <= count // 4
@@ -177,7 +177,7 @@ def _stuck_samples(x: np.ndarray) -> np.ndarray:
             continue
         before, after = steps[max(i - 3, 0):i].mean(), steps[j + 1:j + 4].mean(
             ) if j + 1 < len(steps) else 0.0
-        # The first step after it makes up for what was missed; or both sides are fast.
+        # The first step after it makes up for the gap; or both sides are fast.
         if steps[j] > _ALONE * max(before, after, usual) or (
                 repeats < _NEVER and min(before, after) > _FAST * usual):
             found[i + 1:j + 1] = True

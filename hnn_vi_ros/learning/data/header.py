@@ -369,7 +369,7 @@ def _settings(above: Sequence[str]) -> dict[str, float]:
 
 
 def _counted(path: Path, one: Column, x: np.ndarray, settings: Mapping[str, float]) -> Column:
-    """Return a coordinate as an angle if it is in counts; DataError without those of a turn."""
+    """Return a coordinate as an angle if it is in counts; DataError without counts per turn."""
     whole = not one.unit and _COUNTED & {*_words_of(one.name)} and (
         np.nanmax(np.abs(x)) > _MOST[LENGTH] and not np.nanmax(np.abs(x - np.round(x))))
     if not whole and parse_unit(one.unit) != parse_unit('count'):
@@ -400,7 +400,7 @@ def _time_of(path: Path, columns: Sequence[Column], values: Mapping[str, np.ndar
 
 
 def _time_unit(time: Column, t: np.ndarray, known: bool, doubts: list[str]) -> str:
-    """Return the unit of times without one, '' if it is s; it is told by those since 1970."""
+    """Return the unit of times without one, '' if it is s; inferred from times since 1970."""
     interval, latest = float(np.nanmedian(np.abs(np.diff(t)))), float(np.nanmax(t))
     sizes = {unit: _size(f't [{unit}]') for unit in ('s', 'ms', 'us', 'ns')}
     dates = [unit for unit, size in sizes.items() if _DATES[0] < latest * size < _DATES[1]]

@@ -41,7 +41,7 @@ _FASTEST, _ABOVE_MOTION, _SIGNAL = 40.0, 2.0, 4.0
 # Gap threshold in usual intervals; nothing is interpolated over a gap.
 GAP = 10.0
 # Smallest distance of samples in usual intervals: between closer ones, noise looks like speed, and
-# a spline without measured rates swings out beside them.
+# a spline without measured rates overshoots next to them.
 _CLOSE = 0.5
 # Largest accepted share of bad samples.
 _MOST_BAD = 0.5

@@ -78,7 +78,7 @@ def increasing_samples(t: np.ndarray) -> np.ndarray:
 
 
 def repeated_text(t: np.ndarray) -> str:
-    """Describe times of which most repeat the previous one, as rounded ones do; '' for others."""
+    """Describe times that mostly repeat the previous one, as rounded ones do; '' for others."""
     steps = np.diff(t[np.isfinite(t)])
     repeated, longer = int((steps == 0.0).sum()), steps[steps > 0.0]
     if not longer.size or repeated <= _MOST_REPEATED * len(steps):

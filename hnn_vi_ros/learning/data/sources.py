@@ -150,7 +150,7 @@ def states_of(motions: Sequence[EvenMotion], description: str) -> Dataset:
     t, q, v, a, tau = (np.concatenate([getattr(motion, key) for motion in motions]) for key in (
         't', 'q_smooth', 'v_smooth', 'a_smooth', 'tau'))
     counts = [len(motion.t) for motion in motions]
-    # Of at least MIN_ROWS rows, so that a block has windows of several steps.
+    # At least MIN_ROWS rows, so that a block has windows of several steps.
     block = np.concatenate([
         np.arange(count) * max(1, min(BLOCKS, count // MIN_ROWS)) // count for count in counts])
     run = np.repeat(np.arange(len(counts)), counts)
@@ -295,7 +295,7 @@ def configuration_of(given: Sequence[str], counts: float | None = None) -> dict[
 
 
 def _of_joints(where: str, data: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Return a configuration of joints whose names say what they are."""
+    """Return a configuration of joints whose kinds follow from their names."""
     kinds = [column_of(name, {}).kind for name in names]
     if not all(kinds):
         name = next(name for name, kind in zip(names, kinds, strict=True) if not kind)

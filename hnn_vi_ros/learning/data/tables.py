@@ -117,7 +117,7 @@ def _of_episodes(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.nda
         if (folder / 'meta' / 'info.json').is_file():
             named = parse_json(read_limited(folder / 'meta' / 'info.json', _MOST_INFO))[
                 'features'][_STATE]['names']
-            # Of some versions in a mapping, such as {'motors': [...]}.
+            # Some versions nest them in a mapping, such as {'motors': [...]}.
             names = next(iter(named.values())) if isinstance(named, dict) else named
             break
     arm = [k for k, name in enumerate(names) if 'gripper' not in name]

@@ -35,7 +35,7 @@ _MOST_HEAD, _ROWS = 200, 10
 # Names of columns without a header.
 COLUMN = 'column {}'
 
-# Parts of a second beside whole ones, such as header.stamp.nanosec; and days beside times of day.
+# Fractions next to whole seconds, such as header.stamp.nanosec; days next to times of day.
 _PART = re.compile(r'(|.*[^a-z])(nano|n|micro|u|milli|m)sec(?:ond)?s?', re.IGNORECASE)
 _SIZES = {'n': 1e-9, 'u': 1e-6, 'micro': 1e-6, 'm': 1e-3, 'milli': 1e-3, 'nano': 1e-9}
 _DAYS, _CLOCKS = ('date', 'datum', 'fecha', 'data', 'day'), (
@@ -242,7 +242,7 @@ def read_text(path: Path, data: LogColumns, units: Sequence[str] = ()) -> Record
 
 def without_sentinels(values: np.ndarray, t: np.ndarray, name: str, notes: list[str]
                       ) -> np.ndarray:
-    """Return a column with NaN for each value that stands for none, which is far from others."""
+    """Return a column with NaN for placeholders of missing values, which are far from others."""
     for value in np.unique(values[np.isin(values, _SENTINELS)]):
         others = values[np.isfinite(values) & ~np.isin(values, _SENTINELS)]
         if not others.size or (np.abs(others - value) > np.ptp(others)).all():

@@ -60,7 +60,7 @@ class FittedRigidBody(Fitted):
 
     def courses(self, motions: Sequence[EvenMotion], loss: TrajectoryLoss, stated: bool
                 ) -> InputCourses:
-        """Return how well other courses of the forces fit, of a fit to positions."""
+        """Return the residuals for other courses of the forces, in a fit to positions."""
         assert self.numbers is not None
         return input_courses(
             self.numbers.solution, self.numbers.problem, motions[0].inputs, stated,

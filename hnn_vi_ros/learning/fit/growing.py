@@ -214,7 +214,7 @@ def _leaves_the_motion(fitted: FittedNumbers) -> bool:
     """
     Return True if residuals grew too much in the longest windows.
 
-    Those that were noise have to stay so: long windows of a chaotic motion have false minima.
+    Residuals that were noise have to stay so: long windows of a chaotic motion have false minima.
     """
     (_, before), (_, now) = fitted.stages[-2:]
     grown = math.sqrt(0.5 * fitted.solution.freedom) * ((now / before)**2 - 1.0)
@@ -229,7 +229,7 @@ def unmeasured_ratio(seen: MeasuredColumns) -> float:
 def _searched(model: ParametricModel, windows: Windows, noise: np.ndarray, starts: np.ndarray,
               values: np.ndarray, seen: MeasuredColumns, length: float
               ) -> tuple[np.ndarray, np.ndarray]:
-    """Return values and initial states, of which unmeasured ones are tried from several places."""
+    """Return values and initial states; unmeasured ones are tried from several places."""
     random, d = np.random.default_rng(0), len(seen.spread)
     hidden = ~np.isin(np.arange(d), seen.columns)
     for _ in range(2):

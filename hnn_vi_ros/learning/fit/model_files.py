@@ -75,7 +75,7 @@ def machine_scene(model: str, card: ModelCard, step_size: float, integrator: str
     Return the scene of a machine in a model file, with friction and, if driven, forces.
 
     Without a start it is at rest in the middle of the data; `place` is the scene's future file,
-    beside which the model is.
+    in whose folder the model is.
     """
     effects: list[dict[str, object]] = [{'kind': 'learned_friction', 'model': model}]
     if driven:

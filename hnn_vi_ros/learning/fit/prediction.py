@@ -212,7 +212,7 @@ class Prediction:
             number.size or abs(number.start) or 1.0
         sides = (number.low, number.high), (value, number.high), (number.low, value)
         for low, high in sides:
-            # The values beside may be invalid on one side, such as those of a singular mass.
+            # Neighboring values may be invalid on one side, as for a singular mass.
             with suppress(ModelError):
                 return [(weight, Prediction(self._model, np.where(
                     np.arange(len(self._values)) == k, other, self._values), self.log.windows))

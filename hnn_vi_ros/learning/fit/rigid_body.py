@@ -185,7 +185,7 @@ def _finer_model(fitted: FittedNumbers) -> RigidModel:
     solution, problem, begun = fitted.solution, fitted.problem, fitted.problem.model
     assert isinstance(begun, RigidModel)
     weights, windows = problem.weights(solution.residuals), solution.windows
-    # Of the noise alone: errors of the steps are a part of the excess.
+    # The noise alone: errors of the steps are a part of the excess.
     errors = np.sqrt(np.diag(covariance_of(fitted))) / max(1.0, fitted.stages[-1][1])
     model, now = begun, LogSimulation(begun.parts_at(solution.values), windows).predict(
         solution.starts)
@@ -233,7 +233,7 @@ def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
     if not idle:
         return fitted
     idle += model.useless_widths(idle)
-    # By the criterion residuals grow by no more than this.
+    # Residuals grow by no more than this under the criterion.
     limit = _NO_WORSE * math.sqrt(1.0 + len(idle) * price / solution.freedom)
     return _refitted_without(
         fitted, model.without(idle), np.delete(np.clip(x, low, high), idle), limit)

@@ -265,7 +265,7 @@ def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.n
 def made_up(solution: Solution, weights: np.ndarray, change: np.ndarray
             ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return how numbers make up for a change of the residuals, to first order.
+    Return the change of numbers that compensates a change of residuals, to first order.
 
     Returns
     -------

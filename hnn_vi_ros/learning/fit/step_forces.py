@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measured forces between samples, and the constant force of each step that stands for them."""
+"""Measured forces between samples, and the constant force of each step that replaces them."""
 
 from collections.abc import Sequence
 from dataclasses import replace

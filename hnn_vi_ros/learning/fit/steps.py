@@ -103,7 +103,7 @@ def _rates(field: Field, z: torch.Tensor, own: torch.Tensor, before: torch.Tenso
         return rates if same else None
 
     start = z.detach()
-    # Of a separable H, what an explicit node changes does not change its own rates, which may be
+    # If H is separable, the changes of an explicit node leave its own rates, which may be
     # those of the node before; two rows, which round otherwise, tell most fields that are not,
     # before all rows are evaluated.
     with torch.no_grad():

@@ -231,7 +231,7 @@ def windows_at(motions: Sequence[EvenMotion], starts: Sequence[tuple[int, int]],
 
 
 def refined(windows: Windows, motions: Sequence[EvenMotion]) -> Windows:
-    """Return the same windows of motions with all samples, of which theirs are every n-th."""
+    """Return the same windows with all samples instead of every n-th."""
     every, pieces = round(windows.spacing / motions[0].spacing), []
     for run, first in enumerate(windows.first[windows.run == run] for run in range(len(motions))):
         pieces += [(run, part) for part in np.split(

@@ -96,7 +96,7 @@ class Judged(NamedTuple):
     residuals : Solution, optional
         Fit of the initial states of held-out motions, whose residuals are drawn.
     scene : callable, optional
-        ``scene(model, place)`` returns a scene at a path beside the model of this name.
+        ``scene(model, place)`` returns a scene at a path in the folder of the model of this name.
     open_scale : str, optional
         Unit of the quantity that fixes the scale of all forces by convention, '' if the data do.
 

@@ -323,7 +323,7 @@ def _opens_scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> bool:
 
 
 def _scale_unit(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
-    """Return the unit of what is 1 by convention, '' if the data fix the scale of forces."""
+    """Return the unit of the number set to 1, '' if the data fix the scale of forces."""
     if config.family.input_map == 'learned':
         return 'input map'
     if not _opens_scale(config, motions):

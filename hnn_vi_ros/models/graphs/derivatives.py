@@ -58,9 +58,9 @@ def tangent(b: Builder, output: int, x: int, v: int) -> int:
 
 def dependence(b: Builder, output: int, x: int) -> np.ndarray:
     """
-    Return which values of a node may depend on which values of x, from the structure alone.
+    Return the dependence of values of a node on values of x, from the structure alone.
 
-    Of large graphs it says that all may.
+    For large graphs the answer is that all may.
 
     Returns
     -------
@@ -137,7 +137,7 @@ def _back(b: Builder, k: int, g: int, own: set[int]) -> list[tuple[int, int]]:
 
 
 def _largest(b: Builder, x: int, k: int) -> tuple[int, int]:
-    """Return where x has the largest value k over axes, and one over how often, as k."""
+    """Return the mask of x where it has its maxima k over axes, and 1 / their counts, as k."""
     axes = b.nodes[k].options
     mask = b.binary('eq', x, b.take(k, spread_index(b.shape(x), axes)))
     return mask, b.unary('reciprocal', b.sum(mask, axes))

@@ -66,7 +66,7 @@ def friction_entries(b: Builder, checkpoint: Checkpoint, q: int) -> int:
     """
     Return the entries of a lower triangular B, with D = B B^T, row by row.
 
-    Of an ensemble, those of each member follow one another, divided by the root of their number.
+    The outputs of an ensemble's members follow one another, divided by the root of their number.
     """
     card, members = _card(checkpoint), checkpoint.members or (checkpoint,)
     assert card.friction_features is not None, 'checked by the caller'

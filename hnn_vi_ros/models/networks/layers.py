@@ -30,7 +30,7 @@ class Layers(NamedTuple):
         return [self.weights[0].shape[1], *map(len, self.weights)]
 
     def widened(self, inputs: int, places: Sequence[int]) -> 'Layers':
-        """Return the network with this number of inputs, of which it uses those at ``places``."""
+        """Return the network with this number of inputs; it uses the inputs at ``places``."""
         first, *others = self.weights
         wide = np.zeros((len(first), inputs))
         # Inputs at the same place have the same value.

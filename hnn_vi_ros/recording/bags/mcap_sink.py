@@ -155,7 +155,7 @@ class McapSink:
 
     @property
     def delay(self) -> float:
-        """Return how long the disk took for the last write, or takes for the present one [s]."""
+        """Return the duration of the last write to disk, or of the present one so far [s]."""
         return max(self._took, time.monotonic() - self._begun)
 
     def write(self, stamp_ns: int, payloads: Sequence[bytes | None]) -> None:

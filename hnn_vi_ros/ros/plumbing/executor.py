@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""An executor that goes on whatever callbacks raise, and the report of their errors."""
+"""An executor that continues after any exception of a callback, and the report of their errors."""
 
 from collections import Counter
 from collections.abc import Awaitable, Callable
@@ -72,7 +72,7 @@ class IgnoredErrors:
 
 class NodeExecutor(SingleThreadedExecutor):
     """
-    Executor of one node that goes on whatever a callback raises.
+    Executor of one node that continues after any exception of a callback.
 
     The error is counted and logged, and the caller of a service gets a failed response. Errors of
     tasks of this package, such as a failed configuration, are raised.

@@ -258,7 +258,7 @@ class Control:
             self._on_timer()
 
     def _on_answer(self) -> None:
-        """Go on as soon as the awaited command has come."""
+        """Continue as soon as the awaited command has arrived."""
         if self._timer is not None and self.active and (
                 not self.paused or self._waiting is not None):
             self._timer.reset()

@@ -28,11 +28,11 @@ class Lockstep:
     Attributes
     ----------
     awaited : int or None
-        Stamp of the sample whose answer is awaited [ns]; None while the run goes on.
+        Stamp of the sample whose answer is awaited [ns]; None while the run continues.
     repeated : int or None
         Stamp of the last sample that was published again, and may be answered again [ns].
     on_answer : callable
-        Called when the run may go on.
+        Called when the run may continue.
 
     Raises
     ------
@@ -65,7 +65,7 @@ class Lockstep:
 
     def take(self, stamp: int) -> Callable[[], None] | None:
         """
-        Return what to call after a command with this stamp [ns], which is the awaited answer.
+        Return the continuation after a command with this stamp [ns], the awaited answer.
 
         Return None to ignore another answer to a repeated sample; raise ValueError for any other
         stamp.
@@ -86,7 +86,7 @@ class Lockstep:
         Parameters
         ----------
         going : bool
-            True if the run would go on without the wait.
+            True if the run would continue without the wait.
         publish_again : callable
             Publishes the last sample once more.
         tell : callable

@@ -69,7 +69,7 @@ class Subscriptions(IgnoredErrors):
             try:
                 what(*arguments)
             except Exception as problem:
-                # Of any kind: no message may end the node, nor the handling of later ones.
+                # Any exception: no message may end the node, nor the handling of later ones.
                 self.ignore(topic, problem)
 
         def on_message(payload: bytes) -> None:

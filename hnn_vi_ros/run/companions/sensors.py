@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors of joints, which add noise, delay and losses to what the simulation publishes."""
+"""Sensors of joints, which add noise, delay and losses to the published states."""
 
 from collections import deque
 from collections.abc import Callable, Sequence

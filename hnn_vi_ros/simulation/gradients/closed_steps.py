@@ -63,7 +63,7 @@ class ClosedSteps:
         """
         Return the derivatives of the projection of initial states.
 
-        That of the states, (m, 2 d, 2 d), and that of momenta with respect to H_p, (m, d, d).
+        Derivative of the states, (m, 2 d, 2 d), and of momenta with respect to H_p, (m, d, d).
         """
         end, d = self._end(z), self._d
         inverse = self._hamiltonian.inverse_mass(*np.split(z, 2, axis=-1))
@@ -128,7 +128,7 @@ class ClosedSteps:
         return before, whole @ after @ closing, last.by_velocity, starts
 
     def _end(self, z: np.ndarray) -> _End:
-        """Return what belongs to states on the loops, shape (N, 2 d)."""
+        """Return the quantities on the loops for states, shape (N, 2 d)."""
         d = self._d
         q, p = (np.ascontiguousarray(part) for part in np.split(z, 2, axis=-1))
         gradient = self._manifold.gradients(q)

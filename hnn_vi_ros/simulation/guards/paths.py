@@ -277,7 +277,7 @@ class PhaseGuard(BlockGuard):
     """
     Phase of conservative runs of `dop853`: the drift of the energy shifts it by 6 % at most.
 
-    Where the period depends on the energy, motions of other energies part in proportion to time.
+    If the period depends on the energy, motions of other energies part in proportion to time.
     An energy error that grows as t then shifts the motion, relative to the amplitude, by
 
         E(t) = s abs(H - H0) t / 2,

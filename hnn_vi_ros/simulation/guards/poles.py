@@ -23,7 +23,7 @@ _MAX_SEARCHES = 2
 # rounds show that the line does not only come near to a pole.
 _POINTS, _ROUNDS, _LAST_ROUNDS = 16, 8, 3
 _MIN_POLE_GROWTH, _MIN_FLOW_GROWTH, _MIN_ROUND_GROWTH = 1e6, 1e3, 2.0
-# Lines beside a pole, relative to the distance of the samples: their offset in each coordinate,
+# Lines near a pole, relative to the distance of the samples: their offset in each coordinate,
 # the least offset relative to the largest, and half of their length.
 _OFFSET, _LEAST_OFFSET, _REACH = 1e-3, 1e-2, 8e-3
 
@@ -48,7 +48,7 @@ class PoleGuard(BlockGuard):
     Between samples at which rows of H'' are large, the maximum of these rows is searched on the
     straight line from one sample to the next. They and H' grow without bound at a pole; H' does
     not if the factor of the pole is zero, for example a zero angular momentum. A pole that lines
-    beside it miss, such as the center of an orbit, does not separate the samples.
+    next to it miss, such as the center of an orbit, does not separate the samples.
 
     Parameters
     ----------

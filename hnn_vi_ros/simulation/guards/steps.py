@@ -94,7 +94,7 @@ class StabilityGuard(LimitGuard):
     """
     Internal steps of `dop853`: their size is limited by the tolerance, not by stability.
 
-    In a stiff motion, with fast oscillation or damping at rest beside slow motion, an explicit
+    In a stiff motion, with fast oscillation or damping at rest and slow motion, an explicit
     method takes tiny steps at any tolerance.
 
     Parameters
