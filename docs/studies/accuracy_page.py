@@ -198,14 +198,14 @@ def _choices(results: _Results) -> list[list[str]]:
             for name, horizon, rows in _cases(results) if horizon <= _LONGEST]
 
 
-def _slower(results: _Results) -> dict[str, float]:
-    """Return the scenes in which a peer is faster, and by how much at most."""
-    found: dict[str, float] = {}
+def _slower(results: _Results) -> dict[str, tuple[float, float, float]]:
+    """Return the scenes in which a peer is faster: by how much at most, T and the error there."""
+    found: dict[str, tuple[float, float, float]] = {}
     for name, horizon, rows in _cases(results):
         for error in (*_COMPARED, _own_error(results[name], horizon)):
             best, other = _cheapest_pair(rows, error)
             if best is not None and other is not None and _ratio(best, other) > 1.0:
-                found[name] = max(found.get(name, 0.0), _ratio(best, other))
+                found[name] = max(found.get(name, (0.0,)), (_ratio(best, other), horizon, error))
     return found
 
 

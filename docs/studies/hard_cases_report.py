@@ -26,6 +26,8 @@ PAGE, PICTURES, CARD = 'hard-cases.md', 'hard_cases', 'hard_cases.json'
 GRID, BANDS, VERDICTS = 'grid.html', 'bands.png', 'verdicts.png'
 # Methods for comparison, in the last columns.
 BASELINES = ('explicit_euler', 'rk4')
+# Verdicts of runs, the best first.
+_WORSE = ('stable', 'alarm', 'stopped', 'unstable')
 
 
 def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
@@ -108,7 +110,20 @@ def page_of(docs: Path) -> str:
     return render(PAGE, cases=_parts(cases, rows, expected, card.get('notes', {})),
                   machine=card['machine'], runs=len(rows), silent=silent, baselines=BASELINES,
                   coarse=len(coarse), ends=ends, table=table(coarse),
+                  methods=[_methods(case, _of(case, rows)) for case in cases],
+                  compared=sum(row.method in BASELINES for row in rows),
                   verdicts=Counter(row.verdict for row in rows))
+
+
+def _methods(case: Case, rows: Sequence[CaseRow]) -> list[str]:
+    """Return the row of a case: its methods by the worst verdict of their runs."""
+    worst: dict[str, int] = {}
+    for row in rows:
+        method = row.method.partition('@')[0]
+        worst[method] = max(worst.get(method, 0), _WORSE.index(row.verdict))
+    return [f'{case.number}: {case.title}', *(listed(
+        [f'`{name}`' for name in _columns(rows) if worst[name] in columns])
+        for columns in ((0,), (1, 2), (3,)))]
 
 
 def draw_summaries(docs: Path) -> list[Path]:

@@ -198,13 +198,13 @@ def draw_fronts(path: Path, title: str, rows: Sequence[StudyRow], answers: Itera
     ax.set(xlim=(ax.get_xlim()[0] / 4.0, None), ylim=(ax.get_ylim()[0] / 30.0, ax.get_ylim()[1]))
     if not math.isnan(floor):
         _draw_floor(ax, floor)
-        ax.annotate(f'error of the learned H itself, {floor:.1g}: no use below', (0.99, floor),
-                    xycoords=('axes fraction', 'data'), xytext=(0, 3), ha='right',
-                    textcoords='offset points', fontsize=9.0, color=INK,
-                    bbox={'facecolor': 'white', 'alpha': 0.8, 'edgecolor': 'none', 'pad': 1.0})
+        # To the left, where no line is.
+        ax.annotate(f'error of the learned H: {floor:.2g}\nsmaller errors are of no use',
+                    (0.01, floor), xycoords=('axes fraction', 'data'), xytext=(0, -3),
+                    textcoords='offset points', va='top', fontsize=9.0, color=INK)
     ax.grid(which='major', color='#e3e3e3', linewidth=0.7)
     ax.spines[['top', 'right']].set_visible(False)
-    ax.legend(frameon=False, fontsize=9.0, loc='lower right')
+    ax.legend(frameon=False, fontsize=9.0, loc='lower left')
     figure.savefig(path)
     return path
 
