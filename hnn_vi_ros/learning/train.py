@@ -170,7 +170,10 @@ def _train(source: Path, config: AnyConfig, arguments: Namespace, command: str,
         judged = task.judge(data, checkpoint, fits[0])
         complete_checkpoint(model, judged.checkpoint)
         write_report(outputs, config, judged, fits[0].history, seconds, arguments.device)
-    print(f'model: {model}\nreport: {outputs.report}\n\n{judged.text}\n'
+    simulated = '' if judged.scene is None else (
+        f'scene: {outputs.scene}\nnext: hnn run {outputs.scene} '
+        f'--plot {outputs.scene.with_suffix(".png")}\n')
+    print(f'model: {model}\nreport: {outputs.report}\n{simulated}\n{judged.text}\n'
           f'trained in {seconds:.1f} s')
 
 

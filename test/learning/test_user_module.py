@@ -176,6 +176,24 @@ def test_module_is_trained_by_the_command_line_from_a_log_alone(folder: Path, ca
     main(['--module', 'net.py:HNN', '--config', 'printed.yaml', '--out', 'n.safetensors'])
 
 
+def test_training_names_the_scene_of_its_model_and_motions_that_lose_energy(folder: Path, capsys):
+    config = ['--module', 'net.py:HNN', '--config', 'log.yaml', '--out']
+    main([*config, 'free.safetensors'])
+    told = capsys.readouterr().out
+    assert 'next: hnn run free.scene.yaml --plot free.scene.png' in told
+    assert 'H(q, p) conserves energy' not in told
+    run = simulate(load_scene('free.scene.yaml'), 0.5)
+    assert run.scene.step_size == 0.05
+    # The first measured state, of which L_v for unit mass is the velocity, 0.
+    assert np.array_equal(run.q[0], [AMPLITUDES[0]])
+    rows = [f'0,{t},{a * np.exp(-0.5 * t) * np.cos(2.0 * t)},'
+            f'{a * np.exp(-0.5 * t) * (-2.0 * np.sin(2.0 * t) - 0.5 * np.cos(2.0 * t))}'
+            for a in AMPLITUDES[-1:] for t in T]
+    Path('log.csv').write_text('run,t,x [m],v [m/s]\n' + '\n'.join(rows) + '\n')
+    main([*config, 'damped.safetensors'])
+    assert 'W on average, but H(q, p) conserves energy' in capsys.readouterr().out
+
+
 def test_module_is_trained_through_steps_of_an_integrator(folder: Path):
     model = train(module('Separable'), 'log.csv', 'm.safetensors', adam_steps=200, lbfgs_steps=60,
                   windows={'integrator': 'implicit_midpoint', 'step_size': 0.05, 'count': 3})

@@ -84,6 +84,7 @@ def machine_scene(model: str, card: ModelCard, step_size: float, integrator: str
             {'coordinates': [one.name for one in card.coordinates]}
             if card.mechanical.input_map is None else {'model': model}))
     return Scene.build(
+        description='starts from the first test sample' if start else '',
         hamiltonian={'kind': 'learned', 'model': model, 'confine': False}, effects=effects,
         integrator=integrator, step_size=step_size, name=str(place or card.name),
         initial_state=start or {'q': np.mean(card.box.q, axis=1).tolist(),

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Train families that learn a field of (q, p) from states and rates, and judge them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
 from hnn_vi_ros.learning.tasks import TrainingTask
 from hnn_vi_ros.models import (
     Box, Checkpoint, energy_error, energy_spread, EnergyError, FAMILIES, load_member, Units)
+from hnn_vi_ros.scene import Scene
 import numpy as np
 import torch
 
@@ -126,9 +127,27 @@ def judge(data: FieldData, checkpoint: Checkpoint, fitted: FittedField) -> Judge
     if error is not None:
         lines.append(f'energy error: RMS {error.rms:.3g} J, maximum {error.sup:.3g} J, '
                      f'compared with the {error.compared_with}')
+        if error.friction_power:
+            lines.append(f'these motions lose {error.friction_power:.3g} W on average, but '
+                         'H(q, p) conserves energy: for friction use `hnn train --data`, which '
+                         'fits a machine, or the family dgnet or dissipative_hnn')
     lines += [where, ensemble_text(card)]
     return Judged(checkpoint, '\n'.join(filter(None, lines)), ensemble_text(card),
-                  lambda path: plot_field(compared(fitted), card, path))
+                  lambda path: plot_field(compared(fitted), card, path),
+                  scene=_scene_of(family, data.known) if FAMILIES[card.family].conservative else
+                  None)
+
+
+def _scene_of(family: Trainable, dataset: Dataset) -> Callable[[str, Path], Scene] | None:
+    """Return the scene of a conservative model from the first state, if times are known."""
+    if dataset.t is None or not isinstance(family, EnergyFamily):
+        return None
+    start = {'q': dataset.q[0].tolist(), 'p': family.momenta(dataset)[0].tolist()}
+    step = float(f'{np.median(np.diff(dataset.t)):.6g}')
+    return lambda model, place: Scene.build(
+        description='starts from the first state of the data',
+        hamiltonian={'kind': 'learned', 'model': model}, integrator='implicit_midpoint',
+        step_size=step, initial_state=start, name=str(place))
 
 
 def folds(data: FieldData, config: FieldConfig, count: int, device: str) -> dict[str, float]:
