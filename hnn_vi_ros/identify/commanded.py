@@ -9,7 +9,7 @@ from pathlib import Path
 from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files import write_text
-from hnn_vi_ros.hamiltonians import Hamiltonian, momentum, RigidBodyTree
+from hnn_vi_ros.hamiltonians import Hamiltonian, momentum, read_urdf, RigidBodyTree
 from hnn_vi_ros.identify.intervals import Estimate, Estimates
 from hnn_vi_ros.learning import commands_and_off, EvenMotion
 from hnn_vi_ros.scene import load_scene, Scene
@@ -86,18 +86,36 @@ def commanded_scene(robot: Path, folder: Path, hamiltonian: Hamiltonian,
         else:
             numbers[places[name]] = value
     stiffness, damping, friction, rotor, offset = numbers.T.tolist()
+    limits = _effort_limits(robot, hamiltonian, motions)
     off = any((np.abs(motion.tau) > LARGEST).any() for motion in motions)
     effects = [
         {'kind': 'servo', 'coordinates': names, 'stiffness': stiffness, 'damping': damping,
-         'offset': offset, 'delay': delay},
+         'offset': offset, 'delay': delay,
+         **({'effort_limit': limits.tolist()} if (limits < LARGEST).any() else {})},
         {'kind': 'joint_friction', 'friction': dict(zip(names, friction, strict=True)),
          'speed': SPEED, **({'damping': {name: 0.1 * b for name, b in zip(
              names, damping, strict=True)}} if off else {})}]
     scene = _scene(robot, folder, effects,
                    {'rotor_inertia': dict(zip(names, rotor, strict=True))},
                    min(spacing, _LARGEST_STEP))
-    free = [*places, *(f'joint_friction.damping.{name}' for name in names if off)]
+    free = [*places, 'joint_friction.speed',
+            *(f'joint_friction.damping.{name}' for name in names if off)]
     return scene, [name for name in free if name not in known]
+
+
+def _effort_limits(robot: Path, hamiltonian: Hamiltonian, motions: Sequence[EvenMotion]
+                   ) -> np.ndarray:
+    """
+    Return the limits of efforts in a URDF, shape (d,) [N m] or [N]; LARGEST for those without.
+
+    A limit below a force that the measured motion needs is a placeholder, and does not count.
+    """
+    joints = read_urdf(robot).joints
+    rated = np.array([joints[one.name].limits.effort or LARGEST
+                      for one in hamiltonian.coordinates])
+    needed = np.max([np.abs(forces_needed(hamiltonian, motion)).max(axis=0)
+                     for motion in motions], axis=0)
+    return np.where(rated > needed, rated, LARGEST)
 
 
 def delays_of(motions: Sequence[EvenMotion]) -> list[float]:

@@ -3,7 +3,7 @@
 """Fit numbers of a scene to measured motions: ``hnn identify``."""
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 import json
 import math
@@ -23,10 +23,9 @@ from hnn_vi_ros.identify.free_numbers import free_scene, FreeScene, STATES, writ
 from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
 from hnn_vi_ros.learning import (
-    ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FitProblem,
-    FittedNumbers, input_courses, InputCourses, keys_of, LogSimulation, MeasuredColumns,
-    MotionSource, read_motions, search, Solution, source_of, split_runs, steps_between,
-    warnings_of, Windows)
+    ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FittedNumbers,
+    input_courses, InputCourses, judged, keys_of, LogSimulation, MeasuredColumns, MotionSource,
+    read_motions, refitted, Solution, source_of, split_runs, steps_between, warnings_of, Windows)
 from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
@@ -204,13 +203,9 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
                                      f'({", ".join(wanted)})')
     fitted, said = _fit(free, motions, options, _seen(scene, hamiltonian, log.names, motions))
     notes += [*said, *(one.text for one in warnings_of(motions, log.names))]
+    fitted, free, estimates, note = _finer_steps(fitted, free, lambda one, own: estimates_of(
+        one.solution, one.problem, own, hamiltonian.coordinates, STATES in options.free))
     solution, problem, stages = fitted.solution, fitted.problem, fitted.stages
-    states = hamiltonian.coordinates, STATES in options.free
-    estimates = estimates_of(solution, problem, free, *states)
-    finer, note = _finer_steps(solution, problem, estimates, free)
-    if finer is not None:
-        solution, problem, free = finer
-        estimates = estimates_of(solution, problem, free, *states)
     notes += note + _missing_forces(effects, hamiltonian, driven, options.data[0])
     profiles = {name: profile(solution, problem, free, one) for one in estimates.estimates
                 if (name := one.name) in options.profile}
@@ -361,31 +356,33 @@ def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace, see
         f'{lengths[1 - better]} samples instead of {lengths[better]})']
 
 
-def _finer_steps(solution: Solution, problem: FitProblem, estimates: Estimates, free: FreeScene
-                 ) -> tuple[tuple[Solution, FitProblem, FreeScene] | None, list[str]]:
+def _finer_steps(fitted: FittedNumbers, free: FreeScene,
+                 estimated: Callable[[FittedNumbers, FreeScene], Estimates]
+                 ) -> tuple[FittedNumbers, FreeScene, Estimates, list[str]]:
     """
-    Repeat a fit with smaller steps until half the step moves no number, and return a note.
+    Repeat a fit with smaller steps until half the step moves no number, and add a note.
 
     The step is halved until that moves the numbers, to first order about the fit, by less than
     _MOVED; then the fit is repeated and its step examined again.
     """
-    windows, scene, usual, begun = solution.windows, free.scene, free, solution
+    scene, begun, estimates = free.scene, fitted.solution, estimated(fitted, free)
+    first, windows = (fitted, free, estimates), begun.windows
     step_size = windows.spacing / steps_between(windows.spacing, scene.known_step_size)
-    errors = np.array([one.standard_error or math.inf
-                       for one in estimates.estimates[:len(solution.values)]])
-    named, moved, halved, fitted = '', 0.0, 0, -1
-    while fitted != halved:
-        fitted = halved
+    named, moved, halved, done = '', 0.0, 0, -1
+    while done != halved:
+        done, solution = halved, fitted.solution
+        errors = np.array([one.standard_error or math.inf
+                           for one in estimates.estimates[:len(solution.values)]])
         now = LogSimulation(free.parts_at(solution.values), windows).predict(solution.starts)
         while True:
-            fine = usual.at_step(step_size / 2**(halved + 1))
+            fine = free.at_step(step_size / 2**(halved + 1))
             after = LogSimulation(fine.parts_at(solution.values), windows).predict(solution.starts)
             change = np.where(windows.there[..., None], (after - now) / solution.noise, 0.0)
             if not np.isfinite(change).all():
                 raise DataError(
                     f'{scene.name} cannot be simulated at the solution with a step size of '
                     f'{fine.scene.known_step_size:.3g} s; give a smaller step_size')
-            shifts, gain = response(solution, problem, change)
+            shifts, gain = response(solution, fitted.problem, change)
             sizes = abs(shifts) / errors
             worst = estimates.estimates[int(sizes.argmax())].name if sizes.size else ''
             if sizes.max(initial=0.0) <= _MOVED or halved == _HALVED:
@@ -395,25 +392,26 @@ def _finer_steps(solution: Solution, problem: FitProblem, estimates: Estimates, 
             if gain > EVIDENCE:
                 # Too large a change for the first order, or a log of the scene's own steps.
                 break
-        if fitted != halved:
-            problem = FitProblem(free, windows, problem.noise, solution.starts, problem.robust)
-            found = search(problem, solution.values)
-            if fitted == 0 and halved == 1 and float(
-                    (problem.cost(found.residuals) - problem.cost(begun.residuals)).sum()
-                    ) > EVIDENCE:
-                return None, [
-                    f"Half of the scene's step size, {step_size:.3g} s, moves {named} by "
-                    f'{moved:.2g} standard errors but fits worse, as for data simulated with the '
-                    "scene's own steps: not repeated with smaller steps"]
-            solution = found
+        if done == halved:
+            break
+        # Errors of the larger steps were taken for noise, also in shorter windows.
+        found = judged(refitted(fitted._replace(fits=fitted.fits[-1:]), free, solution.values))
+        costs = [fitted.problem.cost(one.residuals * one.noise / begun.noise).sum()
+                 for one in (found.solution, begun)]
+        if done == 0 and halved == 1 and costs[0] - costs[1] > EVIDENCE:
+            return *first, [
+                f'Half of the step size, {step_size:.3g} s, fits worse, as for data simulated '
+                f'with such steps, and is not used; it moves {named} by {moved:.2g} standard '
+                'errors']
+        fitted, estimates = found, estimated(found, free)
     if not halved:
-        return None, []
+        return *first, []
     note = (f'Fitted with a step size of {free.scene.known_step_size:.3g} s: half of the '
             f"scene's, {step_size:.3g} s, moves {named} by {moved:.2g} standard errors")
     if sizes.max() > _MOVED:
         note += (f'; half of it still moves {worst} by {sizes.max():.2g}: use an integrator of a '
                  'higher order')
-    return (solution, problem, free), [note]
+    return fitted, free, estimates, [note]
 
 
 def _check(options: Namespace) -> None:

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.fit.config import family_schemas, load_machine
     from hnn_vi_ros.learning.fit.excitation import ExcitationData
     from hnn_vi_ros.learning.fit.following import LogSimulation
-    from hnn_vi_ros.learning.fit.growing import fit_numbers, FittedNumbers
+    from hnn_vi_ros.learning.fit.growing import (
+        fit_numbers, FittedNumbers, judged, refitted)
     from hnn_vi_ros.learning.fit.input_courses import EVIDENCE, input_courses, InputCourses
     from hnn_vi_ros.learning.fit.noise import covariances, Process, processes
     from hnn_vi_ros.learning.fit.prediction import Prediction

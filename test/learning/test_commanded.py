@@ -45,7 +45,7 @@ def arm(joints: int, scale: float = 1.0) -> str:
 
 def numbers(joints: int, random: np.random.Generator) -> dict[str, float]:
     """Return the numbers of hobby servos by their names in an identification."""
-    found = {'servo.delay': float(random.integers(10, 40)) * STEP}
+    found = {'servo.delay': float(random.integers(10, 40)) * STEP, 'joint_friction.speed': 0.05}
     for k, name in enumerate(JOINTS[:joints]):
         size = (14.0, 9.0)[k] * random.uniform(0.7, 1.4)
         found |= {f'servo.stiffness.{k}': size,
@@ -71,8 +71,8 @@ def commands(joints: int, count: int, random: np.random.Generator) -> np.ndarray
     return found
 
 
-def write_log(folder: Path, joints: int, seed: int, duration: float = 6.0, scale: float = 1.0
-              ) -> dict[str, float]:
+def write_log(folder: Path, joints: int, seed: int, duration: float = 6.0, scale: float = 1.0,
+              limit: float | None = None) -> dict[str, float]:
     """Write arm.urdf and log.csv of an arm with all masses and torques times a factor."""
     random, names = np.random.default_rng(seed), list(JOINTS[:joints])
     truth = numbers(joints, random)
@@ -89,9 +89,9 @@ def write_log(folder: Path, joints: int, seed: int, duration: float = 6.0, scale
         'effects': [
             {'kind': 'servo', 'coordinates': names, 'stiffness': of('servo.stiffness'),
              'damping': of('servo.damping'), 'offset': of('servo.offset', 1.0),
-             'delay': truth['servo.delay']},
-            {'kind': 'joint_friction', 'speed': 0.05,
-             'friction': dict(zip(names, of('joint_friction'), strict=True))}]}))
+             'delay': truth['servo.delay'], **({'effort_limit': limit} if limit else {})},
+            {'kind': 'joint_friction', 'speed': truth['joint_friction.speed'],
+             'friction': dict(zip(names, of('joint_friction.friction'), strict=True))}]}))
     count, none = round(duration / (SAMPLES * STEP)), np.full(joints, np.nan)
     simulation, r = build(resolve(load_scene(folder / 'true.yaml'))), commands(
         joints, count, random)
@@ -113,6 +113,27 @@ def fitted(folder: Path, *options: str) -> dict[str, dict[str, float]]:
     main(['--robot', str(folder / 'arm.urdf'), '--data', str(folder / 'log.csv'), '--json',
           str(folder / 'found.json'), *options])
     return json.loads((folder / 'found.json').read_text())
+
+
+def test_effort_limit_of_a_urdf_counts_unless_the_motion_exceeds_it(tmp_path):
+    """Steps of 1.2 rad ask for some 15 N m of a joint that has 5, and gravity for 0.74 N m."""
+    write_log(tmp_path, 1, 0, limit=5.0)
+    limits = {}
+    for effort in ('5.0', '0.5'):
+        (tmp_path / 'arm.urdf').write_text(arm(1).replace(
+            '</joint>', f'<limit effort="{effort}" velocity="9"/></joint>'))
+        found = fitted(tmp_path, '--write', str(tmp_path / f'{effort}.yaml'))
+        servo, = (effect for effect in yaml.safe_load(
+            (tmp_path / f'{effort}.yaml').read_text())['effects'] if effect['kind'] == 'servo')
+        limits[effort] = servo.get('effort_limit')
+        (tmp_path / 'found.json').unlink()
+        if effort == '5.0':
+            rotor = found['rotor_inertia.shoulder']
+            # Without the limit it would absorb the missing torque.
+            truth = numbers(1, np.random.default_rng(0))['rotor_inertia.shoulder']
+            width = 3.0 * (rotor['high'] - rotor['low']) / 2.0
+            assert rotor['value'] == pytest.approx(truth, abs=width)
+    assert limits == {'5.0': [5.0], '0.5': None}
 
 
 def test_numbers_of_a_servo_are_found_by_the_columns_of_a_log(tmp_path, capsys):

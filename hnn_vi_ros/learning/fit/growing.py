@@ -196,7 +196,7 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
                 best.size > _FALSE * float(np.exp(np.log(noise).mean())):
             length = shorter
             continue
-        best = _judged(best)
+        best = judged(best)
         if horizon is None and before is not None and _leaves_the_motion(best):
             return refitted(before, before.problem.model, before.solution.values, tolerance
                             )._replace(stages=best.stages)
@@ -204,7 +204,7 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
             return best
         # Starts that lead to the same optimum have the same misfit.
         kept = [best, *(
-            _judged(one) for one, _ in found if _SAME < one.size / best.size < _AS_GOOD)]
+            judged(one) for one, _ in found if _SAME < one.size / best.size < _AS_GOOD)]
         alive = [(one.problem.model, one) for one in (
             kept if finer is None else map(finer, kept))]
         length = min(_LONGER * length, wanted)
@@ -305,8 +305,8 @@ def with_states_of(model: ParametricModel, motions: Sequence[EvenMotion], fitted
     return found
 
 
-def refitted(fitted: FittedNumbers, model: ParametricModel, values: np.ndarray, tolerance: float
-             ) -> FittedNumbers:
+def refitted(fitted: FittedNumbers, model: ParametricModel, values: np.ndarray,
+             tolerance: float = TOLERANCE) -> FittedNumbers:
     """Return the fit of another model in the same windows, searched from given values."""
     (length, last, problem), shorter = fitted.fits[-1], fitted.fits[:-1]
     solution, problem = fit_with_noise(model, last.windows, last.noise, last.starts, values,
@@ -360,7 +360,7 @@ def _check_followed(fitted: FittedNumbers, motions: Sequence[EvenMotion], length
         raise CannotFollow(f'{model.name} cannot follow windows of {length:.3g} s')
 
 
-def _judged(fitted: FittedNumbers) -> FittedNumbers:
+def judged(fitted: FittedNumbers) -> FittedNumbers:
     """Return a fit with the noise of its sensors, and its stages."""
     sensor = fitted.sensor
     if not sensor or excess_of(fitted.solution, fitted.problem, sensor) < _SMALLER:
