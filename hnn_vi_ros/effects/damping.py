@@ -31,7 +31,7 @@ class Damping(Force, StepEffect):
     Parameters
     ----------
     rate : float or list of float, optional
-        gamma >= 0 [1/s], for all coordinates or for each; see ``check_rates``.
+        gamma >= 0 [1/s], for all coordinates or for each if no motion gains energy.
     model : str, optional
         A model with learned friction (family dgnet), instead of the rate.
 
