@@ -101,16 +101,20 @@ class WrenchOnLinks(Force, Commanded):
                 ) -> Callable[[], None]:
         """Return a function that sets the wrench."""
         frame, force, torque = cast(LinkWrench, command)
+        frame = str(frame)
         link = frame if frame in self._links else frame.removeprefix(f'{self._base}/')
         body, rotation, origin = self._links.get(link, (0, np.eye(3), np.zeros(3)))
         if not body:
             valid = listed(name for name, (row, *_) in self._links.items() if row)
             raise ValueError(f'frame_id = {frame[:80]!r}: expected a moving link for its own '
                              f'axes, or {self._base}/LINK for those of the base; links: {valid}')
-        parts = np.array([force, torque], dtype=np.float64)
+        try:
+            parts = np.array([force, torque], dtype=np.float64)
+        except (TypeError, ValueError):
+            parts = np.zeros(0)
         if parts.shape != (2, 3) or not (np.abs(parts) <= LARGEST).all():
-            raise ValueError(f'wrench {parts.tolist()!s:.80}: expected finite numbers, at most '
-                             f'{LARGEST:g}')
+            raise ValueError(f'wrench {[force, torque]!s:.80}: expected a force and a torque, of '
+                             f'three finite numbers each, at most {LARGEST:g}')
         if link == frame:
             parts = parts @ rotation.T
 

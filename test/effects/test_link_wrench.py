@@ -100,7 +100,9 @@ def test_wrench_ends_after_its_timeout_and_its_work_is_the_change_of_the_energy(
 
 @pytest.mark.parametrize('command', [
     LinkWrench('base', FORCE, TORQUE), LinkWrench('hand', FORCE, TORQUE),
-    LinkWrench('tool', [1.0, float('nan'), 0.0], TORQUE), [1.0]])
+    LinkWrench('tool', [1.0, float('nan'), 0.0], TORQUE), LinkWrench('tool', FORCE[:2], TORQUE),
+    LinkWrench('tool', 'xyz', TORQUE), LinkWrench('tool', FORCE, None),
+    LinkWrench(3, FORCE, TORQUE), [1.0]])
 def test_wrenches_that_cannot_act_are_refused(command):
     with refused(ValueError):
         pushed().set_command(command)

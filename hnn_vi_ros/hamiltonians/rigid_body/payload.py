@@ -13,15 +13,18 @@ from hnn_vi_ros.hamiltonians.rigid_body.tree import inertia_row, links_of
 import numpy as np
 from pydantic import Field, ValidationError
 
+# Squares of larger numbers may overflow.
+_Bounded = Annotated[float, Field(ge=-1e6, le=1e6)]
+
 
 class Payload(StrictModel):
     """A rigid body that a link carries."""
 
     link: str = Field(description='the link')
     mass: float = Field(0.0, ge=0.0, le=1e6, description='mass [kg]')
-    centre: Annotated[list[float], Field(min_length=3, max_length=3)] = Field(
+    centre: Annotated[list[_Bounded], Field(min_length=3, max_length=3)] = Field(
         [0.0, 0.0, 0.0], description='centre of mass in the frame of the link [m]')
-    inertia: Annotated[list[float], Field(min_length=6, max_length=6)] = Field(
+    inertia: Annotated[list[_Bounded], Field(min_length=6, max_length=6)] = Field(
         [0.0] * 6, description='ixx, ixy, ixz, iyy, iyz, izz about the centre of mass, in the '
         'axes of the link [kg m2]')
 
