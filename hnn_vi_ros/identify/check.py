@@ -14,8 +14,8 @@ from hnn_vi_ros.identify import arguments as command_lines
 from hnn_vi_ros.identify.commanded import delays_of, forces_needed, regression, SPEED
 from hnn_vi_ros.identify.identify import source_by_format
 from hnn_vi_ros.learning import (
-    configuration_of, even_motions, EvenMotion, LogWarning, low_pass, Motion, recording_of,
-    warnings_of)
+    ANGLE, configuration_of, even_motions, EvenMotion, LogWarning, low_pass, Motion, read_header,
+    recording_of, warnings_of)
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -115,7 +115,7 @@ def check(log: Sequence[str], robot: Path | None = None) -> Checked:
     tree = None if robot is None else RigidBodyTree(str(robot))
     coordinates: Sequence[Any] = tree.coordinates if tree is not None else [
         Coordinate(one['name'], one['q_unit'], one['p_unit'])
-        for one in configuration_of(log)['coordinates']]
+        for one in configuration_of(log, usual=ANGLE)['coordinates']]
     names = [one.name for one in coordinates]
     options = Namespace(config=None, data=log, counts=None, inputs=None)
     for commanded in (True, False):
@@ -125,6 +125,9 @@ def check(log: Sequence[str], robot: Path | None = None) -> Checked:
             break
     motions, description = even_motions(raw, data)
     warnings = warnings_of(motions, names)
+    if data.kind == 'log':
+        warnings += [LogWarning(f'{name} is constant or without numbers, and left out')
+                     for name in read_header(Path(log[0]), coordinates).still]
     intervals = np.concatenate([np.diff(motion.t) for motion in raw.motions])
     usual = float(np.median(intervals))
     if (spread := float(np.quantile(np.abs(intervals / usual - 1.0), 0.9))) > 0.5:

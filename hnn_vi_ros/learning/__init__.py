@@ -16,6 +16,7 @@ from hnn_vi_ros.exports import lazy_exports
 if TYPE_CHECKING:
     from hnn_vi_ros.learning.arguments import add_config, Course, INPUTS
     from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
+    from hnn_vi_ros.learning.data.header import ANGLE, read_header
     from hnn_vi_ros.learning.data.log_warnings import LogWarning, warnings_of
     from hnn_vi_ros.learning.data.motions import even_motions, EvenMotion, Motion
     from hnn_vi_ros.learning.data.sampling import low_pass, steps_between

@@ -131,6 +131,61 @@ def test_useless_logs_are_told(logged, tmp_path, kind):
     assert found.useless
 
 
+def with_motors(log: DataFrame, enabled) -> DataFrame:
+    return log.assign(enabled=enabled)
+
+
+@pytest.mark.parametrize('change', [
+    lambda log: with_values(log, Q, 0.3), lambda log: with_values(log, Q[0], np.nan),
+    lambda log: with_values(log, R, np.nan), lambda log: with_motors(log, np.nan)],
+    ids=['constant', 'one without numbers', 'commands without numbers', 'unknown motors'])
+def test_columns_without_numbers_are_named(logged, tmp_path, change):
+    folder, _ = logged
+    change(frame(folder)).to_csv(tmp_path / 'log.csv', index=False)
+    with refused(DataError):
+        check([str(tmp_path / 'log.csv')], folder / 'arm.urdf')
+
+
+def test_motors_that_are_off_for_the_whole_log_are_not_overlooked(logged, tmp_path):
+    folder, _ = logged
+    with_motors(frame(folder), 0).to_csv(tmp_path / 'log.csv', index=False)
+    assert check([str(tmp_path / 'log.csv')]).useless == ['the motors are off in all samples']
+
+
+def test_constant_position_and_large_units_are_warnings(logged, tmp_path):
+    folder, _ = logged
+    log = with_values(frame(folder), Q[1], 0.3)
+    log[Q[0]] *= 180.0 / np.pi
+    log.to_csv(tmp_path / 'log.csv', index=False)
+    texts = ' '.join(one.text for one in check([str(tmp_path / 'log.csv')]).warnings)
+    assert 'elbow position [rad] is constant' in texts and 'more than two turns' in texts
+
+
+ARRAYS = {
+    'one number': {'t': 1.0, 'q': 1.0, 'goal': 2.0},
+    'no samples': {'t': np.zeros(0), 'q': np.zeros((0, 2)), 'goal': np.zeros((0, 2))},
+    'enabled for three': {'enabled': np.ones((300, 3))}, 'enabled too short': {
+        'enabled': np.ones(299)}, 'commands without numbers': {'goal': np.full((300, 2), np.nan)}}
+
+
+@pytest.mark.parametrize('kind', ARRAYS)
+def test_arrays_of_other_shapes_are_one_line(tmp_path, kind):
+    t = 0.01 * np.arange(300)
+    q = np.stack([np.sin(3.0 * t), np.cos(2.0 * t)], axis=1)
+    np.savez(tmp_path / 'log.npz', **({'t': t, 'q': q, 'goal': q + 0.01} | ARRAYS[kind]))
+    with refused(DataError):
+        check([str(tmp_path / 'log.npz')])
+
+
+def test_arrays_without_names_are_angles_with_a_command_for_each(tmp_path):
+    t = 0.01 * np.arange(300)
+    q = np.stack([np.sin(3.0 * t), np.cos(2.0 * t)], axis=1)
+    for goal, useless in ((q, 0), (q[:, :1], 1)):
+        np.savez(tmp_path / 'log.npz', t=t, q=q, goal=goal + 0.01)
+        found = check([str(tmp_path / 'log.npz')])
+        assert found.names == ['q1', 'q2'] and len(found.useless) == useless
+
+
 def test_report_is_one_page_with_a_picture_and_an_excitation(logged, tmp_path, capsys):
     folder, _ = logged
     shutil.copy(folder / 'log.csv', tmp_path)

@@ -272,8 +272,8 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()) 
             name + data.tau, len(t), [d], fewer=True)
         command = None if data.command is None else archive.array(
             name + data.command, len(t), [d], fewer=True)
-        enabled = None if data.enabled is None else archive.array(
-            name + data.enabled).reshape(len(t), -1)
+        enabled = None if data.enabled is None else np.atleast_1d(
+            archive.array(name + data.enabled))
         found.append(with_commands(Motion(
             run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a), command, enabled))
     named = ', '.join(run for run in wanted if run)

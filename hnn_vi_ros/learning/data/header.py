@@ -142,6 +142,8 @@ class Reading:
         True for coordinates that make a whole turn.
     settings : dict of str to float
         Counts per turn and force per current, by their keys in the data section.
+    still : list of str
+        Columns of coordinates that are left out, since they are constant or without numbers.
 
     """
 
@@ -156,6 +158,7 @@ class Reading:
     command: list[Column] = field(default_factory=list)
     enabled: list[Column] = field(default_factory=list)
     settings: Mapping[str, float] = field(default_factory=dict)
+    still: list[str] = field(default_factory=list)
 
     @property
     def data(self) -> dict[str, Any]:
@@ -302,11 +305,15 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
     time = _time_of(path, columns, values)
     t = values[time.name]
     values = {name: without_sentinels(x, t, name, []) for name, x in values.items()}
-    columns = [one for one in columns if np.nanmax(values[one.name], initial=-np.inf)
-               > np.nanmin(values[one.name], initial=np.inf) or one.role == COMMAND]
+    moves = [bool(np.nanmax(values[one.name], initial=-np.inf)
+                  > np.nanmin(values[one.name], initial=np.inf)) for one in columns]
+    still = [one.name for one, changes in zip(columns, moves, strict=True)
+             if one.role == Q and not changes]
+    columns = [one for one, changes in zip(columns, moves, strict=True)
+               if changes or one.role in (COMMAND, ENABLED)]
     trials, rates, forces = ([one for one in columns if one.role == role]
                              for role in (TRIAL, V, TAU))
-    q = _coordinates(path, columns, coordinates, doubts)
+    q = _coordinates(path, columns, coordinates, still, doubts)
     settings = _settings(table.above) | ({} if counts is None else {'counts': counts})
     if parse_unit('count') not in [parse_unit(one.q_unit) for one in coordinates]:
         q = [_counted(path, one, values[one.name], settings) for one in q]
@@ -341,7 +348,7 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
     reading = Reading(path, names if names != table.names else [], time, [*trials, None][0], q,
                       v if len(v) == len(q) else [], tau, turns,
                       commands if len(commands) == len(q) else [], enabled,
-                      {key: x for key, x in settings.items() if uses[key]})
+                      {key: x for key, x in settings.items() if uses[key]}, still)
     if doubts:
         raise _refusal(doubts[0], reading)
     return reading
@@ -413,15 +420,17 @@ def _time_unit(time: Column, t: np.ndarray, known: bool, doubts: list[str]) -> s
 
 
 def _coordinates(path: Path, columns: Sequence[Column], coordinates: Sequence[Named],
-                 doubts: list[str]) -> list[Column]:
+                 still: Sequence[str], doubts: list[str]) -> list[Column]:
     """Return the columns of the coordinates, in the order of the given ones."""
+    others = f' (left out, constant or without numbers: {listed(still)})' if still else ''
     q = [one for one in columns if one.role == Q]
     if not q:
         unknown = [one for one in columns if one.role == UNKNOWN]
         q = unknown if len(unknown) == 1 else [one for one in unknown if one.kind]
     if not q:
         raise DataError(f'{path}: no column of a coordinate: '
-                        f'{listed(one.name for one in columns)}; name it angle [rad] or x [m]')
+                        f'{listed(one.name for one in columns)}{others}; name it angle [rad] or x '
+                        '[m]')
     if coordinates:
         exact = [[one for one in q if one.letter == other.name] or [
             one for one in q if _joint(one) == _joint(column_of(other.name, {}))]
@@ -433,7 +442,8 @@ def _coordinates(path: Path, columns: Sequence[Column], coordinates: Sequence[Na
             not one.kind or not _kind_of(other.q_unit) or one.kind == _kind_of(other.q_unit)
             for one, other in zip(q, coordinates, strict=True))
         if not (fits and (len(q) == 1 or all(one.key.isdigit() for one in q))):
-            doubts.append(f'the columns {listed(one.name for one in columns)} do not say which is '
+            doubts.append(f'the columns {listed(one.name for one in columns)}{others} do not say '
+                          'which is '
                           f'{listed(one.name for one in coordinates)}')
         return [replace(one, kind=_kind_of(other.q_unit))
                 for one, other in zip(q, coordinates, strict=False)]

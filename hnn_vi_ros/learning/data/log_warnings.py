@@ -13,6 +13,8 @@ import numpy as np
 # a channel that is not held; coarsest resolution relative to the range; most steps of the
 # resolution in which a joint stands still.
 _SHORT, _AT_END, _DISTINCT, _COARSE, _STILL = 200, 0.02, 0.05, 0.02, 3.0
+# Widest motion of a joint on the way of its commands: two turns [rad].
+_WIDEST = 4.0 * np.pi
 # Differences that are rounding, relative to the range.
 _ROUNDED = 1e-6
 # Highest frequency of a motion, relative to the sampling rate.
@@ -49,6 +51,9 @@ def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str]) -> list[Log
             found.append(LogWarning(f'{name} does not move'))
         else:
             found += _of_channel(q, f'position of {name}')
+            if motions[0].commanded and np.ptp(q) > _WIDEST:
+                found.append(LogWarning(f'{name} moves by {np.ptp(q):.3g}, more than two turns in '
+                                        'rad: check the units of positions and commands'))
     if not any(moves):
         found.append(LogWarning('no joint moves: move them', True))
     tau = np.concatenate([motion.tau for motion in motions])
@@ -91,6 +96,10 @@ def _of_channel(x: np.ndarray, what: str) -> Iterator[LogWarning]:
 def _of_commands(motions: Sequence[EvenMotion], tau: np.ndarray, names: Sequence[str],
                  moves: Sequence[bool]) -> Iterator[LogWarning]:
     """Yield warnings about commands that stay, or that positions do not follow."""
+    if tau.shape[1] != len(names):
+        yield LogWarning(f'{tau.shape[1]} commands for {len(names)} joints: give one for each',
+                         True)
+        return
     on = (np.abs(tau) <= LARGEST).all(axis=1)
     if not on.any():
         yield LogWarning('the motors are off in all samples', True)

@@ -332,7 +332,7 @@ def _check_copies(motion: Motion) -> None:
     for k, (label, x) in enumerate(columns):
         # Several motors may have one command.
         for other, y in columns[:min(k, d)]:
-            if np.ptp(x) > 0.0 and np.array_equal(x, y):
+            if x.size and np.ptp(x) > 0.0 and np.array_equal(x, y):
                 raise DataError(f'{motion.where}: {label} has the numbers of {other}: one column '
                                 'is a copy of the other; check the columns or topics')
 
@@ -406,7 +406,8 @@ def _usable_samples(motion: Motion, on_bad: str, report: ReadingReport) -> np.nd
         raise DataError(f'{motion.where}: sample {at + 1} {what}; remove it, or use data.on_bad: '
                         'drop or split')
     if wrong.size > _MOST_BAD * len(motion.t):
-        counts = ', '.join(f'{part.sum()} lack a number of {name}'
+        counts = ', '.join(f'{part.sum()} lack a number of '
+                           f'{"the commands" if name == "tau" and motion.commanded else name}'
                            for name, part in lacks.items() if part.any())
         raise DataError(f'{motion.where}: ' + (repeated_text(motion.t) or (
             f'of {len(motion.t)} samples {counts or "none lacks a number"}, and {late.sum()} are '
@@ -585,8 +586,13 @@ def with_commands(motion: Motion, command: np.ndarray | None, enabled: np.ndarra
     """Return a motion with commanded positions, (N, m), and OFF where motors are not enabled."""
     if command is None:
         return motion
-    on = np.ones((len(command), 1)) if enabled is None else enabled
-    return replace(motion, tau=np.where(on != 0.0, command, OFF), inputs='held', commanded=True)
+    on = np.ones((len(command), 1)) if enabled is None else enabled.reshape(enabled.shape[0], -1)
+    if on.shape not in ((len(command), 1), command.shape):
+        raise DataError(f'{motion.where}: enabled has shape {on.shape}, expected one column, or '
+                        f'one for each command, of {len(command)} samples')
+    # Unknown is neither on nor off.
+    tau = np.where(np.isnan(on), np.nan, np.where(on != 0.0, command, OFF))
+    return replace(motion, tau=tau, inputs='held', commanded=True)
 
 
 def run_of(motion: Motion) -> str:

@@ -255,7 +255,8 @@ def is_bag(file: Path) -> bool:
     return file.is_dir() or file.suffix in ('.mcap', '.db3', '.yaml')
 
 
-def configuration_of(given: Sequence[str], counts: float | None = None) -> dict[str, Any]:
+def configuration_of(given: Sequence[str], counts: float | None = None, usual: str = ''
+                     ) -> dict[str, Any]:
     """
     Return a training configuration for the only reading of some data.
 
@@ -265,6 +266,8 @@ def configuration_of(given: Sequence[str], counts: float | None = None) -> dict[
         Logs, arrays or bags.
     counts : float, optional
         See source_of.
+    usual : str, optional
+        Kind of coordinates of arrays and bags whose names do not tell it; default: refuse them.
 
     Raises
     ------
@@ -275,13 +278,14 @@ def configuration_of(given: Sequence[str], counts: float | None = None) -> dict[
     file = _file_of(given[0], counts)
     if file.suffix == _ARRAYS:
         archive = Archive(file)
-        width = archive.array(next((key for key in archive.arrays if key.rpartition('/')[2] == 'q'
-                                    ), 'q')).shape[-1]
+        q = archive.array(next((key for key in archive.arrays if key.rpartition('/')[2] == 'q'
+                                ), 'q'))
+        width = q.shape[1] if q.ndim > 1 else 1
         return _of_joints(f'{file}: q', {'kind': 'arrays', 'path': str(file)}, [
-            f'q{k + 1}' if width > 1 else 'q' for k in range(width)])
+            f'q{k + 1}' if width > 1 else 'q' for k in range(width)], usual)
     if is_bag(file):
         return _of_joints(f'{file}: joint_states', {'kind': 'bag', 'paths': list(given)},
-                          joint_names(file))
+                          joint_names(file), usual)
     readings = [read_header(Path(path), counts=counts) for path in given]
     sections = [{**one.data, 'path': ''} for one in readings]
     for one, section in zip(readings, sections, strict=True):
@@ -294,9 +298,10 @@ def configuration_of(given: Sequence[str], counts: float | None = None) -> dict[
     return configuration if len(given) == 1 else configuration | {'data': sections[0]}
 
 
-def _of_joints(where: str, data: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Return a configuration of joints whose kinds follow from their names."""
-    kinds = [column_of(name, {}).kind for name in names]
+def _of_joints(where: str, data: dict[str, Any], names: Sequence[str], usual: str
+               ) -> dict[str, Any]:
+    """Return a configuration of joints; kinds follow from names, or are the usual one."""
+    kinds = [column_of(name, {}).kind or usual for name in names]
     if not all(kinds):
         name = next(name for name, kind in zip(names, kinds, strict=True) if not kind)
         ways = ' or '.join(str({'name': name, **units}).replace("'", '')
