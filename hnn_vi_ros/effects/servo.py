@@ -4,7 +4,6 @@
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from functools import partial
 import math
 from typing import NamedTuple, TYPE_CHECKING
 
@@ -25,9 +24,10 @@ import numpy as np
 if TYPE_CHECKING:
     from hnn_vi_ros.effects.gravity_forces import Compensation
 
-# Modes of a coordinate: no command yet, or it follows a position, a velocity, a path, or commands
-# that wait in the knots until their delay has passed.
-_IDLE, _AT_POSITION, _AT_VELOCITY, _ON_PATH, _DELAYED = range(5)
+# Modes of a coordinate: no command yet, or it follows a position, a velocity, or a path. With a
+# delay all commands wait in the knots; accelerations of a knot from which a command is held are
+# NaN, and infinite at those of cubic polynomials.
+_IDLE, _AT_POSITION, _AT_VELOCITY, _ON_PATH = range(4)
 # Number of a command that switches a motor off; others are at most LARGEST.
 OFF = 1e90
 # Maximum number of knots of a path. Each has a row of Reference.knots, whose size is fixed,
@@ -118,8 +118,7 @@ class Servo(Compensated, Force, Commanded):
     speed : float, optional
         u > 0 [rad/s], [m/s], as that of `joint_friction`.
     delay : float, optional
-        Time from a command to its effect, >= 0 [s]; with a delay, paths are not accepted. A log's
-        `enabled` acts without it.
+        Time from a command to its effect, >= 0 [s]. A log's `enabled` acts without it.
     drive : str, optional
         A drive of all joints, whose F, b, P and l are the defaults: see `effects.drives`.
     gravity_compensation : str, optional
@@ -169,7 +168,7 @@ class Servo(Compensated, Force, Commanded):
         check_finite(position=position or 0.0, offset=offset)
         check_names_once(coordinates=coordinates)
         self.names, self.delay, self.speed = coordinates, float(delay), float(speed)
-        self.takes = frozenset({POSITION, VELOCITY} if delay else {POSITION, VELOCITY, PATH})
+        self.takes = frozenset({POSITION, VELOCITY, PATH})
         self.values: dict[str, float | list[float]] = {
             'stiffness': stiffness, 'damping': damping, 'effort_limit': limit,
             'position': math.nan if position is None else position,
@@ -211,7 +210,7 @@ class Servo(Compensated, Force, Commanded):
 
     def servo_target(self, parameters: ServoParameters) -> ServoTarget:
         """Return the present targets of the joints."""
-        return _target(parameters, self.names)
+        return _target(parameters, self.names, parameters.clock[0])
 
     def joints(self, parameters: ServoParameters) -> np.ndarray:
         """Return the columns of the joints."""
@@ -263,9 +262,6 @@ def _target_at(own: ServoParameters, k: int, segment: int, t: float
     mode = reference.modes[i]
     if mode == _ON_PATH:
         return _along(reference, segment, i, t)
-    if mode == _DELAYED:
-        return (reference.knots[segment, 1 + i],
-                reference.knots[segment, 1 + reference.modes.size + i], 0.0)
     if mode == _AT_POSITION:
         return reference.targets[0, i], reference.targets[1, i], 0.0
     if mode == _AT_VELOCITY:
@@ -278,25 +274,33 @@ def _along(reference: Reference, segment: int, i: int, t: float) -> tuple[float,
     """Return a coordinate of the path and its derivatives, in the segment after a knot."""
     knots, d = reference.knots, reference.modes.size
     q0, v0, a0 = knots[segment, 1 + i], knots[segment, 1 + d + i], knots[segment, 1 + 2 * d + i]
+    if math.isnan(a0):
+        return q0, v0, 0.0
     if segment + 1 >= min(reference.extent[0], knots.shape[0]) or t < knots[segment, 0]:
         # The path is at rest after its end and before its start.
         return q0, 0.0, 0.0
     q1, v1, a1 = (knots[segment + 1, 1 + i], knots[segment + 1, 1 + d + i],
                   knots[segment + 1, 1 + 2 * d + i])
     h = knots[segment + 1, 0] - knots[segment, 0]
-    c = cubic(h, q0, v0, q1, v1) if reference.extent[1] == 3 else \
+    c = cubic(h, q0, v0, q1, v1) if reference.extent[1] == 3 or math.isinf(a0) else \
         quintic(h, q0, v0, a0, q1, v1, a1)
     x = (t - knots[segment, 0]) / h
     return value_at(c, x), slope_at(c, x) / h, bend_at(c, x) / (h * h)
 
 
-def _target(own: ServoParameters, names: Sequence[str]) -> ServoTarget:
-    """Return the present targets of joints with these names."""
-    t = own.clock[0]
+def _target(own: ServoParameters, names: Sequence[str], t: float) -> ServoTarget:
+    """Return the targets of joints with these names at a time."""
     segment = _segment_at(own.reference, t)
     targets = np.array([_target_at(own, k, segment, t) for k in range(own.columns.size)])
-    modes = own.reference.modes[own.columns]
-    return ServoTarget(names, own.columns, targets.T, bool((modes == _ON_PATH).any()))
+    return ServoTarget(names, own.columns, targets.T, bool(_moving(own, segment).any()))
+
+
+def _moving(own: ServoParameters, segment: int) -> np.ndarray:
+    """Return which joints follow a path after a knot, shape (n,)."""
+    modes, knots = own.reference.modes, own.reference.knots
+    bends = knots[segment, 1 + 2 * modes.size + own.columns]
+    found: np.ndarray = (modes[own.columns] == _ON_PATH) & ~np.isnan(bends)
+    return found
 
 
 def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequence[str]
@@ -308,57 +312,79 @@ def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequenc
         for k in np.flatnonzero(np.abs(values) > LARGEST):
             raise ValueError(f'{kind} of {names[joints[k]]} is {values[k]:g}, expected at most '
                              f'{LARGEST:g}')
-    waiting = _waiting(own) if own.delay else np.zeros((0, 0))
+    if own.delay:
+        places, (rows, begin) = own.columns[joints], _waiting(own)
+        for part, values in enumerate((position, np.where(np.isnan(velocity), 0.0, velocity),
+                                       np.full(len(joints), math.nan))):
+            rows[begin:, 1 + part * own.reference.modes.size + places] = values
+        return _follow(own, rows, 5)
 
     def put() -> None:
         reference, places = own.reference, own.columns[joints]
         free = np.isnan(position)
-        if own.delay:
-            knots, count, d = reference.knots, len(waiting), reference.modes.size
-            knots[:count] = waiting
-            knots[count] = knots[count - 1]
-            knots[count, 0] = own.clock[0] + own.delay
-            knots[count, 1 + places] = position
-            knots[count, 1 + d + places] = np.where(np.isnan(velocity), 0.0, velocity)
-            reference.extent[0], reference.modes[own.columns] = count + 1, _DELAYED
-            return
         reference.modes[places] = np.where(free, _AT_VELOCITY, _AT_POSITION)
         reference.targets[0, places] = np.where(free, 0.0, position)
         reference.targets[1, places] = np.where(np.isnan(velocity), 0.0, velocity)
     return put
 
 
-def _waiting(own: ServoParameters) -> np.ndarray:
-    """Return the rows of the knots from the active command on, or raise ValueError."""
+def _waiting(own: ServoParameters) -> tuple[np.ndarray, int]:
+    """
+    Return the rows of the knots from the active one on, and the index of the one after the delay.
+
+    The reference is split there.
+    """
     reference, d = own.reference, own.reference.modes.size
-    if reference.extent[0] == 0:
-        first = np.full((1, reference.knots.shape[1]), math.nan)
-        first[0, 0], first[0, 1 + own.columns] = own.clock[0], own.start
-        first[0, 1 + d + own.columns] = np.where(np.isnan(own.start), math.nan, 0.0)
-        return first
-    rows = reference.knots[_segment_at(reference, own.clock[0]):reference.extent[0]]
-    if len(rows) == MOST_KNOTS:
-        raise ValueError(f'{MOST_KNOTS} commands wait for the delay of {own.delay:g} s to pass; '
-                         'command less often')
-    return rows.copy()
+    knots, columns = reference.knots[:reference.extent[0]], 1 + own.columns
+    if not len(knots):
+        knots = np.full((1, 1 + 3 * d), math.nan)
+        knots[0, 0], knots[0, columns] = own.clock[0], own.start
+        knots[0, d + columns] = np.where(np.isnan(own.start), math.nan, 0.0)
+    at = own.clock[0] + own.delay
+    active, last = (_segment_at(reference, t) for t in (own.clock[0], at))
+    end = knots[last].copy()
+    end[0], moving = at, _moving(own, last)
+    if moving.any():
+        for part, values in enumerate(_target(own, (), at).targets):
+            end[part * d + columns[moving]] = values[moving]
+    begin, bends = end.copy(), 2 * d + columns
+    begin[bends] = np.where(np.isinf(knots[last, bends]), math.inf, end[bends])
+    rows = [*knots[active:last + 1], *[end] * bool(moving.any()), begin, *knots[last + 1:]]
+    return np.array(rows), last + 1 - active + bool(moving.any())
+
+
+def _follow(own: ServoParameters, rows: np.ndarray, degree: int) -> Callable[[], None]:
+    """Return a function that replaces the knots, or raise ValueError for too many."""
+    if len(rows) > MOST_KNOTS:
+        raise ValueError(f'more than {MOST_KNOTS} commands and points of paths wait for the delay '
+                         f'of {own.delay:g} s to pass; command less often')
+
+    def put() -> None:
+        reference = own.reference
+        reference.knots[:len(rows)] = rows
+        reference.extent[:] = len(rows), degree
+        reference.modes[own.columns] = _ON_PATH
+    return put
 
 
 def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q: np.ndarray
                   ) -> Callable[[], None]:
     """
-    Return a function that makes joints follow a path from now on, or raise ValueError.
+    Return a function that makes joints follow a path after the delay, or raise ValueError.
 
-    The path starts at the present targets, so that the reference does not jump, and continues with
+    The path starts at the targets then, so that the reference does not jump, and continues with
     the points in the future. Points without velocities get the velocities of the cubic spline that
     ends at rest. A path without points holds the joints at the start.
     """
     _check_path(path, names)
-    start = _target(own, names).targets
+    now = own.clock[0] + own.delay
+    start = _target(own, names, now).targets
     start[0] = np.where(np.isnan(start[0]), q[own.columns], start[0])
     start[1] = np.where(np.isnan(start[1]), 0.0, start[1])
     if not len(path.times):
-        return partial(_hold, own, start[0])
-    now, times = own.clock[0], own.clock[0] + path.delay + path.times
+        still = np.zeros(len(names))
+        return _prepare_targets(JointCommand(names, start[0], still, still), own, names)
+    times = now + path.delay + path.times
     ahead = times > now
     if times[-1] == now:
         raise ValueError('the last point has time_from_start = 0 s; give it a later time, or '
@@ -382,21 +408,17 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
         slopes = CubicSpline(t - now, points, bc_type=((1, start[1]), (1, rest)))(t - now, 1)
     if path.accelerations is not None:
         bends = np.vstack([start[2], path.accelerations[ahead][:, order]])
-    rows = np.hstack([t[:, None], points, slopes, bends])
-
-    def put() -> None:
-        reference, d = own.reference, own.reference.modes.size
-        columns = [0, *(1 + part * d + i for part in range(3) for i in own.columns)]
-        reference.knots[:len(t), columns] = rows
-        reference.extent[:] = len(t), 3 if path.accelerations is None else 5
-        reference.modes[own.columns] = _ON_PATH
-    return put
-
-
-def _hold(own: ServoParameters, position: np.ndarray) -> None:
-    """Hold joints at a position from now on."""
-    own.reference.modes[own.columns] = _AT_POSITION
-    own.reference.targets[:, own.columns] = position, np.zeros_like(position)
+    d, degree = own.reference.modes.size, 3 if path.accelerations is None else 5
+    rows = np.zeros((len(t), 1 + 3 * d))
+    rows[:, 0] = t
+    for part, values in enumerate((points, slopes, bends)):
+        rows[:, 1 + part * d + own.columns] = values
+    if not own.delay:
+        return _follow(own, rows, degree)
+    if degree == 3:
+        rows[:, 1 + 2 * d + own.columns] = math.inf
+    before, begin = _waiting(own)
+    return _follow(own, np.vstack([before[:begin], rows]), 5)
 
 
 def _check_path(path: JointPath, names: Sequence[str]) -> None:

@@ -13,8 +13,8 @@ import warnings
 from hnn_vi_ros.effects import (
     Account, add_effect, add_forces, ClosedChains, Command, Commanded, contents, Effect,
     effect_name, EffectError, EFFECTS, EffectState, EFFORT, Force, Joined, JointCommand,
-    JointPath, LINK_WRENCH, LoopManifold, Manifold, NUMBERS, OBSERVATION, PATH, PAYLOAD,
-    PayloadChanges, Place, POSITION, ServoTarget, StepLayer, TimeDrive, Wrapped)
+    JointPath, LINK_WRENCH, LoopManifold, Manifold, NUMBERS, OBSERVATION, PAYLOAD,
+    PayloadChanges, Place, ServoTarget, StepLayer, TimeDrive, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows
 from hnn_vi_ros.integrators import (
@@ -121,9 +121,6 @@ class Motors:
         for content in sorted(held - self.takes):
             kind = {OBSERVATION: 'observer', NUMBERS: 'external_force', LINK_WRENCH: 'link_wrench',
                     EFFORT: 'external_force'}.get(content, 'servo')
-            if content == PATH and POSITION in self.takes:
-                raise ValueError('the scene accepts no path: its servo has a delay; command '
-                                 'positions')
             if content == PAYLOAD:
                 raise ValueError('the scene accepts no payload: its hamiltonian has none; add '
                                  'payload: {link: LINK} to it')

@@ -369,14 +369,44 @@ def test_commands_act_after_their_delay():
     np.testing.assert_array_equal(late.q, after)
 
 
+def random_command(rng: np.random.Generator) -> JointCommand | JointPath:
+    """Return positions, a path of degree 3 or 5, one of positions, or none."""
+    kind, t = rng.integers(6), np.cumsum(rng.uniform(0.02, 0.2, 3))
+    if kind < 3:
+        return command(('x', 'y', 'xy')[rng.integers(3)], *rng.normal(size=2))
+    points = [rng.normal(size=3), np.array([*rng.normal(size=2), 0.0]), rng.normal(size=3)]
+    return path(t, *points[:kind - 2], names='yx', delay=rng.uniform(-0.01, 0.1)) \
+        if rng.integers(5) else path([], [], names='xy')
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_paths_and_commands_act_after_their_delay_in_any_order(seed):
+    # Steps whose times are not rounded.
+    late, other = (servo('x', 'y', h=1.0 / 64, delay=delay, position=[0.1, -0.1])
+                   for delay in (5.0 / 64, 0.0))
+    waiting, rng = dict[int, JointCommand | JointPath](), np.random.default_rng(seed)
+    for step in range(120):
+        if rng.integers(3) == 0:
+            waiting[step + 5] = random_command(rng)
+            late.set_command(waiting[step + 5])
+        if step in waiting:
+            other.set_command(waiting[step])
+        one, rest = late.motors.servo_target, other.motors.servo_target
+        # Segments are split when the next command comes: rounding of their polynomials, over the
+        # square of a part of a segment.
+        np.testing.assert_allclose(one.targets, rest.targets, rtol=1e-6, atol=1e-6)
+        assert one.on_path == rest.on_path
+        for simulation in (late, other):
+            simulation.advance(1)
+        assert late.q == pytest.approx(other.q, abs=1e-9)
+
+
 def test_more_commands_than_wait_for_a_delay_are_refused():
     simulation = servo('x', delay=1.0)
     for _ in range(MOST_KNOTS - 1):
         simulation.set_command(command('x', position=0.1))
     with refused(ValueError):
         simulation.set_command(command('x', position=0.1))
-    with refused(ValueError):
-        simulation.set_command(path([1.0], [0.0]))
 
 
 @pytest.mark.parametrize('given', [{'back_emf': -1.0}, {'delay': -0.1}, {'offset': NAN},
