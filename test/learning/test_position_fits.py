@@ -6,7 +6,7 @@ from dataclasses import replace
 import math
 
 from hnn_vi_ros.learning.data.motions import of_positions, smoothed
-from hnn_vi_ros.learning.fit import rigid_body
+from hnn_vi_ros.learning.fit import growing, rigid_body
 from hnn_vi_ros.learning.fit.fitted_rigid_body import covariance_of, rounding_of
 from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.growing import first_length
@@ -250,3 +250,18 @@ def test_numbers_of_two_links_that_whirl_are_within_their_intervals():
         # Four standard errors, which are less than 2 % of the number.
         value, high = found[name].value, found[name].interval[1]
         assert abs(value - truth) < 4.0 * (high - value) / 1.96 < 0.08 * truth
+
+
+def test_false_minimum_of_whole_motions_is_left_at_once_and_tells_nothing(monkeypatch):
+    """Searches went on for minutes, and intervals were hundreds of times wider."""
+    motions, searches, search = of_positions([carriage(1, 1.0)]), [], growing.search
+
+    def false(problem, *arguments):
+        solution = search(problem, *arguments)
+        searches.append(len(solution.starts))
+        return replace(solution, residuals=(
+            100.0 if len(solution.starts) == 1 else 1.0) * solution.residuals)
+    monkeypatch.setattr(growing, 'search', false)
+    found = fit_machine(sliding(prior='planar_chain', residual=False), motions).numbers
+    assert searches.count(1) == 1 and len(found.solution.starts) > 1
+    assert max(excess for _, excess in found.stages) < 1.1

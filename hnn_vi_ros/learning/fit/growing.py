@@ -183,7 +183,9 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
                     _check_followed(before, motions, length, seen)
                 found.append((fit_longer_windows(
                     model, motions, length, noise, robust,
-                    tolerance if length >= wanted else _ROUGH, before, seen), before))
+                    tolerance if length >= wanted else _ROUGH, before, seen,
+                    math.inf if before is None or horizon is not None else
+                    _GROWTH * before.problem.misfit(before.solution)), before))
             except CannotFollow:
                 if not found and model is alive[-1][0] and (
                         before is None or horizon is not None):
@@ -198,8 +200,8 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
             continue
         best = judged(best)
         if horizon is None and before is not None and _leaves_the_motion(best):
-            return refitted(before, before.problem.model, before.solution.values, tolerance
-                            )._replace(stages=best.stages)
+            found = refitted(before, before.problem.model, before.solution.values, tolerance)
+            return found if _is_false(best) else found._replace(stages=best.stages)
         if length >= wanted:
             return best
         # Starts that lead to the same optimum have the same misfit.
@@ -219,6 +221,17 @@ def _leaves_the_motion(fitted: FittedNumbers) -> bool:
     (_, before), (_, now) = fitted.stages[-2:]
     grown = math.sqrt(0.5 * fitted.solution.freedom) * ((now / before)**2 - 1.0)
     return now > _GROWTH * before or (before < _NOISE_ALONE and grown > _CERTAIN)
+
+
+def _is_false(fitted: FittedNumbers) -> bool:
+    """
+    Return True if the longest windows ended in a false minimum, which tells nothing of the model.
+
+    The errors of a force that is missing grow with a power of the length, up to the third: from
+    less than a third of noise that seems alone to less than _POOR.
+    """
+    (_, before), (_, now) = fitted.stages[-2:]
+    return before < _NOISE_ALONE and now > _POOR
 
 
 def unmeasured_ratio(seen: MeasuredColumns) -> float:
@@ -329,8 +342,8 @@ def cost_at_start(model: ParametricModel, motions: Sequence[EvenMotion]) -> floa
 
 def fit_longer_windows(model: ParametricModel, motions: Sequence[EvenMotion], length: float,
                        noise: np.ndarray, robust: bool, tolerance: float,
-                       before: FittedNumbers | None, seen: MeasuredColumns | None = None
-                       ) -> FittedNumbers:
+                       before: FittedNumbers | None, seen: MeasuredColumns | None = None,
+                       limit: float = math.inf) -> FittedNumbers:
     """Return the fit in windows of this length [s], from that in shorter ones."""
     values = np.array([number.start for number in model.numbers]) if before is None else \
         before.solution.values
@@ -341,7 +354,7 @@ def fit_longer_windows(model: ParametricModel, motions: Sequence[EvenMotion], le
         values, starts = _searched(model, windows, noise, starts, values, seen, length)
     solution, problem = fit_with_noise(
         model, windows, noise if before is None else before.solution.noise, starts, values,
-        robust, tolerance, before is None)
+        robust, tolerance, before is None, limit)
     fits, sensor = ([], []) if before is None else (before.fits, before.sensor)
     return FittedNumbers([*fits, (length, solution, problem)], [], sensor)
 
@@ -371,9 +384,13 @@ def judged(fitted: FittedNumbers) -> FittedNumbers:
 
 
 def fit_with_noise(model: ParametricModel, windows: Windows, noise: np.ndarray, starts: np.ndarray,
-                   values: np.ndarray, robust: bool, tolerance: float, guessed: bool
-                   ) -> tuple[Solution, FitProblem]:
-    """Return the fit whose noise agrees with its own residuals, iterated from a first noise."""
+                   values: np.ndarray, robust: bool, tolerance: float, guessed: bool,
+                   limit: float = math.inf) -> tuple[Solution, FitProblem]:
+    """
+    Return the fit whose noise agrees with its own residuals, iterated from a first noise.
+
+    It is not iterated where the misfit exceeds a limit, beyond which the fit is left.
+    """
     if windows.there.sum() * len(noise) <= starts.size + len(values):
         raise DataError(f'{int(windows.there.sum())} samples of {len(noise)} quantities in '
                         f'{len(starts)} windows are too few for {len(values)} numbers and '
@@ -389,8 +406,9 @@ def fit_with_noise(model: ParametricModel, windows: Windows, noise: np.ndarray, 
         ratio = told / noise
         noise = told
         # A common factor affects only the robust loss.
-        if not squares and np.ptp(np.log(ratio)) < _SETTLED and not (
-                robust and abs(np.log(ratio)).max() > _SETTLED):
+        settled = np.ptp(np.log(ratio)) < _SETTLED and not (
+            robust and abs(np.log(ratio)).max() > _SETTLED)
+        if problem.misfit(solution) > limit or (settled and not squares):
             break
     return replace(
         solution, residuals=solution.residuals / ratio, noise=noise,
