@@ -245,6 +245,8 @@ REFUSED: dict[str, Callable[[], str | bytes]] = {
                                        head='t,name,theta'),
     'two bodies at the same times': lambda: rows(np.repeat(T, 2), np.ravel([Q, -Q], 'F')),
     'a force that is a copy': lambda: rows(T, Q, Q, head='t,theta [rad],torque [Nm]'),
+    'a force that is a scaled copy': lambda: rows(
+        T, Q, np.round(0.3 * V + 2.0, 4), V, head='t,theta [rad],torque [Nm],omega [rad/s]'),
     'a joint that is a copy': lambda: rows(T, Q, Q, head='t,q1 [rad],q2 [rad]'),
     'no times': lambda: rows(Q, V, head='theta,omega'),
     'a row too short': lambda: rows(T, Q).replace(f'\n{T[9]:.5f},', f'\n{T[9]:.5f};'),
@@ -379,3 +381,14 @@ def test_log_of_no_reading_is_refused_in_a_line(tmp_path, shape):
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with refused(DataError):
         read(path)
+
+
+def test_force_opposite_to_a_coordinate_is_said_and_may_be_that_of_a_controller(tmp_path):
+    path = tmp_path / 'log.csv'
+    path.write_text(rows(T, Q, 0.7 - 2.0 * Q, head='t,theta [rad],torque [Nm]'))
+    (motion,), said = read(path)
+    # Both columns have five digits.
+    np.testing.assert_allclose(motion.tau[:, 0], 0.7 - 2.0 * motion.q[:, 0], atol=2e-5)
+    assert "force 1 is -2 times 'theta [rad]', up to a constant" in said
+    path.write_text(rows(T, Q, U, head='t,theta [rad],torque [Nm]'))
+    assert 'times' not in read(path)[1]

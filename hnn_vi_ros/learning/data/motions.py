@@ -9,6 +9,7 @@ times and values alone are in sampling.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 import math
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
@@ -49,6 +50,8 @@ _MOST_BAD = 0.5
 _UNEXPLAINED = 0.25
 # Relative difference below which intervals of runs are regarded as equal.
 _ALIKE = 0.01
+# Part of a force beside a multiple of another column, relative to it, that is rounding.
+_COPIED = 1e-3
 OnBad = Annotated[Literal['drop', 'split', 'fail'], Field(description=(
     'treatment of samples that are late, duplicated or lack a number: drop them and interpolate, '
     'split the motion there, or fail. A gap of more than ten intervals starts a new motion, or '
@@ -258,7 +261,7 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
                        v=None if data.velocities == NONE else motion.v)
                for motion in recording.motions]
     for motion in motions:
-        _check_copies(motion)
+        _check_copies(motion, report)
     cut = [pieces_of(motion, data.on_bad, report) for motion in motions]
     _check_motions(cut)
     # The interval of most samples is used for motions at different rates.
@@ -323,8 +326,12 @@ class Pieces(NamedTuple):
     spacing: float
 
 
-def _check_copies(motion: Motion) -> None:
-    """Raise DataError if a coordinate or a force is a copy of a coordinate."""
+def _check_copies(motion: Motion, report: ReadingReport) -> None:
+    """
+    Raise DataError if a coordinate or a force is a copy of a coordinate.
+
+    Forces in other units are scaled copies. Opposite ones may be those of a controller.
+    """
     what, d = 'command' if motion.commanded else 'force', motion.q.shape[1]
     forces = () if motion.tau is None else motion.tau.T
     columns = [*zip(motion.labels, motion.q.T, strict=False),
@@ -335,6 +342,19 @@ def _check_copies(motion: Motion) -> None:
             if x.size and np.ptp(x) > 0.0 and np.array_equal(x, y):
                 raise DataError(f'{motion.where}: {label} has the numbers of {other}: one column '
                                 'is a copy of the other; check the columns or topics')
+    if motion.commanded:
+        return
+    measured = [*motion.q.T, *(() if motion.v is None else motion.v.T)]
+    for (k, x), (label, y) in product(enumerate(forces), zip(
+            motion.labels, measured, strict=False)):
+        there = np.isfinite(x) & np.isfinite(y)
+        (own, both), (_, other) = np.cov(x[there], y[there])
+        if own > 0.0 and both**2 > (1.0 - _COPIED**2) * own * other:
+            said = f'force {k + 1} is {both / other:.4g} times {label}, up to a constant'
+            if both > 0.0:
+                raise DataError(f'{motion.where}: {said}: one column is a scaled copy of the '
+                                'other; check the columns or topics, or set data.forces: none')
+            report.note(f'{said}: the log does not tell it from a spring or friction')
 
 
 def _check_motions(cut: Sequence[Pieces]) -> None:
