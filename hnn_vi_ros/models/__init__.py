@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.outputs import (
         evaluate_outputs, pack_layers, pack_outputs, PackedOutputs)
     from hnn_vi_ros.models.planar_chain import (
-        chain_angles, CHAINS, HIGHEST_POWER, is_spring, parameter_names, parameter_places,
+        chain_angles, CHAINS, HIGHEST_POWER, is_spring, OFFSET, parameter_names, parameter_places,
         PLANAR_CHAIN, unit_terms)
     from hnn_vi_ros.models.priors import prior_kernel
     from hnn_vi_ros.models.rigid_body_card import (

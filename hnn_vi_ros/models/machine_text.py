@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard, PriorCard
 from hnn_vi_ros.models.model_card import ModelCard
-from hnn_vi_ros.models.planar_chain import chain_terms, CHAINS
+from hnn_vi_ros.models.planar_chain import chain_terms, CHAINS, sensor_offsets
 import numpy as np
 
 # Friction below this share of the largest one is not written.
@@ -87,13 +87,15 @@ def ratio_unit(unit: str, open_scale: str) -> str:
 
 
 def _of_chain(mechanical: MechanicalCard, prior: PriorCard, names: list[str]) -> Iterator[str]:
-    terms = chain_terms(mechanical.angles, prior.values)
+    terms, labels = chain_terms(mechanical.angles, prior.values), names
+    names = [f'({sum_text({name: 1.0, "": -x})})' if x else name for name, x in zip(
+        names, sensor_offsets(len(names), prior.values), strict=True)]
 
     def cosine(row: np.ndarray) -> str:
         angle = sum_text({name: x for name, x in zip(names, row.tolist(), strict=True) if x})
         return f'cos({angle})' if row.any() else ''
-    for i, one in enumerate(names):
-        for j, other in enumerate(names[:i + 1]):
+    for i, one in enumerate(labels):
+        for j, other in enumerate(labels[:i + 1]):
             entry = {cosine(row): float(matrix[i, j]) for row, matrix in zip(
                 terms.mass_rows, terms.matrices, strict=True) if matrix[i, j]}
             yield f'M[{one}, {other}] = {sum_text(entry)}'

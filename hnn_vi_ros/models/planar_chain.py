@@ -17,7 +17,8 @@ about them; R_i is the inertia of a motor on joint i. Only these combinations ar
 For a cart, I_i is all that it carries, C_ij = m_j c_j + l_j sum_(k>j) m_k, and G_i a weight along
 its rail. G_i < 0 if zero is upright. k is the stiffness of springs at joints and between them,
 and T their force at q = 0 (for a cart, a part of G_i). S_n is the part of a spring's force that
-grows with the n-th power, up to the fifth. M and V are linear in these parameters.
+grows with the n-th power, up to the fifth. M and V are linear in these parameters. Where sensors
+of rotating joints are off by constants z, q is measured, and q - z is in place of it in M and V.
 
 M is positive definite at all q if the matrix K of I_i and C_ij is, and without motors only if:
 cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
@@ -38,6 +39,8 @@ PLANAR_CHAIN = 'planar_chain'
 CHAINS = {'pendulum': (1, 1), 'double_pendulum': (2, 2), PLANAR_CHAIN: (1, 4)}
 # Highest power of the force of springs.
 HIGHEST_POWER = 5
+# Kind of the parameters that are offsets of sensors.
+OFFSET = 'sensor_offset'
 
 
 class Terms(NamedTuple):
@@ -114,12 +117,12 @@ def is_chain(kind: str, angles: Sequence[Sequence[float]] | np.ndarray, kinds: S
                 and np.linalg.matrix_rank(A) == d - carts)
 
 
-def parameter_places(angles: Sequence[Sequence[float]], springs: int = 0
+def parameter_places(angles: Sequence[Sequence[float]], springs: int = 0, offsets: bool = False
                      ) -> list[tuple[str, tuple[int, ...]]]:
     """
     Return the kind of each parameter, and its link or its two links.
 
-    Forces of springs grow up to the power ``springs``; 0 for none.
+    Forces of springs grow up to the power ``springs``; 0 for none. ``offsets`` are of sensors.
     """
     d, carts = len(angles), sum(not any(row) for row in angles)
     # For links whose coordinates are their own angles, it is a part of the inertia.
@@ -131,18 +134,30 @@ def parameter_places(angles: Sequence[Sequence[float]], springs: int = 0
     if springs:
         places |= {'stiffness': [*links, *pairs], 'spring_force': links[carts:]} | {
             f'spring{power}_': links for power in range(2, springs + 1)}
+    places |= {OFFSET: links[carts:]} if offsets else {}
     return [(kind, place) for kind, own in places.items() for place in own]
 
 
-def parameter_names(angles: Sequence[Sequence[float]], springs: int = 0) -> list[str]:
+def parameter_names(angles: Sequence[Sequence[float]], springs: int = 0, offsets: bool = False
+                    ) -> list[str]:
     """Return the names: inertia1, coupling12, gravity1, stiffness1, spring_force1, spring2_1."""
     return [kind + ''.join(str(link + 1) for link in place)
-            for kind, place in parameter_places(angles, springs)]
+            for kind, place in parameter_places(angles, springs, offsets)]
 
 
 def is_spring(name: str) -> bool:
     """Return True if this is the name of a parameter of springs."""
     return name.startswith(('stiffness', 'spring'))
+
+
+def has_offsets(parameters: Iterable[str]) -> bool:
+    """Return True if the offsets of sensors are among the parameters of a chain."""
+    return any(name.startswith(OFFSET) for name in parameters)
+
+
+def sensor_offsets(d: int, parameters: Mapping[str, float]) -> np.ndarray:
+    """Return the offsets of the sensors of a chain, shape (d,)."""
+    return np.array([parameters.get(f'{OFFSET}{i + 1}', 0.0) for i in range(d)])
 
 
 def power_of_springs(parameters: Iterable[str]) -> int:
@@ -174,26 +189,30 @@ def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, floa
                  stiffness, powers)
 
 
-def unit_terms(angles: Sequence[Sequence[float]], springs: int = 0) -> list[Terms]:
+def unit_terms(angles: Sequence[Sequence[float]], springs: int = 0, offsets: bool = False
+               ) -> list[Terms]:
     """Return M and V, linear in the parameters, for each parameter at 1 and others at 0."""
-    names = parameter_names(angles, springs)
+    names = parameter_names(angles, springs, offsets)
     return [chain_terms(angles, dict(zip(names, row, strict=True))) for row in np.eye(len(names))]
 
 
 def chain_kernel(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Kernel:
     """Return the functions of H of a chain, as code without loops."""
-    springs = power_of_springs(parameters)
-    return _kernels(tuple(map(tuple, angles)), springs)({
-        name: parameters[name] for name in parameter_names(angles, springs)})
+    springs, offsets = power_of_springs(parameters), has_offsets(parameters)
+    return _kernels(tuple(map(tuple, angles)), springs, offsets)({
+        name: parameters[name] for name in parameter_names(angles, springs, offsets)})
 
 
 @cache
-def _kernels(angles: tuple[tuple[float, ...], ...], springs: int
+def _kernels(angles: tuple[tuple[float, ...], ...], springs: int, offsets: bool
              ) -> Callable[[Mapping[str, float]], Kernel]:
     """Return the functions as a function of the parameters; fits try many of them."""
     graph, d = Graph(), len(angles)
     names, momenta = ([f'{kind}{i}' for i in range(d)] for kind in 'qp')
     q, p = ([Symbol(graph, graph.name(name)) for name in both] for both in (names, momenta))
+    for kind, place in parameter_places(angles, 0, offsets):
+        if kind == OFFSET:
+            q[place[0]] -= Symbol(graph, graph.name(f'{OFFSET}{place[0] + 1}'))
 
     def combined(row: np.ndarray) -> Symbol:
         return sum((float(row[i]) * q[i] for i in np.flatnonzero(row)),

@@ -71,15 +71,15 @@ def test_columns_are_found_by_their_names_and_the_printed_yaml_is_the_configurat
 
 @pytest.mark.parametrize('header, unit, numbers', [
     ('t,x_mm,u_V', 'V s', 'V s2/m V V/m V/m2'),
-    ('t,theta,current [A]', 'A s', 'A s2 A A/rad A A/rad2'),
-    ('t,theta,tau [Nm]', 'N m s', 'kg m2 N m N m/rad N m N m/rad2'),
+    ('t,theta,current [A]', 'A s', 'A s2 A A/rad A A/rad2 rad'),
+    ('t,theta,tau [Nm]', 'N m s', 'kg m2 N m N m/rad N m N m/rad2 rad'),
     ('t,x [m],theta [rad],F [N]', 'N s N m s',
-     'kg kg m2 kg m N N m N/m N m/rad N/rad N m N/m2 N m/rad2')])
+     'kg kg m2 kg m N N m N/m N m/rad N/rad N m N/m2 N m/rad2 rad')])
 def test_numbers_have_the_unit_of_the_commands(tmp_path, header, unit, numbers):
     coordinates = guess_config([str(log(tmp_path / 'log.csv', header))])[0].coordinates
     units = [one.p_unit for one in coordinates]
     assert ' '.join(units) == unit
-    chain = PlanarChain(chain_angles([one.kind for one in coordinates])[0], 1.0, springs=2)
+    chain = PlanarChain(chain_angles([one.kind for one in coordinates])[0], 1.0, 2, True)
     assert ' '.join(one.unit for one in chain.quantities(units).values()) == numbers
 
 

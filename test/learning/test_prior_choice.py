@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models of machines that are chosen by what goes furthest, and what they have seen."""
 
+from dataclasses import replace
 from functools import cache
 
 from helpers import alarm_of
@@ -162,6 +163,32 @@ def test_springs_are_added_where_held_out_motions_need_them():
     chosen, card = selected(sliding(friction={'coulomb': 1}), [
         carriage(seed, 1.0) for seed in (1, 2, 3)])
     assert not chosen.family.springs
+
+
+@pytest.mark.parametrize('off', [0.0, 0.05])
+def test_sensor_is_off_by_a_number_where_gravity_shows_it(off: float):
+    t = 0.02 * np.arange(700)
+
+    def rates(time: float, z: np.ndarray) -> list[float]:
+        return [z[1], np.sin(1.7 * time) - 9.0 * np.sin(z[0]) - 0.05 * z[1]]
+    q = solve_ivp(rates, (0.0, t[-1]), [1.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-8).y[0][:, None]
+    q += off + 2e-3 * np.random.default_rng(4).normal(size=q.shape)
+    motion = smoothed('run', t, q, None, np.sin(1.7 * t)[:, None], 10.0)
+    config = machine_config('a', 'revolute', {'hidden': [4], 'loss': {
+        'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
+        'windows': [{'duration': 0.3, 'steps': 2}]}}, prior=AUTO, friction={'coulomb': 1})
+    chosen, _ = selected(config, [motion])
+    assert chosen.family.sensor_offsets is (off != 0.0) and not chosen.family.springs
+    fitted = fit_machine(chosen, [replace(motion, inputs=chosen.data.inputs or 'linear')])
+    assert isinstance(fitted, FittedRigidBody)
+    numbers = fitted.estimates(chosen.coordinates, None)
+    assert ('sensor_offset1' in numbers) is (off != 0.0)
+    # Three standard deviations.
+    for name, truth in {'gravity1': 9.0, 'inertia1': 1.0, 'sensor_offset1': off}.items():
+        if name in numbers:
+            low, high = numbers[name].interval
+            assert abs(numbers[name].value - truth) < 1.5 * 0.5 * (high - low)
+            assert high - low < 0.02 * (truth if truth > 1.0 else 1.0)
 
 
 @pytest.mark.long

@@ -35,6 +35,9 @@ CHAINS = [
     (['revolute'] * 2, [[1.0, 0.0], [1.0, 1.0]], {
         'inertia1': 0.71, 'inertia2': 0.23, 'coupling12': 0.17, 'gravity1': 4.4, 'gravity2': -1.3,
         'motor_inertia2': 0.05}),
+    (['revolute'] * 2, [[1.0, 0.0], [1.0, 1.0]], {
+        'inertia1': 0.71, 'inertia2': 0.23, 'coupling12': 0.17, 'gravity1': 4.4, 'gravity2': -1.3,
+        'motor_inertia2': 0.05, 'sensor_offset1': 0.3, 'sensor_offset2': -0.2}),
     (['prismatic', 'revolute'], [[0.0, 0.0], [0.0, 1.0]], {
         'inertia1': 1.71, 'inertia2': 0.23, 'coupling12': 0.17, 'gravity1': 0.2, 'gravity2': 1.3,
         'stiffness1': 7.0, 'stiffness2': 0.4, 'stiffness12': -0.6, 'spring_force2': 0.3,
@@ -49,7 +52,7 @@ def test_written_equation_is_that_of_the_model(kinds, angles, parameters):
     kernel = chain_kernel(angles, parameters)
     for a, b, *p in state.tolist():
         def value(side: str) -> float:
-            product = re.sub(r'(?<=[0-9ab]) (?=[a-z(])', ' * ', sides[side]).replace('^', '**')
+            product = re.sub(r'(?<=[0-9ab)]) (?=[a-z(])', ' * ', sides[side]).replace('^', '**')
             return float(eval(product, {'cos': np.cos, 'a': a, 'b': b}))
         M = np.array([[value('M[a, a]'), value('M[b, a]')], [value('M[b, a]'), value('M[b, b]')]])
         written = 0.5 * np.array(p) @ np.linalg.solve(M, p) + value('V')

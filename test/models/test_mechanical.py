@@ -11,7 +11,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.models import (
     FAMILIES, FrictionCard, load_checkpoint, MechanicalCard, ModelCard, parameter_names, PriorCard,
     Quantity, save_checkpoint)
-from hnn_vi_ros.models.planar_chain import chain_kernel, chain_terms
+from hnn_vi_ros.models.planar_chain import chain_kernel, chain_terms, sensor_offsets
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build, Simulation
 from mechanical_models import (
@@ -35,19 +35,23 @@ def test_kernel_agrees_with_torch_autograd(shape: str):
 
 @pytest.mark.parametrize('angles', [
     [[1.0]], [[0.0] * 3, [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]], np.tril(np.ones((4, 4))).tolist()])
-@pytest.mark.parametrize('springs', [0, 1, 5])
-def test_straight_code_of_a_chain_is_that_of_its_mass_and_potential(angles: list, springs: int):
-    rng, names, d = np.random.default_rng(2), parameter_names(angles, springs), len(angles)
+@pytest.mark.parametrize(('springs', 'offsets'), [(0, False), (1, False), (5, False), (5, True)])
+def test_straight_code_of_a_chain_is_that_of_its_mass_and_potential(
+        angles: list, springs: int, offsets: bool):
+    rng, d = np.random.default_rng(2), len(angles)
+    names = parameter_names(angles, springs, offsets)
     parameters = {name: float(rng.uniform(1.0, 2.0) * (0.2 if name.startswith('c') else 1.0))
                   for name in names}
     kernel, terms = chain_kernel(angles, parameters), chain_terms(angles, parameters)
     q, p = rng.uniform(-1.5, 1.5, (2, d))
+    energy = kernel.energy.py_func(kernel.parameters, q, p)
+    q -= sensor_offsets(d, parameters)
+    assert offsets == np.any(sensor_offsets(d, parameters))
     mass = np.tensordot(np.cos(terms.mass_rows @ q), terms.matrices, 1)
     expected = (0.5 * p @ np.linalg.solve(mass, p) + terms.pull @ q + 0.5 * q @ terms.stiffness @ q
                 + terms.weights @ (1.0 - np.cos(terms.rows @ q))
                 + sum(s @ q**n / n for n, s in enumerate(terms.powers, 3)))
     # Round-off of some 100 operations on numbers of order one.
-    energy = kernel.energy.py_func(kernel.parameters, q, p)
     assert abs(energy - expected) < 1e-13 * (1.0 + abs(expected))
 
 

@@ -232,6 +232,8 @@ class Structure:
         Angles of a chain's links from the vertical; None selects the best fit.
     springs : int, optional
         Highest power of the springs of a chain, 0 without them.
+    sensor_offsets : bool
+        True if the sensors of a chain's joints have unknown offsets.
 
     """
 
@@ -248,6 +250,7 @@ class Structure:
     left_out: tuple[str, ...] = ()
     angles: list[list[float]] | None = None
     springs: int = 0
+    sensor_offsets: bool = False
 
 
 class MechanicalChoice(FamilyChoice):
@@ -283,6 +286,9 @@ class MechanicalChoice(FamilyChoice):
         'stiffness and position of rest; true: linear, or the highest power of their force; '
         'prior: auto adds them if they predict held-out motions better, up to the fifth power '
         'for one coordinate with positions alone'))
+    sensor_offsets: bool = Field(False, description=(
+        'for a planar_chain: fit a constant offset of the sensor of each rotating coordinate; '
+        'prior: auto adds them if they predict held-out motions of positions better'))
     residual: bool | list[Literal['potential', 'mass']] = Field(True, description=(
         'add networks to a prior: true, false, or a list of networks'))
     residual_weight: float = Field(1e-6, ge=0.0, description=(
@@ -329,7 +335,7 @@ class MechanicalChoice(FamilyChoice):
             rows(rubbing, 'friction.network_depends_on') if friction.network else None,
             left_out=() if self.residual is True else tuple(
                 name for name in parts if name not in (self.residual or parts)), angles=angles,
-            springs=int(self.springs))
+            springs=int(self.springs), sensor_offsets=self.sensor_offsets)
 
     def _angles(self, names: Sequence[str], kinds: list[Kind], texts: Sequence[str]
                 ) -> list[list[float]]:

@@ -560,5 +560,6 @@ def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | R
         return RigidTree(structure.tree, structure.values)
     if structure.prior in CHAINS:
         assert structure.angles is not None, 'a chain has them'
-        return PlanarChain(structure.angles, inertia, structure.springs)
+        return PlanarChain(structure.angles, inertia, structure.springs,
+                           structure.sensor_offsets)
     return ExactPrior(structure.prior)

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models import (
-    EACH, exact_system, force_unit, functions_of, Identification, INERTIAL,
-    is_spring, parameter_names, parameter_places, pseudo_inertia, Quantity, TreeCard, unit_terms)
+    EACH, exact_system, force_unit, functions_of, Identification, INERTIAL, is_spring, OFFSET,
+    parameter_names, parameter_places, pseudo_inertia, Quantity, TreeCard, unit_terms)
 import numpy as np
 import torch
 
@@ -66,7 +66,8 @@ class PlanarChain(PriorModule):
     Parameters of models/planar_chain.py, mapped from unknowns that keep M positive definite.
 
     The matrix K of inertias and couplings is u L L^T, with exp(x) on the diagonal of the lower
-    triangular L; inertias of motors, gravities and springs are u x, with the unit u.
+    triangular L; inertias of motors, gravities and springs are u x, with the unit u. M and V are
+    linear in all but the offsets of sensors, around which q is measured.
 
     Parameters
     ----------
@@ -76,26 +77,34 @@ class PlanarChain(PriorModule):
         Unit u of the parameters.
     springs : int
         Highest power of the springs, 0 without them.
+    offsets : bool
+        True if the sensors of joints have offsets.
 
     """
 
     linear = True
 
-    def __init__(self, angles: Sequence[Sequence[float]], inertia: float, springs: int = 0):
+    def __init__(self, angles: Sequence[Sequence[float]], inertia: float, springs: int = 0,
+                 offsets: bool = False):
         super().__init__()
-        self.names, self.angles = parameter_names(angles, springs), [[*row] for row in angles]
+        self._places = parameter_places(angles, springs, offsets)
+        self.names = parameter_names(angles, springs, offsets)
+        self.angles = [[*row] for row in angles]
         d = len(self.angles)
-        # Counts of inertias, couplings, gravities, motor inertias, and numbers of springs.
-        self._sizes = [*(sum(name.startswith(kind) for name in self.names)
-                         for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')),
-                       sum(map(is_spring, self.names))]
-        units = unit_terms(angles, springs)
+        # Counts of inertias, couplings, gravities, motor inertias, and all other numbers.
+        self._sizes = [sum(name.startswith(kind) for name in self.names)
+                       for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')]
+        self._sizes.append(len(self.names) - sum(self._sizes))
+        units = unit_terms(angles, springs, offsets)
+        zeros = np.zeros((len(self.names), d))
+        for row, (kind, place) in zip(zeros, self._places, strict=True):
+            row[place[0]] = kind == OFFSET
         matrices, weights, pulls, stiffness, powers = (
             np.stack([getattr(unit, name) for unit in units])
             for name in ('matrices', 'weights', 'pull', 'stiffness', 'powers'))
         self._springs = springs
         keep(self, mass_rows=units[0].mass_rows, matrices=matrices, rows=units[0].rows,
-             weights=weights, pulls=pulls, stiffness=stiffness, powers=powers,
+             offsets=zeros, weights=weights, pulls=pulls, stiffness=stiffness, powers=powers,
              lower=np.stack(np.triu_indices(d, 1)[::-1]), unit=np.array(inertia))
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))
 
@@ -104,7 +113,7 @@ class PlanarChain(PriorModule):
         diagonal, below, gravities, motors, springs = self.raw.split(self._sizes)
         L = self._matrix(torch.exp(diagonal), below, 0.0)
         K = L @ L.T
-        return self.unit * torch.cat([
+        return self.scale() * torch.cat([
             torch.diagonal(K), K[self.lower[0], self.lower[1]], gravities, motors, springs])
 
     def _matrix(self, diagonal: torch.Tensor, below: torch.Tensor, mirrored: float
@@ -116,18 +125,19 @@ class PlanarChain(PriorModule):
 
     def scale(self) -> torch.Tensor:
         """Return the usual sizes of the parameters, shape (k,)."""
-        return self.unit.expand(len(self.names))
+        return torch.where(self.offsets.any(dim=1), 1.0, self.unit)
 
     def quantities(self, p_units: Sequence[str]) -> dict[str, Quantity]:
         """Return the parameters with units, for momenta in these units and angles in rad."""
         forces, slides = [*map(force_unit, p_units)], [not any(row) for row in self.angles]
         found = {}
         for name, (kind, place), value in zip(
-                self.names, parameter_places(self.angles, self._springs),
-                self.values().tolist(), strict=True):
+                self.names, self._places, self.values().tolist(), strict=True):
             # The force on the first link, and the second that moves.
             unit, slide = forces[place[0]], slides[place[-1]]
-            if unit != '1' and is_spring(kind) and kind != 'spring_force':
+            if kind == OFFSET:
+                unit = 'rad'
+            elif unit != '1' and is_spring(kind) and kind != 'spring_force':
                 unit += ('/m' if slide else '/rad') + kind.removeprefix('stiffness')[6:-1]
             elif unit != '1' and kind not in ('gravity', 'spring_force'):
                 unit = _INERTIAS.get((unit, slide), f'{unit} s2' + ('/m' if slide else ''))
@@ -137,7 +147,7 @@ class PlanarChain(PriorModule):
     def raw_of(self, values: torch.Tensor) -> torch.Tensor:
         """Return the raw parameters of values; NaN if M would not be positive definite."""
         inertias, couplings, gravities, motors, springs = (
-            values / self.unit).split(self._sizes)
+            values / self.scale()).split(self._sizes)
         L, failed = torch.linalg.cholesky_ex(self._matrix(inertias, couplings, 1.0))
         found = torch.cat([torch.log(torch.diagonal(L)), L[self.lower[0], self.lower[1]],
                            gravities, motors, springs])
@@ -157,14 +167,14 @@ class PlanarChain(PriorModule):
 
     def mass(self, q: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""
-        d = q.shape[1]
+        d, q = q.shape[1], q - values @ self.offsets
         matrices = (values @ self.matrices.flatten(1)).reshape(-1, d * d)
         return (torch.cos(q @ self.mass_rows.T) @ matrices).reshape(-1, d, d)
 
     def slopes(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor
                ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return (M v)' at constant v, and (v . M v)_q / 2 - V_q, shape (N, d) each."""
-        d = q.shape[1]
+        d, q = q.shape[1], q - values @ self.offsets
         rows = (values @ self.matrices.flatten(1)).reshape(-1, d)
         slope = -torch.sin(q @ self.mass_rows.T)
         products = (v @ rows.T).reshape(len(v), -1, d)

@@ -124,10 +124,11 @@ class FittedRigidBody(Fitted):
         own = [labels[int(number.name)] for number in model.numbers]
         if q is not None:
             # Numbers x / (w . x): the common factor, which is open, does not change them.
-            inertia = model.unknowns.mean_inertia(q)
-            w = np.array([inertia[int(number.name)] for number in model.numbers])
-            values = values / (w @ values)
-            slopes = (np.eye(len(w)) - np.outer(values, w)) / (w @ solution.values)
+            places = [int(number.name) for number in model.numbers]
+            w, scaled = model.unknowns.mean_inertia(q)[places], model.unknowns.scaled[places]
+            factor = np.where(scaled, 1.0 / (w @ values), 1.0)
+            values = values * factor
+            slopes = (np.eye(len(w)) - np.outer(values * scaled, w)) * factor[:, None]
             covariance = slopes @ covariance @ slopes.T
         motors = model.motors
         if motors:

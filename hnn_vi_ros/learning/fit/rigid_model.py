@@ -17,7 +17,8 @@ from hnn_vi_ros.learning.families.joint_friction import NARROWEST, WIDEST
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.windows import FOREVER, ModelParts, Number
 from hnn_vi_ros.models import (
-    Checkpoint, CoordinateCard, force_unit, is_spring, MechanicalCard, ModelCard, prior_kernel)
+    Checkpoint, CoordinateCard, force_unit, is_spring, MechanicalCard, ModelCard, OFFSET,
+    prior_kernel)
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 import torch
@@ -248,6 +249,14 @@ class RigidUnknowns(ABC):
                 found.append((kind + of, units[k % len(units)]))
         return found
 
+    @property
+    def scaled(self) -> np.ndarray:
+        """Return the mask (k,) of numbers that grow with the scale of the energy."""
+        prior = self.network.prior
+        assert prior is not None
+        return np.concatenate([[not name.startswith(OFFSET) for name in prior.names], np.repeat(
+            np.arange(1, len(self.sizes)) < 5, self.sizes[1:])])
+
     def mean_inertia(self, q: np.ndarray) -> np.ndarray:
         """Return the mean first inertia at coordinates (N, d) per unit of each number."""
         prior, found = self.network.prior, np.zeros(sum(self.sizes))
@@ -274,9 +283,9 @@ class PriorUnknowns(RigidUnknowns):
 
     @property
     def spare(self) -> list[int]:
-        """Return the indices of weights, springs and rotors, as in RigidUnknowns."""
+        """Return the indices of weights, springs, rotors and offsets, as in RigidUnknowns."""
         return [k for k, name in enumerate(self.prior.names) if self.prior.linear and (
-            is_spring(name) or name.startswith(('gravity', 'motor_inertia')))]
+            is_spring(name) or name.startswith(('gravity', 'motor_inertia', OFFSET)))]
 
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the raw parameters of the prior, as in RigidUnknowns."""

@@ -299,7 +299,16 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
     best = best._replace(explained=_is_explained(best))
     if best.explained or getattr(best.config.family, 'springs', True):
         return [best, *others]
-    return [*_with_springs(best, first), *others]
+    alone = positions_alone(first.trials.motions)
+    kinds = [coordinate.kind for coordinate in first.config.coordinates]
+    if alone and {*kinds} != {'prismatic'}:
+        best, *more = _with_terms(best, first, 'offsets of sensors', {'sensor_offsets': True})
+        others = [*more, *others]
+    if not best.explained:
+        best, *more = _with_terms(best, first, 'springs', {
+            'springs': HIGHEST_POWER if alone and len(kinds) == 1 else 1})
+        others = [*more, *others]
+    return [best, *others]
 
 
 def _is_explained(candidate: Candidate) -> bool:
@@ -419,22 +428,21 @@ def _with_data(config: MachineConfig, **changes: object) -> MachineConfig:
     return config.model_copy(update={'data': config.data.model_copy(update=changes)})
 
 
-def _with_springs(plain: Candidate, first: Candidate) -> list[Candidate]:
+def _with_terms(plain: Candidate, first: Candidate, name: str, changes: dict[str, object]
+                ) -> list[Candidate]:
     """
-    Return a rigid body with springs if they are needed, and the other one.
+    Return a rigid body with more terms if they are needed, and the other one.
 
-    Other forces between samples are found again: those of a body that lacks springs mimic them.
+    Other forces between samples are found again: those of a body that lacks terms mimic them.
     """
-    alone = positions_alone(first.trials.motions) and len(first.config.coordinates) == 1
-    power = HIGHEST_POWER if alone else 1
     config = first.config.model_copy(update={
-        'family': first.config.family.model_copy(update={'springs': power})})
-    springs = first.trials.candidate(f'{RIGID} with springs', config)
-    if springs.rigid is None or not springs.is_better_than(plain):
-        return [plain, springs]
-    best, *others = _with_forces(springs.named(RIGID))
+        'family': first.config.family.model_copy(update=changes)})
+    more = first.trials.candidate(f'{RIGID} with {name}', config)
+    if more.rigid is None or not more.is_better_than(plain):
+        return [plain, more]
+    best, *others = _with_forces(more.named(RIGID))
     return [best._replace(explained=_is_explained(best)), *others,
-            plain.named(f'{RIGID} without springs')]
+            plain.named(f'{RIGID} without {name}')]
 
 
 def _with_friction(plain: Candidate) -> list[Candidate]:
