@@ -113,18 +113,20 @@ def test_scene_without_joint_commands_or_loops_has_no_use_for_them(tmp_path, nam
 def test_period_of_lockstep_is_a_whole_number_of_samples():
     assert Lockstep(Settings(lockstep_period=0.03), 10, 0.001).awaited is None
     lockstep = Lockstep(Settings(lockstep_period=0.02), 10, 0.001)
-    lockstep.observe(SimpleNamespace(step=10, stamp=5))
+    lockstep.observe(SimpleNamespace(step=10, stamp=5), False)
     assert lockstep.awaited is None
-    lockstep.observe(SimpleNamespace(step=20, stamp=7))
+    lockstep.observe(SimpleNamespace(step=20, stamp=7), False)
     assert lockstep.awaited == 7
     assert lockstep.take(7)
     for stamp, awaited in ((6, 7), (7, None)):
         lockstep.awaited = awaited
         with refused(ValueError):
             lockstep.take(stamp)
-    # A repeated state may be answered twice.
+    # A repeated state may be answered twice, and the last one or not.
     lockstep.repeated = 7
     assert lockstep.take(7) is None
+    lockstep.observe(SimpleNamespace(step=40, stamp=9), True)
+    assert lockstep.awaited is None and lockstep.take(9) is None
     for period in (0.004, 0.025):
         with refused(ParameterError):
             Lockstep(Settings(lockstep_period=period), 10, 0.001)

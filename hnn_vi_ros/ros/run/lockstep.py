@@ -30,7 +30,8 @@ class Lockstep:
     awaited : int or None
         Stamp of the sample whose answer is awaited [ns]; None while the run continues.
     repeated : int or None
-        Stamp of the last sample that was published again, and may be answered again [ns].
+        Stamp of a sample whose answer changes nothing [ns]: the last one of the run, or the last
+        one that was published again.
     on_answer : callable
         Called when the run may continue.
 
@@ -58,10 +59,14 @@ class Lockstep:
         # no limit.
         self._since, self._begun = 0.0, False
 
-    def observe(self, sample: Sample) -> None:
-        """Wait for the answer to a sample if a period ends with it."""
+    def observe(self, sample: Sample, last: bool) -> None:
+        """Wait for the answer to a sample if a period ends with it, but not after the last."""
         if sample.step % self._interval == 0:
-            self.awaited, self._since = sample.stamp, time.monotonic()
+            if last:
+                # The answer may come before or after the end, and would change nothing.
+                self.repeated = sample.stamp
+            else:
+                self.awaited, self._since = sample.stamp, time.monotonic()
 
     def take(self, stamp: int) -> Callable[[], None] | None:
         """

@@ -278,10 +278,8 @@ class Run:
         payloads = self._topics.publish(sample)
         # Slow work follows the publication, which it would otherwise delay.
         self.recording.write(sample, payloads)
-        # The answer to the last sample may come before or after the end, and would change nothing.
-        if self.lockstep is not None and self._topics.has_joint_states \
-                and sample.step < self._last_step:
-            self.lockstep.observe(sample)
+        if self.lockstep is not None and self._topics.has_joint_states:
+            self.lockstep.observe(sample, sample.step >= self._last_step)
         look, self._look_next = self._look_next, self._monitor.evaluate()
         if self._look_next:
             self.recording.timing(self._monitor.timing.figures)
