@@ -229,7 +229,8 @@ def report_of(found: Checked) -> Iterator[str]:
                f'{np.abs(v[:, k]).max():.3g} |')
     if found.numbers:
         late = '' if found.delay is None else f', with a delay of {found.delay:.3g} s'
-        yield (f'\nThe log tells (least squares of forces{late}; 95 %):\n\n'
+        yield (f'\nThe log tells (rough least squares of forces{late}; half-widths of 95 % '
+               'lack the bias of filtered accelerations, which identify does not have):\n\n'
                '| number | value | half-width | unit |\n|---|---|---|---|')
         yield from (f'| {one.name} | {one.value:.3g} | {one.half_width:.2g} | {one.unit} |'
                     for one in found.numbers if one.known)
