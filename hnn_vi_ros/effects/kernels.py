@@ -31,8 +31,12 @@ def add_effect(kernel: Kernel, effect: Joined, parameters: Parameters) -> Kernel
                     (kernel.parameters, parameters, np.zeros((2, kernel.dimension))))
 
 
+# The first channel for the further joints of each force, and their number.
+_Further = tuple[tuple[int, int], ...]
+
+
 class ByJoint:
-    """Mark, in names of compiled functions, of a force with a channel for each joint."""
+    """Mark, in names of compiled functions, of each further joint of the force that follows it."""
 
 
 def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Parameters],
@@ -54,16 +58,17 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
     kernel = by_address(kernel)
     d, internal = kernel.dimension, sum(force.internal for force in forces)
     channels = internal + len(forces) + sum(own.size - 1 for own in joints.values())
-    nested, first = cast(Parameters, ()), channels
-    for force, own, i in reversed([*zip(forces, parameters, indices, strict=True)]):
+    nested, first, more = cast(Parameters, ()), channels, [(0, 0)] * len(forces)
+    for k, (force, own, i) in reversed([*enumerate(zip(
+            forces, parameters, indices, strict=True))]):
         if i in joints:
             first -= joints[i].size - 1
-            own = own, joints[i], first
+            more[k], own = (first, joints[i].size - 1), (own, joints[i])
         nested = ((own, state.resting[i:i + 1], state.step) if force.internal else own, nested)
     kinds = tuple(type(force) for force in forces)
-    functions = _with_forces(*functions_of(kernel), kinds, tuple(i in joints for i in indices))
-    marks = tuple(kind for i, force in zip(indices, forces, strict=True) if i in joints
-                  for kind in (ByJoint, type(force)))
+    functions = _with_forces(*functions_of(kernel), kinds, tuple(more))
+    marks = [kind for (_, count), own in zip(more, kinds, strict=True) if joints
+             for kind in (*[ByJoint] * count, own)]
     rounding_q, rounding_p = (sum(parts) for parts in zip(
         kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True))
     space = np.zeros((12, max(d, channels)))
@@ -79,12 +84,12 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
 
 @cache
 def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vector: HessianVector,
-                 kinds: tuple[type[Force], ...], joints: tuple[bool, ...]) -> Functions:
+                 kinds: tuple[type[Force], ...], more: _Further) -> Functions:
     internal = sum(kind.internal for kind in kinds)
-    add_all = _chain(kinds, internal, 0, True, joints)
+    add_all = _chain(kinds, internal, 0, True, more)
     # Forces with internal variables have derivatives.
     add_others, add_tangents = (
-        _chain(kinds, internal, 0, False, joints), _tangents(kinds, internal, 0))
+        _chain(kinds, internal, 0, False, more), _tangents(kinds, internal, 0))
     set_time = _time_setter(kinds, internal)
 
     def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
@@ -148,19 +153,20 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
 
 @cache
 def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool,
-           joints: tuple[bool, ...]) -> Callable[..., None]:
+           more: _Further) -> Callable[..., None]:
     """
     Return a function that adds the forces from channel k on, each with its power.
 
     The variables of forces with internal ones begin at channel j; without ``internal`` such
-    forces are left out. Effects in ``joints`` have a channel for each joint.
+    forces are left out. The channels of further joints are constants of the compiled code, which
+    halves the time of their powers.
     """
     if not kinds:
         return _add_none
     if issubclass(kinds[0], InternalForce):
-        return _internal_chain(kinds, k, j, joints) if internal else _without_first(
-            _chain(kinds[1:], k + 1, j + 1, False, joints[1:]))
-    rest = _chain(kinds[1:], k + 1, j, internal, joints[1:])
+        return _internal_chain(kinds, k, j, more) if internal else _without_first(
+            _chain(kinds[1:], k + 1, j + 1, False, more[1:]))
+    rest = _chain(kinds[1:], k + 1, j, internal, more[1:])
 
     @inlined
     def add_work(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
@@ -172,13 +178,13 @@ def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool,
 
     if issubclass(kinds[0], TimeDrive):
         return add_work
-    add_force = kinds[0].add_force
+    add_force, (first, count) = kinds[0].add_force, more[0]
 
     @inlined
     def add_by_joint(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
                      p: np.ndarray, H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray,
                      pace: np.ndarray, space: np.ndarray) -> None:
-        (own, columns, first), others = forces
+        (own, columns), others = forces
         f_q, f_p = space[0, :q.size], space[1, :q.size]
         f_q[:] = 0.0
         f_p[:] = 0.0
@@ -186,14 +192,16 @@ def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool,
         for i in range(q.size):
             space[2, i] += f_q[i]
             space[3, i] += f_p[i]
-        for n in range(columns.size):
-            i, channel = columns[n], k if n == 0 else first + n - 1
-            minus_power[channel] = -(H_q[i] * f_q[i] + H_p[i] * f_p[i])
-            # The time is in the first of its channels.
-            pace[channel] = 1.0 if n == 0 else 0.0
+        i = columns[0]
+        # The time is in the first of its channels.
+        minus_power[k], pace[k] = -(H_q[i] * f_q[i] + H_p[i] * f_p[i]), 1.0
+        for n in range(count):
+            i = columns[n + 1]
+            minus_power[first + n] = -(H_q[i] * f_q[i] + H_p[i] * f_p[i])
+            pace[first + n] = 0.0
         rest(others, clock, times, q, p, H_q, H_p, minus_power, pace, space)
 
-    if joints[0]:
+    if count:
         return add_by_joint
 
     @inlined
@@ -214,10 +222,10 @@ def _chain(kinds: tuple[type[Force], ...], k: int, j: int, internal: bool,
     return add_all
 
 
-def _internal_chain(kinds: tuple[type[Force], ...], k: int, j: int, joints: tuple[bool, ...]
+def _internal_chain(kinds: tuple[type[Force], ...], k: int, j: int, more: _Further
                     ) -> Callable[..., None]:
     respond, rest = cast(type[InternalForce], kinds[0]).respond, _chain(
-        kinds[1:], k + 1, j + 1, True, joints[1:])
+        kinds[1:], k + 1, j + 1, True, more[1:])
 
     @inlined
     def add_all(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,

@@ -324,8 +324,11 @@ def _accelerate(work: SolverWork, k: int, value: np.ndarray, defect: np.ndarray,
                 x: np.ndarray) -> None:
     """Set x to the next iterate, for each system separately, with a maximum of ``rounds``."""
     row, width = work.iterates.layout[0], work.iterates.layout[1]
+    end = work.iterates.layout[2]
     n = x.size // row * width
-    for first in range(0, row, width):
+    for i in range(x.size):
+        x[i] = value[i]
+    for first in range(0, end, width):
         depth = min(rounds, n, DEPTH)
         if n < x.size and _largest(defect, first, row, width) <= max(8, n) * _EPS:
             # This system has converged while others have not; its residual is rounding.
@@ -385,9 +388,6 @@ def _combine(work: AndersonWork, iterates: Iterates, k: int, value: np.ndarray, 
              used: int, x: np.ndarray) -> None:
     """Set a system's x to G minus the combination of its changes found by the projection."""
     row, width, triangle = iterates.layout[0], iterates.layout[1], work.triangle
-    for start in range(first, x.size, row):
-        for i in range(start, start + width):
-            x[i] = value[i]
     for j in range(used - 1, -1, -1):
         weight = triangle[j, DEPTH]
         for m in range(j + 1, used):

@@ -34,9 +34,9 @@ def discard_history(memory: tuple) -> None:
             kept.count[0] = 0
 
 
-def mark_independent(memory: tuple, row: int, width: int) -> None:
+def mark_independent(memory: tuple, row: int, width: int, end: int) -> None:
     """
-    Mark the equations of a memory as consisting of several independent systems, if they do.
+    Mark the equations of a memory as consisting of independent systems, if they do.
 
     Parameters
     ----------
@@ -44,13 +44,15 @@ def mark_independent(memory: tuple, row: int, width: int) -> None:
         Memory of a method, for the coordinates of all systems.
     row, width : int
         Number of coordinates of all systems, and of one system.
+    end : int
+        End of the systems among these coordinates. Nothing depends on those that follow.
 
     """
     for workspace in memory:
         solver = getattr(workspace, 'solver', None)
         # A common clock adds an unknown.
         if isinstance(solver, SolverWork) and solver.iterates.scale.size % row == 0:
-            solver.iterates.layout[:] = row, width
+            solver.iterates.layout[:] = row, width, end
 
 
 def mark_commanded(memory: tuple) -> None:
@@ -125,9 +127,10 @@ class Iterates(NamedTuple):
     values, residuals : np.ndarray, shape (4, N)
         The last evaluations of the fixed-point map and their relative residuals; Newton's method
         uses only the first row.
-    layout : np.ndarray of int, shape (2,)
-        Unknowns are arranged in rows of the first length; each row consists of independent systems
-        of the second length. Both are N for a single system.
+    layout : np.ndarray of int, shape (3,)
+        Unknowns are arranged in rows of the first length. Up to the third number, each row
+        consists of independent systems of the second length; nothing depends on the others. All
+        are N for a single system.
 
     """
 
@@ -226,7 +229,7 @@ class SolverWork(NamedTuple):
         rows = (m + 1, n) if m else (0, 0)
         return cls(
             Iterates(zeros(n), zeros(n), zeros(n), zeros(n), np.zeros(2),
-                     zeros(DEPTH + 1, n), zeros(DEPTH + 1, n), np.full(2, n, dtype=np.int64)),
+                     zeros(DEPTH + 1, n), zeros(DEPTH + 1, n), np.full(3, n, dtype=np.int64)),
             AndersonWork(zeros(DEPTH, n), zeros(DEPTH, DEPTH + 1)),
             NewtonWork(zeros(n), zeros(n), zeros(side, side), np.zeros(side, dtype=np.int64),
                        zeros(n), zeros(n), zeros(*rows), zeros(m + 1, m), zeros(3, m + 1),

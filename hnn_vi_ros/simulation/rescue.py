@@ -96,7 +96,11 @@ class Rescue:
         """Return the memory of a method; several trajectories are solved separately."""
         memory, d = method.memory(n), self._system.kernel.dimension
         if n > d and not self._system.hamiltonian.rotations:
-            mark_independent(memory, n, d)
+            mark_independent(memory, n, d, n)
+        elif self._system.joints:
+            # The last digits may differ, so the works of joints need not be accelerated.
+            own = self._system.hamiltonian.dimension
+            mark_independent(memory, n, own, own)
         if self._system.commanded:
             mark_commanded(memory)
         return memory
