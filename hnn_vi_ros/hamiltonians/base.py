@@ -213,12 +213,10 @@ class Hamiltonian(ABC):
             self._called.slopes(*flat[:, part]) for part in self._parts(t, np.shape(q)))], axis=1)
         return dH_dq.reshape(np.shape(q)), self._unpadded(dH_dp.reshape(np.shape(q)))
 
-    def hessian_vector(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
-                       ) -> tuple[np.ndarray, np.ndarray]:
+    def hessian_vector(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray,
+                       t: ArrayLike = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return H''(q, p) (v_q, v_p) as two arrays of shape (..., d), the shape of every argument.
-
-        For H(q, p, t) it is the value at t = 0.
+        Return H'' (v_q, v_p) at (q, p, t), shape (..., d) each, with t as in ``energy``.
 
         Raises
         ------
@@ -228,11 +226,11 @@ class Hamiltonian(ABC):
         """
         flat = np.array((*self._flat(q, self._padded(p)), *self._flat(v_q, self._padded(v_p))))
         product_q, product_p = np.concatenate([np.empty((2, 0)), *(
-            self._called.products(*flat[:, part]) for part in self._parts(0.0, np.shape(q)))],
+            self._called.products(*flat[:, part]) for part in self._parts(t, np.shape(q)))],
             axis=1)
         return product_q.reshape(np.shape(q)), self._unpadded(product_p.reshape(np.shape(q)))
 
-    def inverse_mass(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    def inverse_mass(self, q: np.ndarray, p: np.ndarray, t: ArrayLike = 0.0) -> np.ndarray:
         """
         Return H_pp, shape (..., k, k), with a row and a column for each of k momenta.
 
@@ -240,13 +238,15 @@ class Hamiltonian(ABC):
         ----------
         q, p : np.ndarray, shape (..., d) and (..., k)
             States; k is d without rotations.
+        t : array_like, optional
+            Their times [s].
 
         """
         k = p.shape[-1]
         units = np.eye(k).reshape(k, *(p.ndim - 1) * [1], k)
         along_q, along_p = np.zeros((k, *q.shape)), np.broadcast_to(units, (k, *p.shape))
         q, p = (np.broadcast_to(x, (k, *x.shape)) for x in (q, p))
-        return np.moveaxis(self.hessian_vector(q, p, along_q, along_p)[1], 0, -1)
+        return np.moveaxis(self.hessian_vector(q, p, along_q, along_p, t)[1], 0, -1)
 
     def _parts(self, t: ArrayLike, shape: tuple[int, ...]) -> Iterator[slice]:
         """Yield slices of concatenated states, (..., d), after setting the time of each."""

@@ -9,6 +9,7 @@ from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build, RunFacts, simulate, simulate_many, Trajectory, Watch
+from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, survey
 from hnn_vi_ros.simulation.guards.watch import energies_of, look_at_rows
 from messages import refused
 import numpy as np
@@ -153,6 +154,38 @@ def test_auto_chooses_among_methods_that_support_the_time():
     run = simulate(scene, DURATION)
     exact = reference('mathieu', run.q[0], run.p[0])
     assert np.abs([*run.q[-1], *run.p[-1]] - exact[:2]).max() < 1e-6
+
+
+STIFFENING = Scene.build(
+    hamiltonian={'kind': 'formula', 'coordinates': ['x'], 'H': 'p_x^2/2 + (1 + 99*t/T)*x^2/2',
+                 'parameters': {'T': 40.0}}, name='stiffening', integrator='implicit_midpoint',
+    step_size=0.04, initial_state={'q': [1.0], 'p': [0.0]})
+
+
+def test_stiffness_that_grows_in_a_run_is_seen_at_its_time():
+    """The frequency grows tenfold, and the steps are too long for it at the end."""
+    (alarm,) = simulate(STIFFENING, 40.0).alarms
+    assert alarm.kind == 'path not resolved' and alarm.step > 100
+    assert not simulate(STIFFENING.with_overrides(0.01, 'gauss4'), 40.0).alarms
+    problem = InitialValueProblem(STIFFENING.create_hamiltonian(), (), *np.array([[1.0], [0.0]]))
+    # The action H / omega is kept, so that k x grows as k^(3/4); at t = 0 it is below 1.
+    assert survey(problem, 40.0, 4.0).strongest == pytest.approx(100.0**0.75, rel=0.05)
+
+
+def test_auto_resolves_a_stiffness_that_grows_in_the_run():
+    scene = STIFFENING.changed({'integrator': {
+        'kind': 'auto', 'path_error': 1e-4, 'horizon': 40.0}, 'step_size': None})
+    run = simulate(scene, 40.0)
+    exact = solve_ivp(lambda t, y: (y[1], -(1.0 + 99.0 * t / 40.0) * y[0]), (0.0, 40.0),
+                      [1.0, 0.0], 'DOP853', rtol=1e-12, atol=1e-13).y[:, -1]
+    assert np.abs([*run.q[-1], *run.p[-1]] - exact).max() < 1e-4
+
+
+def test_masses_are_those_of_the_time():
+    x, p = np.full((2, 3, 1), 0.7)
+    t = np.array([0.0, 0.5, 1.5])
+    assert MASS.create_hamiltonian().inverse_mass(x, p, t).ravel() == pytest.approx(
+        1.0 / (1.0 + 0.3 * np.sin(t)), rel=1e-14)
 
 
 @pytest.mark.parametrize('method', ['taylor', 'time_transformed', 'discrete_gradient'])

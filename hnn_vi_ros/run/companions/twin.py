@@ -176,7 +176,7 @@ class Twin:
     def unstable(self) -> str:
         """Return a message if the gain is too large for the state of the simulation, else ''."""
         own, h = self._simulation, self._simulation.step_size
-        inverse = own.hamiltonian.inverse_mass(own.q, own.p)[
+        inverse = own.hamiltonian.inverse_mass(own.q, own.p, own.time)[
             np.ix_(self._places, self._places)]
         if not (self._gain and np.isfinite(inverse).all()):
             return ''

@@ -11,6 +11,7 @@ from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.phase_space import angle_columns
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 def local_error(simulation: Simulation) -> float:
@@ -166,7 +167,8 @@ class EnergyScale:
         return np.asarray(ahead - behind) / (2.0 * _SCALE_SPACING)
 
 
-def energy_scale(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> float:
+def energy_scale(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, t: ArrayLike = 0.0
+                 ) -> float:
     """
     Return the energy scale of a path [J]; see EnergyScale.
 
@@ -176,16 +178,18 @@ def energy_scale(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> floa
         H of d coordinates.
     q, p : np.ndarray, shape (N, d)
         States at equidistant times.
+    t : array_like, shape (N,), optional
+        These times, for an H that depends on them [s].
 
     """
-    return float(scales_along(hamiltonian, q, p, np.ones(len(q)))[-1])
+    return float(scales_along(hamiltonian, q, p, np.ones(len(q)), t)[-1])
 
 
-def scales_along(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, weights: np.ndarray
-                 ) -> np.ndarray:
+def scales_along(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, weights: np.ndarray,
+                 t: ArrayLike = 0.0) -> np.ndarray:
     """Return the energy scale [J], shape (k,) or (k, m), along paths (k, d) or (k, m, d)."""
     return scales_of(
-        *EnergyScale(hamiltonian).virials(q, p, *hamiltonian.gradient(q, p)), weights)
+        *EnergyScale(hamiltonian).virials(q, p, *hamiltonian.gradient(q, p, t)), weights)
 
 
 def scales_of(potential: np.ndarray, virial: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -325,10 +325,10 @@ def _follow(problem: InitialValueProblem, method: str, h: float, horizon: float
     states = np.concatenate(list(_states(problem, simulation, horizon)))
     # For a rotation, p has one column less than q.
     q, p = np.split(states, [problem.q.size], axis=1)
-    hamiltonian = simulation.hamiltonian
+    hamiltonian, t = simulation.hamiltonian, h * np.arange(len(q))
     every = math.ceil(len(q) / _SURVEY_SAMPLES)
-    scale = energy_scale(hamiltonian, q[::every], p[::every]) or 1.0
-    dH_dq, _ = hamiltonian.gradient(q, p)
+    scale = energy_scale(hamiltonian, q[::every], p[::every], t[::every]) or 1.0
+    dH_dq, _ = hamiltonian.gradient(q, p, t)
     forces = np.linalg.norm(dH_dq, axis=1)
     error = 0.0
     if simulation.conservative:
