@@ -13,7 +13,8 @@ from hnn_vi_ros.codegen.entries import (
     VELOCITIES)
 from hnn_vi_ros.codegen.image import Image, image_of
 from hnn_vi_ros.codegen.parameters import Parameter, parameters_of
-from hnn_vi_ros.effects import EFFORT, Force, LARGEST, NUMBERS, OBSERVATION, POSITION, VELOCITY
+from hnn_vi_ros.effects import (
+    EFFORT, Force, LARGEST, LINK_WRENCH, NUMBERS, OBSERVATION, POSITION, VELOCITY)
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import PhasePoint
@@ -120,19 +121,20 @@ def compile_scene(scene: Scene, name: str, target: str = HOST) -> SceneCode:
 
 def _check(scene: Scene, simulation: Simulation) -> None:
     """Raise UnsupportedSystem for parts that the compiled step lacks."""
-    if scene.measurements:
-        raise UnsupportedSystem(f'{scene.place("measurements")}: measurements are not part of the '
-                                'compiled step, and cannot be exported; remove them')
-    if not (simulation.system.kernel.compiled and simulation.system.integrator.compiled):
-        raise UnsupportedSystem(
-            f'{scene.place("integrator")}: {scene.integrator.kind} with this H is not compiled, '
-            'and cannot be exported; use another integrator, or a compiled H')
-    if any(getattr(effect, 'delay', 0.0) for effect, _ in simulation.motors.effects):
-        raise UnsupportedSystem(f'{scene.place("effects")}: a servo with a delay keeps commands, '
-                                'which cannot be exported; remove the delay')
-    if OBSERVATION in simulation.motors.takes:
-        raise UnsupportedSystem(f'{scene.place("effects")}: an observer takes observations, which '
-                                'cannot be exported; remove it')
+    system, motors = simulation.system, simulation.motors
+    compiled = system.kernel.compiled and system.integrator.compiled
+    for key, refused, what, remedy in (
+            ('measurements', scene.measurements, 'measurements are', 'remove them'),
+            ('energy_by_cause', scene.energy_by_cause, 'the energy by cause is', 'remove it'),
+            ('integrator', not compiled, f'{scene.integrator.kind} with this H is',
+             'use another integrator, or a compiled H'),
+            ('effects', any(getattr(effect, 'delay', 0.0) for effect, _ in motors.effects),
+             'commands with a delay are', 'remove the delay'),
+            ('effects', OBSERVATION in motors.takes, 'observations are', 'remove the observer'),
+            ('effects', LINK_WRENCH in motors.takes, 'commands of link_wrench are', 'remove it')):
+        if refused:
+            raise UnsupportedSystem(f'{scene.place(key)}: {what} not part of the compiled step, '
+                                    f'and cannot be exported; {remedy}')
 
 
 def _events(simulation: Simulation, scene: Scene, conditions: Sequence[Condition]) -> EventTable:

@@ -358,10 +358,13 @@ def test_failed_step_returns_its_status_and_leaves_the_state_before_it():
     assert library.values(state)['time'] == 0.0
 
 
-@pytest.mark.parametrize('name', ['taylor', 'measurements', 'observer', 'delay'])
+@pytest.mark.parametrize('name', ['taylor', 'measurements', 'observer', 'delay', 'link_wrench',
+                                  'energy_by_cause'])
 def test_scene_with_what_is_not_compiled_is_refused(name):
     joints = ['angle1', 'angle2']
-    scene = load_scene('exact_double_pendulum').changed({
+    scene = load_scene('gripper' if name == 'link_wrench' else 'exact_double_pendulum').changed({
+        'link_wrench': {'effects': [{'kind': 'link_wrench'}]},
+        'energy_by_cause': {'energy_by_cause': True},
         'taylor': {'integrator': {'kind': 'taylor'}},
         'delay': {'effects': [{'kind': 'servo', 'coordinates': joints, 'stiffness': 1.0,
                                'delay': 0.01}]},
