@@ -7,7 +7,7 @@ from io import BytesIO
 from pathlib import Path
 import subprocess
 import tempfile
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape, quoteattr
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from hnn_vi_ros.codegen.arguments import COMPILERS
@@ -97,5 +97,6 @@ def _described(scene: SceneCode) -> dict[str, str]:
         'structure': [f'<{kind} valueReference="{k}"/>'
                       for kind in ('Output', 'InitialUnknown') for k in outputs]}
     return {'description': quoteattr(scene.scene.description),
+            'title': escape(scene.scene.description or scene.scene.name),
             'duration': repr(scene.scene.duration)} | {
                 key: '\n    '.join(own) for key, own in lines.items()}

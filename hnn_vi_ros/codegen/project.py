@@ -11,7 +11,7 @@ import subprocess
 
 from hnn_vi_ros.codegen.arguments import COMPILERS, HOST
 from hnn_vi_ros.codegen.parameters import Parameter
-from hnn_vi_ros.codegen.scene_code import SceneCode, Variable
+from hnn_vi_ros.codegen.scene_code import distinct, SceneCode, Variable
 from hnn_vi_ros.files import share_folder
 from hnn_vi_ros.kernels import processor
 from hnn_vi_ros.version import __version__
@@ -97,7 +97,9 @@ def template_values(name: str, scene: SceneCode) -> dict[str, object]:
         'outputs': _enumerated(f'{upper}_OUT', scene.outputs),
         'parameters': _enumerated(f'{upper}_PARAMETER', [
             parameter_variable(one) for one in scene.parameters if one.powers]),
-        'names': ', '.join(f'"{one.name} [{one.unit}]"' for one in scene.outputs)}
+        'names': ', '.join(
+            '"' + re.sub(r'(["\\])', r'\\\1', f'{one.name} [{one.unit}]') + '"'
+            for one in scene.outputs)}
 
 
 def parameter_variable(parameter: Parameter) -> Variable:
@@ -106,5 +108,6 @@ def parameter_variable(parameter: Parameter) -> Variable:
 
 
 def _enumerated(prefix: str, variables: list[Variable]) -> str:
-    return '\n'.join(f'  {prefix}_{identifier(one.name).upper()}, /* {one.text} [{one.unit}] */'
-                     for one in variables)
+    names = distinct([identifier(one.name).upper() for one in variables])
+    return '\n'.join(f'  {prefix}_{name}, /* {one.text.replace("*/", "* /")} [{one.unit}] */'
+                     for name, one in zip(names, variables, strict=True))

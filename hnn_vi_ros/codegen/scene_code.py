@@ -102,6 +102,8 @@ def compile_scene(scene: Scene, name: str, target: str = HOST) -> SceneCode:
     shared = simulation.shared()
     z, z1 = shared[4:6]
     outputs, given, motors = _outputs(simulation, z, z1, events, conditions)
+    names = distinct([one.name for one in given])
+    given = [one._replace(name=name) for one, name in zip(given, names, strict=True)]
     machine = Machine._make([*shared, np.empty((0, z.q.size)), inputs, outputs, events])
     words = block(machine)
     found = symbols(type_of(machine), motors, [
@@ -117,6 +119,13 @@ def compile_scene(scene: Scene, name: str, target: str = HOST) -> SceneCode:
         for one, value in zip(given, start, strict=False)]
     return SceneCode(parts.scene, code, image, wanted, given, starts, parameters, machine,
                      target)
+
+
+def distinct(names: list[str]) -> list[str]:
+    """Return names, those that occur again later with a number."""
+    # The last ones, such as time and energy, keep theirs whatever coordinates are called.
+    return [f'{name}_{names[k:].count(name)}' if name in names[k + 1:] else name
+            for k, name in enumerate(names)]
 
 
 def _check(scene: Scene, simulation: Simulation) -> None:

@@ -358,6 +358,21 @@ def test_failed_step_returns_its_status_and_leaves_the_state_before_it():
     assert library.values(state)['time'] == 0.0
 
 
+def test_any_names_of_joints_are_valid_c(tmp_path):
+    _, code, _ = exported('servo')
+    names = ['θ', 'φ', 'Time', '*/ "q\\']
+    outputs = [one._replace(name=name, text=f'coordinate {name}')
+               for name, one in zip(names, code.outputs, strict=False)]
+    write_project(tmp_path, 'int', code._replace(outputs=[*outputs, *code.outputs[len(names):]]))
+    subprocess.run(['cc', '-std=c11', '-Wall', '-Wextra', '-Wpedantic', '-Werror', '-c',
+                    'example.c'], cwd=tmp_path, check=True)
+    header = (tmp_path / 'int.h').read_text()
+    found = [name for name in re.findall(r'  INT_OUT_(\w+)', header) if 'TIME' in name]
+    # The time keeps its name.
+    assert found == ['TIME_2', 'TIME']
+    assert '"*/ \\"q\\\\ [N m]"' in (tmp_path / 'example.c').read_text()
+
+
 @pytest.mark.parametrize('name', ['taylor', 'measurements', 'observer', 'delay', 'link_wrench',
                                   'energy_by_cause'])
 def test_scene_with_what_is_not_compiled_is_refused(name):
