@@ -7,11 +7,13 @@ import math
 from types import FunctionType
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects import LARGEST
-from hnn_vi_ros.integrators import is_finite, NOT_FINITE, OK, PhasePoint
+from hnn_vi_ros.effects import EffectState, LARGEST
+from hnn_vi_ros.integrators import (
+    BEYOND, copy_array, copy_point, discard_history, IN_DOUBT, is_finite, NO_CONVERGENCE,
+    NO_SOLUTION, NOT_FINITE, OK, PhasePoint)
 from hnn_vi_ros.kernels import (
     array_at, inlined, Kernel, load, Parameters, Part, part, symbol_of, Whole)
-from hnn_vi_ros.simulation import advance
+from hnn_vi_ros.simulation import advance, Fallbacks, take_substeps
 import numba
 from numba.core import types
 import numpy as np
@@ -23,11 +25,14 @@ INVALID_COMMAND, INVALID_STATE, INTERNAL, EVENT = range(100, 104)
 _ON_POSITION, _ON_VELOCITY = 1, 2
 _OPTIONS: dict[str, Any] = {'nogil': True, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True,
                             'pipeline_class': Whole}
-_advance = Part(advance, targetoptions={'forceinline': True})
+_advance, _take_substeps = (
+    Part(loop, targetoptions={'forceinline': True}) for loop in (advance, take_substeps))
 # Entries bind these names to their own values; see symbols.
 kind: Any = None
 add_forces: Any = None
 fill_differences: Any = None
+retry: Any = None
+take_in_parts: Any = None
 
 
 class CommandTable(NamedTuple):
@@ -43,8 +48,8 @@ class CommandTable(NamedTuple):
         Limits.
     timeout : float
         Duration of efforts [s].
-    command, clock, modes, targets : np.ndarray
-        See EffectState and Reference.
+    state : EffectState
+        State that the effects share.
 
     """
 
@@ -53,10 +58,7 @@ class CommandTable(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     timeout: float
-    command: np.ndarray
-    clock: np.ndarray
-    modes: np.ndarray
-    targets: np.ndarray
+    state: EffectState
 
 
 class EventTable(NamedTuple):
@@ -95,15 +97,14 @@ class OutputTable(NamedTuple):
         Source of each output, and the index in it.
     scale : np.ndarray, shape (m, 2)
         Factor and offset of each output.
-    totals : np.ndarray, shape (7 + K,)
+    totals : np.ndarray, shape (8 + K,)
         Steps and gradients so far, residual of the last step, H, H at the start and H minus this
-        and all works [J], distance from the domain of the model, and the work of each effect.
+        and all works [J], distance from the domain of the model, steps taken by fallbacks, and
+        the work of each effect.
     domain : np.ndarray, shape (4, m)
         Bounds of q and p, or of q and v: low, high, half-widths and periods; m = 0 without.
     domain_of : int
         Source of the second half: 1 for p, 2 for velocities.
-    work : np.ndarray, shape (K, 2)
-        See EffectState.
     motors : tuple
         Parameters of the effects that take commands.
     forces : np.ndarray, shape (2, n)
@@ -121,22 +122,22 @@ class OutputTable(NamedTuple):
     totals: np.ndarray
     domain: np.ndarray
     domain_of: int
-    work: np.ndarray
     motors: tuple[Any, ...]
     forces: np.ndarray
     keeps_gradient: int
 
 
 class Machine(NamedTuple):
-    """Everything that steps of a scene read and write; see advance."""
+    """Everything that steps of a scene read and write; see advance and Rescue."""
 
-    step: Any
     kernel: Kernel
+    step: Any
     h: float
     options: Parameters
     z: PhasePoint
     z1: PhasePoint
     memory: tuple[Any, ...]
+    fallbacks: Fallbacks
     nothing: np.ndarray
     inputs: CommandTable
     outputs: OutputTable
@@ -148,13 +149,19 @@ def _words(address: int, n: int) -> np.ndarray:
     return array_at(address, n).view(np.int64)
 
 
+@part(forceinline=True)
+def _copy(source: int, target: int, size: int) -> int:
+    own, words = _words(source, size), _words(target, size)
+    for k in range(size):
+        words[k] = own[k]
+    return OK
+
+
 def _init(state: int, image: int, size: int, pointers: int, count: int, places: int, entries: int,
           called: int) -> int:
     """Copy the image to a state, and make its offsets addresses."""
-    words, own = _words(state, size), _words(image, size)
-    for k in range(size):
-        words[k] = own[k]
-    own, targets = _words(pointers, count), _words(places, called)
+    _copy(image, state, size)
+    words, own, targets = _words(state, size), _words(pointers, count), _words(places, called)
     for k in range(count):
         words[own[k]] += state
     own = _words(entries, called)
@@ -165,21 +172,15 @@ def _init(state: int, image: int, size: int, pointers: int, count: int, places: 
 
 def _save(state: int, saved: int, first: int, size: int, digest: int) -> int:
     """Copy what changes in a state, after a digest."""
-    words, target = _words(state, size), _words(saved, 1 + size - first)
-    target[0] = digest
-    for k in range(first, size):
-        target[1 + k - first] = words[k]
-    return OK
+    _words(saved, 1)[0] = digest
+    return _copy(state + 8 * first, saved + 8, size - first)
 
 
 def _restore(state: int, saved: int, first: int, size: int, digest: int) -> int:
     """Copy back what _save has copied, if it is of this object."""
-    words, source = _words(state, size), _words(saved, 1 + size - first)
-    if source[0] != digest:
+    if _words(saved, 1)[0] != digest:
         return INVALID_STATE
-    for k in range(first, size):
-        words[k] = source[1 + k - first]
-    return OK
+    return _copy(saved + 8, state + 8 * first, size - first)
 
 
 def _step(block: int, commands: int, n: int) -> int:
@@ -194,15 +195,62 @@ def _step(block: int, commands: int, n: int) -> int:
         outcome, done, gradients, residual, _, _, _ = _advance(
             own.step, own.kernel, own.h, own.options, 0, n + 1, own.z, own.z1, own.memory,
             own.nothing, own.nothing, 1 if watched else n - taken)
-        taken += done
-        totals[0] += done
         totals[1] += gradients
         totals[2] = residual
+        if outcome != OK and outcome != BEYOND:
+            outcome = take_in_parts(own, retry(own, outcome))
+            done += outcome == OK
+        taken += done
+        totals[0] += done
         if outcome != OK:
             return outcome
         if watched and _happened(own, fill_differences):
             return EVENT
     return OK
+
+
+@part(forceinline=True)
+def _retry(own: Machine, outcome: int) -> int:
+    """Retry a failed step with the later attempts of its solvers; see Rescue.take_step."""
+    others, totals, last = own.fallbacks, own.outputs.totals, NO_CONVERGENCE
+    kernel, step, h, _, z, z1, memory = others.step
+    for options in others.attempts:
+        last, _, gradients, residual, _, _, _ = _advance(
+            step, kernel, h, options, 0, 2, z, z1, memory, own.nothing, own.nothing, 1)
+        totals[1] += gradients
+        totals[2] = totals[2] if math.isnan(residual) else residual
+        if last in (OK, NO_SOLUTION):
+            return last
+    return last if outcome == IN_DOUBT else outcome
+
+
+@part(forceinline=True)
+def _take_in_parts(own: Machine, outcome: int) -> int:
+    """Retry a failed step in parts; see Rescue.take_step."""
+    others, totals, spent = own.fallbacks, own.outputs.totals, 0
+    kernel, step, h, _, end, z1, memory = others.substep
+    for i in range(others.effects):
+        copy_array(others.state[i], others.before[i])
+    for k in range(0 if outcome == OK else others.parts.size):
+        copy_point(own.z, end)
+        ok, gradients = _take_substeps(
+            step, kernel, h, others.substeps[k], others.parts[k], others.most - spent, end, z1,
+            memory)
+        spent += gradients
+        for i in range(others.effects if ok else 0, len(others.state)):
+            copy_array(others.before[i], others.state[i])
+        if ok:
+            copy_point(end, own.z)
+            discard_history(own.memory)
+            totals[7] += 1.0
+            outcome = OK
+        if ok or spent > others.most:
+            break
+    totals[1] += spent
+    return outcome
+
+
+_fail = part(forceinline=True)(lambda own, outcome: outcome)
 
 
 @part(forceinline=True)
@@ -244,7 +292,7 @@ def _put(own: Machine, numbers: np.ndarray) -> int:
             if not inputs.low[k] <= numbers[k] <= inputs.high[k]:
                 return INVALID_COMMAND
             changed, efforts = True, efforts or inputs.kinds[k] == EFFORTS
-    command, now = inputs.command, inputs.clock[0]
+    command, now = inputs.state.command, inputs.state.clock[0]
     if efforts:
         if not now < command[command.size - 1]:
             command[:] = 0.0
@@ -257,9 +305,10 @@ def _put(own: Machine, numbers: np.ndarray) -> int:
             position, velocity = numbers[k], numbers[k + 1]
             if not (math.isnan(position) and math.isnan(velocity)):
                 free = math.isnan(position)
-                inputs.modes[i] = _ON_VELOCITY if free else _ON_POSITION
-                inputs.targets[0, i] = 0.0 if free else position
-                inputs.targets[1, i] = 0.0 if math.isnan(velocity) else velocity
+                inputs.state.reference.modes[i] = _ON_VELOCITY if free else _ON_POSITION
+                targets = inputs.state.reference.targets
+                targets[0, i] = 0.0 if free else position
+                targets[1, i] = 0.0 if math.isnan(velocity) else velocity
     if changed:
         _evaluate(own)
     return OK
@@ -274,10 +323,8 @@ def _start(block: int, q: int, p: int) -> int:
     """Start from another state, at time 0, with the commands of the image."""
     own = load(block, kind)
     outputs = own.outputs
-    for k in range(outputs.q_size):
-        own.z.q[k] = array_at(q, outputs.q_size)[k]
-    for k in range(outputs.p_size):
-        own.z.p[k] = array_at(p, outputs.p_size)[k]
+    copy_array(array_at(q, outputs.q_size), own.z.q[:outputs.q_size])
+    copy_array(array_at(p, outputs.p_size), own.z.p[:outputs.p_size])
     _evaluate(own)
     _evaluate_differences(own, fill_differences, own.events.before)
     outputs.totals[4] = own.kernel.energy(own.kernel.parameters, own.z.q, own.z.p)
@@ -322,13 +369,14 @@ def _outputs(block: int, values: int) -> int:
     out, n, totals = array_at(values, parts.table.shape[0]), parts.q_size, parts.totals
     _update_velocity(own)
     parts.forces[:] = 0.0
-    add_forces(parts.motors, own.inputs.clock[0], z.q[:n], z.p[:n], parts.sources[2][:n],
+    add_forces(parts.motors, own.inputs.state.clock[0], z.q[:n], z.p[:n], parts.sources[2][:n],
                parts.forces[0], parts.forces[1])
     totals[3] = own.kernel.energy(own.kernel.parameters, z.q, z.p)
     totals[5] = totals[3] - totals[4]
-    for k in range(parts.work.shape[0]):
-        totals[7 + k] = parts.work[k, 0] + parts.work[k, 1]
-        totals[5] -= totals[7 + k]
+    work = own.inputs.state.work
+    for k in range(work.shape[0]):
+        totals[8 + k] = work[k, 0] + work[k, 1]
+        totals[5] -= totals[8 + k]
     totals[6] = _outside(parts, z)
     for k in range(out.size):
         value = parts.sources[parts.table[k, 0]][parts.table[k, 1]]
@@ -386,8 +434,8 @@ def _add_none(*_: Any) -> None:
     """Add no force."""
 
 
-def symbols(machine: types.Type, motors: Sequence[type], conditions: Sequence[Any]
-            ) -> dict[str, str]:
+def symbols(machine: types.Type, fallbacks: Fallbacks, motors: Sequence[type],
+            conditions: Sequence[Any]) -> dict[str, str]:
     """
     Return the symbols of the compiled functions of a scene, by the name of each.
 
@@ -395,6 +443,8 @@ def symbols(machine: types.Type, motors: Sequence[type], conditions: Sequence[An
     ----------
     machine : numba type
         Type of its Machine.
+    fallbacks : Fallbacks
+        Its fallbacks.
     motors : sequence of type
         Classes of the effects that take commands and are forces.
     conditions : sequence of callable
@@ -405,7 +455,9 @@ def symbols(machine: types.Type, motors: Sequence[type], conditions: Sequence[An
     for function in (_init, _save, _restore, _step, _start, _tune, _energy, _outputs):
         copy = FunctionType(function.__code__, {
             **globals(), 'kind': machine, 'add_forces': _forces_of(motors),
-            'fill_differences': _differences_of(conditions)}, function.__name__)
+            'fill_differences': _differences_of(conditions),
+            'retry': _retry if fallbacks.attempts else _fail,
+            'take_in_parts': _take_in_parts if fallbacks.substeps else _fail}, function.__name__)
         name = function.__name__[1:]
         arguments = (types.int64,) * function.__code__.co_argcount
         found[name] = symbol_of(numba.njit(**_OPTIONS)(copy), *arguments)

@@ -106,7 +106,7 @@ def compile_scene(scene: Scene, name: str, target: str = HOST) -> SceneCode:
     given = [one._replace(name=name) for one, name in zip(given, names, strict=True)]
     machine = Machine._make([*shared, np.empty((0, z.q.size)), inputs, outputs, events])
     words = block(machine)
-    found = symbols(type_of(machine), motors, [
+    found = symbols(type_of(machine), machine.fallbacks, motors, [
         condition.function(simulation.hamiltonian) for condition in conditions])
     image = image_of(Block.of(words))
     parameters = parameters_of(parts, simulation, Block.of(words), image)
@@ -183,8 +183,7 @@ def _inputs(simulation: Simulation) -> tuple[CommandTable, list[Variable]]:
     table = np.array(rows, dtype=np.float64).reshape(-1, 4).T
     kinds, places = table[:2].astype(np.int64)
     return CommandTable(
-        kinds, places, table[2].copy(), table[3].copy(), float(timeout), state.command,
-        state.clock, state.reference.modes, state.reference.targets), names
+        kinds, places, table[2].copy(), table[3].copy(), float(timeout), state), names
 
 
 def _outputs(simulation: Simulation, z: PhasePoint, z1: PhasePoint, events: EventTable,
@@ -220,6 +219,7 @@ def _outputs(simulation: Simulation, z: PhasePoint, z1: PhasePoint, events: Even
               ('energy_error', 'J', 'H minus its initial value and all works'),
               ('outside_domain', '1', 'distance from the domain of the training data in its '
                                       'half-widths, 0 inside or without one'),
+              ('rescued_steps', '1', 'steps so far that on_failure has taken'),
               *((f'work_{label}', 'J', f'work of {label}') for label in system.labels)]
     add(4, 0, 'time', 's', 'simulated time', factor=simulation.step_size)
     for k, words in enumerate(totals, 1):
@@ -237,7 +237,6 @@ def _outputs(simulation: Simulation, z: PhasePoint, z1: PhasePoint, events: Even
         len(q_names), len(p_names), (
             z.q, z.p, (z if keeps else z1).dH_dp, space[1], total, events.counts),
         table[:, :2].astype(np.int64), table[:, 2:].copy(), total, domain, source,
-        system.effect_state.work,
         (*(own for _, own in forces), (), ())[:2], space, int(keeps)), [row[0] for row in rows], [
             kind for kind, _ in forces]
 

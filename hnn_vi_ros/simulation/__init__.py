@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.accuracy.neighbouring_motions import time_between_motions
     from hnn_vi_ros.simulation.accuracy.trials import (
         InitialValueProblem, Method, time_scale, Tolerance)
-    from hnn_vi_ros.simulation.assembly import advance
+    from hnn_vi_ros.simulation.assembly import advance, take_substeps
     from hnn_vi_ros.simulation.batches.batch_simulation import (
         BatchSimulation, description, open_device)
     from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.guards.watch import judge, judge_many, look, Watch
     from hnn_vi_ros.simulation.processors import (
         ignore_sigint_in_children, in_threads, usable_processors, worker_processes)
+    from hnn_vi_ros.simulation.rescue import Fallbacks
     from hnn_vi_ros.simulation.run_samples import check_memory, record, RunSamples, Schedule
     from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
     from hnn_vi_ros.simulation.system import System

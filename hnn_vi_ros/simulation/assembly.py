@@ -177,9 +177,10 @@ class Loop:
 
     def shared(self, h: float, z: PhasePoint, z1: PhasePoint, memory: tuple[Any, ...],
                *others: Any) -> tuple[Any, ...]:
-        """Return the compiled step, and the arguments that calls of the loop share."""
+        """Return the kernel, the compiled step, and the arguments that calls of the loop share."""
         self.compile(h, 0, 1, z, z1, memory, *others)
-        return self._step, self._kernel, h, self._options, z, z1, self._taken(memory)
+        # Numba warns of tuples that begin with a function.
+        return self._kernel, self._step, h, self._options, z, z1, self._taken(memory)
 
     def _taken(self, memory: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the workspaces in the form that the loop takes, on the same arrays."""

@@ -125,10 +125,9 @@ class Rescue:
         solved = self._by_other_solvers(active, h, z, z1, memory)
         if solved.ok:
             return solved
-        spent, most = 0, sys.maxsize
+        spent = 0
         for method, attempt, parts in self._fallbacks(active, z.q.size):
-            if parts > 1 and method.usual_gradients:
-                most = _MAX_PARTS * method.usual_gradients
+            most = _most(method, parts)
             loop = self._loop(take_substeps, active, method, attempt)
             ok, gradients = self._in_parts(loop, method, parts, most - spent, h, z, z1)
             spent += gradients
@@ -141,17 +140,24 @@ class Rescue:
                 return solved._replace(gradients=solved.gradients + spent, given_up=most)
         return solved._replace(gradients=solved.gradients + spent)
 
-    def compile(self, h: float, n: int) -> None:  # noqa: A003
-        """Compile all fallbacks for n coordinates, or load them from disk, without a run."""
-        z, z1, memories = PhasePoint.empty(n), PhasePoint.empty(n), self.memories(n)
-        for active, method in enumerate(self.methods):
-            for attempt in method.attempts(n)[1:]:
-                self._loop(advance, active, method, attempt).compile(
-                    h, 0, 1, z, z1, memories[active], *np.empty((2, 1, n)), 1)
-            for fallback, attempt in dict.fromkeys(
-                    (fallback, attempt) for fallback, attempt, _ in self._fallbacks(active, n)):
-                self._loop(take_substeps, active, fallback, attempt).compile(
-                    h, 1, 1, z, z1, self._memory(fallback, n))
+    def fallbacks(self, active: int, h: float, z: PhasePoint, z1: PhasePoint, memory: tuple
+                  ) -> 'Fallbacks':
+        """Return the fallbacks of a method, compiled or loaded from disk; see take_step."""
+        method, n, last = self.methods[active], z.q.size, self._fallbacks(active, z.q.size)
+        inside, end = self._memory(last[0][0], n) if last else (), PhasePoint.empty(n)
+        state, kept = ([array.reshape(-1).view(np.int64) for group in groups
+                        for _, array in arrays_of('', group)] for groups in (
+            [self._system.effect_state], [one.kept for one in inside if hasattr(one, 'kept')]))
+        calls = [self._loop(advance, active, method, attempt).shared(
+            h, z, z1, memory, *np.empty((2, 1, n)), 1) for attempt in method.attempts(n)[1:]], [
+                self._loop(take_substeps, active, fallback, attempt).shared(h, end, z1, inside)
+                for fallback, attempt, _ in last]
+        return Fallbacks(
+            np.array([parts for *_, parts in last], dtype=np.int64),
+            _most(*last[0][::2]) if last else 0, (*state, *kept),
+            tuple(np.zeros_like(array) for array in (*state, *kept)), len(state),
+            *(part for own in calls for part in (
+                own[0] if own else (), tuple(one[3] for one in own))))
 
     def _by_other_solvers(self, active: int, h: float, z: PhasePoint, z1: PhasePoint,
                           memory: tuple) -> 'Taken':
@@ -198,6 +204,12 @@ class Rescue:
         return False, gradients
 
 
+def _most(method: Integrator, parts: int) -> int:
+    """Return the limit of gradients of all sub-steps."""
+    return _MAX_PARTS * method.usual_gradients if parts > 1 and method.usual_gradients \
+        else sys.maxsize
+
+
 def _substep(method: Integrator) -> Integrator | None:
     """Return the symmetric method for sub-steps of a failed step, None if there is none."""
     if isinstance(method, Wrapped):
@@ -237,6 +249,41 @@ class Taken(NamedTuple):
     residual: float
     outcome: int
     given_up: int = 0
+
+
+class Fallbacks(NamedTuple):
+    """
+    Fallbacks of a method, for compiled code; see Rescue.take_step.
+
+    Parameters
+    ----------
+    parts : np.ndarray of int64
+        Number of sub-steps in each attempt.
+    most : int
+        Limit of gradients of all sub-steps.
+    state, before : tuple of np.ndarray of int64
+        Arrays of the state of effects, then those in workspaces of sub-steps that persist from
+        step to step; and space for their contents before the step.
+    effects : int
+        Number of arrays of the state of effects.
+    step : tuple
+        Result of Loop.shared for the first of the later attempts of its own solvers.
+    attempts : tuple
+        Options of each of these.
+    substep, substeps : tuple
+        The same for sub-steps, which begin at another point.
+
+    """
+
+    parts: np.ndarray
+    most: int
+    state: tuple[np.ndarray, ...]
+    before: tuple[np.ndarray, ...]
+    effects: int
+    step: tuple[Any, ...]
+    attempts: tuple[Any, ...]
+    substep: tuple[Any, ...]
+    substeps: tuple[Any, ...]
 
 
 class Watched(NamedTuple):

@@ -647,20 +647,19 @@ class Simulation:
         return time.perf_counter() - start
 
     def shared(self) -> tuple[Any, ...]:
-        """Return step, kernel, h, options, point, next point and workspaces, all compiled."""
-        nothing = np.empty((2, 1, self._z.q.size))
-        return self._loop(self._active).shared(
-            self.step_size, self._z, self._z1, self._memories[self._active], *nothing, 1)
+        """Return kernel, step, h, options, points, workspaces and fallbacks, all compiled."""
+        own = self.step_size, self._z, self._z1, self._memories[0]
+        return (*self._loop(0).shared(*own, *np.empty((2, 1, self._z.q.size)), 1),
+                self._rescue.fallbacks(0, *own))
 
     def compile_rescue(self) -> None:
         """Compile the fallbacks of failed steps now; another thread may take steps meanwhile."""
         try:
             n = self._z.q.size
             for active, memory in enumerate(self._rescue.memories(n)):
-                self._loop(active).compile(
-                    self.step_size, 0, 1, PhasePoint.empty(n), PhasePoint.empty(n), memory,
-                    *np.empty((2, 1, n)), 1)
-            self._rescue.compile(self.step_size, n)
+                own = self.step_size, PhasePoint.empty(n), PhasePoint.empty(n), memory
+                self._loop(active).shared(*own, *np.empty((2, 1, n)), 1)
+                self._rescue.fallbacks(active, *own)
         finally:
             self.rescue_ready = True
 

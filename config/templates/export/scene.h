@@ -23,7 +23,6 @@ enum {
   ${NAME}_BEYOND = 3, /* the stability limit of an explicit method */
   ${NAME}_NO_MASS = 4, /* H_pp is not positive definite */
   ${NAME}_REDUNDANT = 5, /* a constraint depends on others */
-  ${NAME}_IN_DOUBT = 6, /* the solution may not be the one connected to h = 0 */
   ${NAME}_NO_SOLUTION = 7, /* none is connected to h = 0 */
   ${NAME}_TURNED = 8, /* a body would rotate by almost pi rad or more in one step */
   ${NAME}_NOT_HELD = 9, /* no impulses satisfy the constraints over the step */
