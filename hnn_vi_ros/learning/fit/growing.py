@@ -200,8 +200,8 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
             continue
         best = judged(best)
         if horizon is None and before is not None and _leaves_the_motion(best):
-            found = refitted(before, before.problem.model, before.solution.values, tolerance)
-            return found if _is_false(best) else found._replace(stages=best.stages)
+            shorter_fit = refitted(before, before.problem.model, before.solution.values, tolerance)
+            return shorter_fit if _is_false(best) else shorter_fit._replace(stages=best.stages)
         if length >= wanted:
             return best
         # Starts that lead to the same optimum have the same misfit.
