@@ -6,13 +6,18 @@ from dataclasses import replace
 import math
 
 from hnn_vi_ros.learning.data.motions import of_positions, smoothed
+from hnn_vi_ros.learning.families.choices import FrictionChoice, Structure
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit import growing, rigid_body
 from hnn_vi_ros.learning.fit.fitted_rigid_body import covariance_of, rounding_of
 from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.growing import first_length
+from hnn_vi_ros.learning.fit.machine import scales_of
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
 from hnn_vi_ros.learning.fit.prediction import Prediction
+from hnn_vi_ros.learning.fit.rigid_model import PriorUnknowns
 from hnn_vi_ros.learning.tasks.machine import MACHINE, MachineData
+from hnn_vi_ros.models import CoordinateCard
 from machines import carriage, double_well, machine_config, sliding
 import numpy as np
 import pytest
@@ -265,3 +270,16 @@ def test_false_minimum_of_whole_motions_is_left_at_once_and_tells_nothing(monkey
     found = fit_machine(sliding(prior='planar_chain', residual=False), motions).numbers
     assert searches.count(1) == 1 and len(found.solution.starts) > 1
     assert max(excess for _, excess in found.stages) < 1.1
+
+
+def test_widths_and_offsets_of_sensors_do_not_grow_with_the_scale_of_the_energy():
+    """Without forces they were divided by the mean inertia, which is 1 by convention."""
+    run = carriage(1, 1.0)
+    structure = Structure(
+        ['revolute'], [[1.0]], [], prior='planar_chain', angles=[[1.0]], residual=False,
+        sensor_offsets=True, friction=FrictionChoice(coulomb=1, stribeck=1))
+    unknowns = PriorUnknowns(MechanicalNetwork(structure, [1], scales_of([run]), 0), widths=True)
+    labels = unknowns.labels([CoordinateCard(name='a', q_unit='rad', p_unit='N m s')])
+    fixed = [name for (name, _), grows in zip(labels, unknowns.scaled, strict=True) if not grows]
+    assert fixed == ['sensor_offset1', 'Stribeck speed of a', 'width of dry friction 1',
+                     'width of dry friction 2']
