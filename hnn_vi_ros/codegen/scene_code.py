@@ -4,6 +4,7 @@
 
 from collections.abc import Iterator, Sequence
 from hashlib import sha256
+import math
 import re
 from typing import NamedTuple
 
@@ -137,8 +138,10 @@ def _check(scene: Scene, simulation: Simulation) -> None:
             ('energy_by_cause', scene.energy_by_cause, 'the energy by cause is', 'remove it'),
             ('integrator', not compiled, f'{scene.integrator.kind} with this H is',
              'use another integrator, or a compiled H'),
-            ('effects', any(getattr(effect, 'delay', 0.0) for effect, _ in motors.effects),
-             'commands with a delay are', 'remove the delay'),
+            ('effects', any(getattr(effect, 'delay', 0.0)
+                            or getattr(effect, 'rate_limit', math.inf) < math.inf
+                            for effect, _ in motors.effects),
+             'commands with a delay or a rate limit are', 'remove it'),
             ('effects', OBSERVATION in motors.takes, 'observations are', 'remove the observer'),
             ('effects', LINK_WRENCH in motors.takes, 'commands of link_wrench are', 'remove it')):
         if refused:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Modes of a coordinate: no command yet, or it follows a position, a velocity, or a path. With a
 # delay all commands wait in the knots; accelerations of a knot from which a command is held are
-# NaN, and infinite at those of cubic polynomials.
+# NaN, infinite at those of cubic polynomials, and negative infinite at those of ramps.
 _IDLE, _AT_POSITION, _AT_VELOCITY, _ON_PATH = range(4)
 # Number of a command that switches a motor off; others are at most LARGEST.
 OFF = 1e90
@@ -49,8 +49,8 @@ class ServoParameters(NamedTuple):
         See EffectState.
     command : np.ndarray
         See EffectState; without plain numbers, one that has expired.
-    delay, speed : float
-        Delay of commands [s], and u.
+    delay, speed, rate_limit : float
+        Delay of commands [s], u, and the largest rate of commanded positions, possibly infinite.
     gravity : Compensation
         V'(q), zero for none.
     stiffness, damping, limit, back_emf, offset, punch, load : np.ndarray, shape (n,)
@@ -66,6 +66,7 @@ class ServoParameters(NamedTuple):
     command: np.ndarray
     delay: float
     speed: float
+    rate_limit: float
     gravity: 'Compensation'
     stiffness: np.ndarray
     damping: np.ndarray
@@ -119,8 +120,13 @@ class Servo(Compensated, Force, Commanded):
         u > 0 [rad/s], [m/s], as that of `joint_friction`.
     delay : float, optional
         Time from a command to its effect, >= 0 [s]. A log's `enabled` acts without it.
+    rate_limit : float, optional
+        Largest rate, > 0 [rad/s], [m/s], at which q_r follows commanded positions, as in drives
+        that make ramps of them; v_r is still the commanded one. Paths are followed as they are.
+        Default: none.
     drive : str, optional
-        A drive of all joints, whose F, b, P and l are the defaults: see `effects.drives`.
+        A drive of all joints, whose F, b, P, l and rate limit are the defaults: see
+        `effects.drives`.
     gravity_compensation : str, optional
         model for V' of H, with its payload; unloaded for that without a payload; urdf for that of
         a robot in ``file``, with the joints and the gravity of H; default: none.
@@ -149,18 +155,19 @@ class Servo(Compensated, Force, Commanded):
                  drive: str | None = None, punch: float | list[float] = 0.0,
                  load: float | list[float] = 0.0, speed: float = 0.01,
                  gravity_compensation: GravityModelKind | None = None,
-                 file: str | None = None):
+                 file: str | None = None, rate_limit: float | None = None):
         super().__init__(gravity_compensation, file)
         if drive is not None:
             row = find_drive(drive)
             effort_limit = row.torque_limit if effort_limit is None else effort_limit
+            rate_limit = row.rate_limit if rate_limit is None else rate_limit
             back_emf, punch, load = (
                 given if np.any(given) else own for given, own in (
                     (back_emf, row.back_emf), (punch, row.punch), (load, row.load)))
         limit = math.inf if effort_limit is None else effort_limit
         check_not_negative(stiffness=stiffness, damping=damping, back_emf=back_emf, delay=delay,
                            punch=punch, load=load)
-        check_positive(speed=speed)
+        check_positive(speed=speed, **{} if rate_limit is None else {'rate_limit': rate_limit})
         if not all(one <= 1.0 for one in np.ravel(load)):
             raise ValueError(f'load = {load} must be at most 1: friction stops what drives it')
         if not all(one > 0.0 for one in np.ravel(limit)):
@@ -168,6 +175,7 @@ class Servo(Compensated, Force, Commanded):
         check_finite(position=position or 0.0, offset=offset)
         check_names_once(coordinates=coordinates)
         self.names, self.delay, self.speed = coordinates, float(delay), float(speed)
+        self.rate_limit = math.inf if rate_limit is None else float(rate_limit)
         self.takes = frozenset({POSITION, VELOCITY, PATH})
         self.values: dict[str, float | list[float]] = {
             'stiffness': stiffness, 'damping': damping, 'effort_limit': limit,
@@ -176,13 +184,13 @@ class Servo(Compensated, Force, Commanded):
 
     def on_numbers(self) -> 'Servo':
         """
-        Return this servo without delay, commanded by plain numbers, one for each joint.
+        Return this servo without delay and rate limit, commanded by plain numbers, one a joint.
 
         They are positions, or OFF for a motor that is switched off.
         """
         other = copy(self)
         other.numbers = other.feels_command = True
-        other.takes, other.delay = frozenset({NUMBERS}), 0.0
+        other.takes, other.delay, other.rate_limit = frozenset({NUMBERS}), 0.0, math.inf
         return other
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> ServoParameters:
@@ -193,7 +201,7 @@ class Servo(Compensated, Force, Commanded):
         own = (per_coordinate(joints, name, value) for name, value in self.values.items())
         command = state.command if self.numbers else np.full(1, -math.inf)
         return ServoParameters(columns, state.reference, state.clock, command, self.delay,
-                               self.speed, no_compensation(columns.size), *own)
+                               self.speed, self.rate_limit, no_compensation(columns.size), *own)
 
     def prepare(self, command: Command, parameters: ServoParameters, q: np.ndarray
                 ) -> Callable[[], None]:
@@ -201,7 +209,7 @@ class Servo(Compensated, Force, Commanded):
         if isinstance(command, JointPath):
             return _prepare_path(command, parameters, self.names, q)
         if isinstance(command, JointCommand):
-            return _prepare_targets(command, parameters, self.names)
+            return _prepare_targets(command, parameters, self.names, q)
 
         def put() -> None:
             parameters.command[parameters.columns] = command
@@ -282,9 +290,11 @@ def _along(reference: Reference, segment: int, i: int, t: float) -> tuple[float,
     q1, v1, a1 = (knots[segment + 1, 1 + i], knots[segment + 1, 1 + d + i],
                   knots[segment + 1, 1 + 2 * d + i])
     h = knots[segment + 1, 0] - knots[segment, 0]
+    x = (t - knots[segment, 0]) / h
+    if a0 == -np.inf:
+        return q0 + (q1 - q0) * x, v0, 0.0
     c = cubic(h, q0, v0, q1, v1) if reference.extent[1] == 3 or math.isinf(a0) else \
         quintic(h, q0, v0, a0, q1, v1, a1)
-    x = (t - knots[segment, 0]) / h
     return value_at(c, x), slope_at(c, x) / h, bend_at(c, x) / (h * h)
 
 
@@ -292,19 +302,19 @@ def _target(own: ServoParameters, names: Sequence[str], t: float) -> ServoTarget
     """Return the targets of joints with these names at a time."""
     segment = _segment_at(own.reference, t)
     targets = np.array([_target_at(own, k, segment, t) for k in range(own.columns.size)])
-    return ServoTarget(names, own.columns, targets.T, bool(_moving(own, segment).any()))
+    on_path = bool((_bends(own, segment) > -math.inf).any())
+    return ServoTarget(names, own.columns, targets.T, on_path)
 
 
-def _moving(own: ServoParameters, segment: int) -> np.ndarray:
-    """Return which joints follow a path after a knot, shape (n,)."""
+def _bends(own: ServoParameters, segment: int) -> np.ndarray:
+    """Return the accelerations of joints at a knot; NaN where they follow no path, (n,)."""
     modes, knots = own.reference.modes, own.reference.knots
-    bends = knots[segment, 1 + 2 * modes.size + own.columns]
-    found: np.ndarray = (modes[own.columns] == _ON_PATH) & ~np.isnan(bends)
-    return found
+    return np.where(modes[own.columns] == _ON_PATH,
+                    knots[segment, 1 + 2 * modes.size + own.columns], math.nan)
 
 
-def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequence[str]
-                     ) -> Callable[[], None]:
+def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequence[str],
+                     q: np.ndarray) -> Callable[[], None]:
     moved = ~(np.isnan(command.position) & np.isnan(command.velocity))
     joints = indices_of(command.names, names, moved)
     position, velocity = command.position[moved], command.velocity[moved]
@@ -312,12 +322,28 @@ def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequenc
         for k in np.flatnonzero(np.abs(values) > LARGEST):
             raise ValueError(f'{kind} of {names[joints[k]]} is {values[k]:g}, expected at most '
                              f'{LARGEST:g}')
-    if own.delay:
-        places, (rows, begin) = own.columns[joints], _waiting(own)
-        for part, values in enumerate((position, np.where(np.isnan(velocity), 0.0, velocity),
-                                       np.full(len(joints), math.nan))):
-            rows[begin:, 1 + part * own.reference.modes.size + places] = values
-        return _follow(own, rows, 5)
+    if _waits(own):
+        places, d, (rows, begin) = 1 + own.columns[joints], own.reference.modes.size, _waiting(own)
+        first = np.where(np.isnan(rows[begin, places]), q[places - 1] + own.offset[joints],
+                         rows[begin, places])
+        change, at = position - first, rows[begin, 0]
+        ends = np.where(np.isnan(change), at, at + np.abs(change) / own.rate_limit)
+        later = [*rows[begin:], *(_row(own, end) for end in np.unique(ends[ends > at]))]
+        later.sort(key=lambda row: float(row[0]))
+        rows = np.vstack([rows[:begin], *later])
+        t = rows[begin:, :1]
+        ramps = t < ends
+        rows[begin:, places] = np.where(
+            ramps, first + np.sign(change) * (t - at) * min(own.rate_limit, LARGEST), position)
+        rows[begin:, d + places] = np.where(np.isnan(velocity), 0.0, velocity)
+        rows[begin:, 2 * d + places] = np.where(ramps, -math.inf, math.nan)
+        # Ends of earlier ramps.
+        kinds = rows[:, 2 * d + 1 + own.columns]
+        same = (np.isnan(kinds[1:]) & np.isnan(kinds[:-1])) | (
+            (kinds[1:] == -math.inf) & (kinds[:-1] == -math.inf))
+        kept = np.append(True, ~same.all(axis=1))
+        kept[:begin + 1] = True
+        return _follow(own, rows[kept], 5)
 
     def put() -> None:
         reference, places = own.reference, own.columns[joints]
@@ -328,29 +354,48 @@ def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequenc
     return put
 
 
+def _waits(own: ServoParameters) -> bool:
+    """Return whether commands of positions are kept in the knots."""
+    return own.delay > 0.0 or own.rate_limit < math.inf
+
+
+def _row(own: ServoParameters, t: float) -> np.ndarray:
+    """Return the row of the knots that continues the reference from a time on."""
+    reference, d, columns = own.reference, own.reference.modes.size, 1 + own.columns
+    if not reference.extent[0]:
+        row = np.full(1 + 3 * d, math.nan)
+        row[columns] = own.start
+        row[d + columns] = np.where(np.isnan(own.start), math.nan, 0.0)
+    else:
+        segment = _segment_at(reference, t)
+        row, bends = reference.knots[segment].copy(), _bends(own, segment)
+        for part, values in enumerate(_target(own, (), t).targets):
+            row[part * d + columns] = values
+        row[2 * d + columns] = np.where(np.isfinite(bends), row[2 * d + columns], bends)
+    row[0] = t
+    return row
+
+
 def _waiting(own: ServoParameters) -> tuple[np.ndarray, int]:
     """
     Return the rows of the knots from the active one on, and the index of the one after the delay.
 
     The reference is split there.
     """
-    reference, d = own.reference, own.reference.modes.size
-    knots, columns = reference.knots[:reference.extent[0]], 1 + own.columns
-    if not len(knots):
-        knots = np.full((1, 1 + 3 * d), math.nan)
-        knots[0, 0], knots[0, columns] = own.clock[0], own.start
-        knots[0, d + columns] = np.where(np.isnan(own.start), math.nan, 0.0)
-    at = own.clock[0] + own.delay
+    reference, at, columns = own.reference, own.clock[0] + own.delay, 1 + own.columns
+    if not reference.extent[0]:
+        return np.array([_row(own, own.clock[0]), _row(own, at)]), 1
+    knots, d = reference.knots[:reference.extent[0]], reference.modes.size
     active, last = (_segment_at(reference, t) for t in (own.clock[0], at))
-    end = knots[last].copy()
-    end[0], moving = at, _moving(own, last)
-    if moving.any():
-        for part, values in enumerate(_target(own, (), at).targets):
-            end[part * d + columns[moving]] = values[moving]
-    begin, bends = end.copy(), 2 * d + columns
-    begin[bends] = np.where(np.isinf(knots[last, bends]), math.inf, end[bends])
-    rows = [*knots[active:last + 1], *[end] * bool(moving.any()), begin, *knots[last + 1:]]
-    return np.array(rows), last + 1 - active + bool(moving.any())
+    begin, bends = _row(own, at), _bends(own, last)
+    rows = [*knots[active:last + 1], begin, *knots[last + 1:]]
+    if not np.isnan(bends).all():
+        # A quintic ends with an acceleration, whatever follows.
+        end = begin.copy()
+        end[2 * d + columns] = np.where(
+            np.isnan(bends), bends, _target(own, (), at).targets[2])
+        rows.insert(last + 1 - active, end)
+    return np.array(rows), len(rows) - len(knots[last + 1:]) - 1
 
 
 def _follow(own: ServoParameters, rows: np.ndarray, degree: int) -> Callable[[], None]:
@@ -383,7 +428,7 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
     start[1] = np.where(np.isnan(start[1]), 0.0, start[1])
     if not len(path.times):
         still = np.zeros(len(names))
-        return _prepare_targets(JointCommand(names, start[0], still, still), own, names)
+        return _prepare_targets(JointCommand(names, start[0], still, still), own, names, q)
     times = now + path.delay + path.times
     ahead = times > now
     if times[-1] == now:
@@ -413,7 +458,7 @@ def _prepare_path(path: JointPath, own: ServoParameters, names: Sequence[str], q
     rows[:, 0] = t
     for part, values in enumerate((points, slopes, bends)):
         rows[:, 1 + part * d + own.columns] = values
-    if not own.delay:
+    if not _waits(own):
         return _follow(own, rows, degree)
     if degree == 3:
         rows[:, 1 + 2 * d + own.columns] = math.inf

@@ -369,6 +369,37 @@ def test_commands_act_after_their_delay():
     np.testing.assert_array_equal(late.q, after)
 
 
+@pytest.mark.parametrize('delay', [0.0, 5.0 / 64])
+def test_reference_follows_positions_at_its_largest_rate(delay):
+    """Positions of two joints at random times, as r' = w sign(position - r) would follow them."""
+    h, rates, rng = 1.0 / 64, 1.3, np.random.default_rng(4)
+    simulation = servo('x', 'y', h=h, delay=delay, position=[0.1, -0.1], rate_limit=rates)
+    r, goals, waiting = np.array([0.1, -0.1]), np.array([0.1, -0.1]), dict[int, np.ndarray]()
+    for step in range(150):
+        if rng.integers(4) == 0:
+            own = np.where(rng.integers(2, size=2), rng.normal(size=2), NAN)
+            waiting[step + round(delay / h)] = own
+            if not np.isnan(own).all():
+                simulation.set_command(command('xy', position=own))
+        if step in waiting:
+            goals = np.where(np.isnan(waiting[step]), goals, waiting[step])
+        target = simulation.motors.servo_target
+        # Rounding of differences of times.
+        assert target.targets[0] == pytest.approx(r, abs=1e-12)
+        assert not target.targets[1:].any() and not target.on_path
+        simulation.advance(1)
+        r = r + np.clip(goals - r, -rates * h, rates * h)
+    simulation.set_command(path([0.3, 0.5], [1.0, 0.7], names='xy'))
+    simulation.advance(64)
+    assert simulation.motors.servo_target.targets[0] == pytest.approx([0.7, 0.7], abs=1e-12)
+
+
+def test_joint_that_follows_nothing_yet_starts_its_ramp_where_it_is():
+    simulation = servo('x', h=0.01, q=0.2, offset=0.05, rate_limit=1.0)
+    simulation.set_command(command('x', position=1.0))
+    assert aims(simulation, 3)[:, 0] == pytest.approx([0.26, 0.27, 0.28], abs=1e-12)
+
+
 def random_command(rng: np.random.Generator) -> JointCommand | JointPath:
     """Return positions, a path of degree 3 or 5, one of positions, or none."""
     kind, t = rng.integers(6), np.cumsum(rng.uniform(0.02, 0.2, 3))

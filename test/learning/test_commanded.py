@@ -13,6 +13,7 @@ from hnn_vi_ros.identify.identify import main
 from hnn_vi_ros.learning import ArraysData, Prediction, read_motions, source_of
 from hnn_vi_ros.learning.data.header import read_header
 from hnn_vi_ros.learning.data.motions import smoothed
+from hnn_vi_ros.learning.fit.step_forces import constant_commands
 from hnn_vi_ros.learning.fit.windows import cut_windows
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
@@ -234,6 +235,26 @@ def test_delayed_commands_act_by_their_mean_in_a_step_and_motors_are_off_at_once
     # the mean of its neighbours.
     assert np.flatnonzero(forces == OFF).tolist() == [10, 11]
     assert forces[12:14] == pytest.approx([5.0, 5.7], abs=1e-12)
+
+
+@pytest.mark.parametrize('rate', [1.7, 30.0, 1e9])
+def test_commands_limited_in_rate_are_those_of_a_fine_integration(rate):
+    t = 0.02 * np.arange(31)
+    command = np.stack([np.sign(np.sin(9.0 * t)), np.sin(9.0 * t)], axis=1)
+    log = replace(smoothed('one', t, np.zeros((31, 2)), np.zeros((31, 2)), command, 40.0),
+                  commanded=True, inputs='held')
+    edges, h, delay, parts = 0.01 * np.arange(61), 0.01, 0.013, 1000
+    fine, r = [], np.zeros(2)
+    for k in range(60 * parts):
+        late = (k + 0.5) * h / parts - delay
+        if late > 0.0:
+            r = r + np.clip(command[int(late / 0.02 + 1e-9)] - r, *(
+                sign * rate * h / parts for sign in (-1.0, 1.0)))
+        fine.append(r)
+    found = constant_commands(log, edges, h, delay, rate)
+    # The fine reference is late by half of its steps.
+    assert found == pytest.approx(np.reshape(fine, (60, parts, 2)).mean(axis=1),
+                                  abs=min(rate, 200.0) * h / parts)
 
 
 @pytest.mark.parametrize('names, command, enabled', [

@@ -4,6 +4,7 @@
 
 from copy import copy
 from functools import cached_property
+import math
 
 from hnn_vi_ros.effects import ExternalForce, PeriodicDrive, Place, Servo
 from hnn_vi_ros.errors import StateError
@@ -56,7 +57,8 @@ class LogSimulation:
             # The search leaves the loops; each initial state is moved onto them.
             self.hamiltonian = copy(self.hamiltonian)
             self.hamiltonian.loops = loops._replace(assemble=True)
-        self._delay, self._on_failure = parts.delay, parts.on_failure
+        self._delay, self._rate_limit = parts.delay, math.inf
+        self._on_failure = parts.on_failure
         self.per_sample = steps_between(windows.spacing, parts.step_size)
         self.step_size = windows.spacing / self.per_sample
         self._samples = windows.measured.shape[1] - 1
@@ -79,6 +81,7 @@ class LogSimulation:
         for i, effect in enumerate(self.effects):
             if isinstance(effect, Servo) and self._commanded:
                 self._delay += effect.delay
+                self._rate_limit = effect.rate_limit
                 self.effects[i] = effect.on_numbers()
                 return True
             if isinstance(effect, ExternalForce):
@@ -224,7 +227,8 @@ class LogSimulation:
                 if run not in tables:
                     edges = self.step_size * np.arange(len(motion.tau) * self.per_sample + 1)
                     tables[run] = constant_commands(
-                        motion, edges, self.step_size, self._delay) if motion.commanded else \
+                        motion, edges, self.step_size, self._delay, self._rate_limit
+                        ) if motion.commanded else \
                         constant_forces(motion, edges - self._delay, self.step_size,
                                         self.windows.rates)
                 table, duration = tables[run], self.step_size

@@ -208,7 +208,7 @@ class Prediction:
         """Return the weights of a difference in one number, and the predictions at its points."""
         number, value = self._model.numbers[k], float(self._values[k])
         # A step relative to a value close to zero would be lost in rounding.
-        usual = self.log.windows.spacing if delays(number.place) else \
+        usual = self.log.windows.spacing if number.place.endswith('delay') else \
             number.size or abs(number.start) or 1.0
         sides = (number.low, number.high), (value, number.high), (number.low, value)
         for low, high in sides:

@@ -4,6 +4,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+import math
 
 from hnn_vi_ros.effects import ExternalForce, LARGEST, OFF
 from hnn_vi_ros.errors import DataError
@@ -75,18 +76,43 @@ def commands_and_off(motion: EvenMotion) -> tuple[np.ndarray, np.ndarray]:
     return on, off
 
 
-def constant_commands(motion: EvenMotion, edges: np.ndarray, h: float, delay: float) -> np.ndarray:
+def _limited(motion: EvenMotion, positions: np.ndarray, times: np.ndarray, rate: float
+             ) -> np.ndarray:
+    """
+    Return the integral to given times of a reference that follows positions at a rate.
+
+    It begins at the measured position if each joint has a command, else at the first command.
+    """
+    spacing, r = motion.spacing, positions.copy()
+    if motion.q.shape == r.shape:
+        r[0] = motion.q[0]
+    for before, now, position in zip(r, r[1:], positions, strict=False):
+        now[:] = before + np.clip(position - before, -rate * spacing, rate * spacing)
+
+    def integral(change: np.ndarray, x: np.ndarray) -> np.ndarray:
+        ramp = np.minimum(np.abs(change) / rate, x)
+        return np.sign(change) * rate * ramp * (x - 0.5 * ramp)
+    change = positions - r
+    total = np.cumsum(spacing * r + integral(change, np.full_like(r, spacing)), axis=0)
+    k = np.clip(np.floor(times / spacing + 1e-9).astype(int), 0, len(r) - 1)
+    x = (times - spacing * k)[:, None]
+    return np.where(k[:, None] > 0, total[k - 1], 0.0) + r[k] * x + integral(change[k], x)
+
+
+def constant_commands(motion: EvenMotion, edges: np.ndarray, h: float, delay: float,
+                      rate: float = math.inf) -> np.ndarray:
     """
     Return the command of each step to servos, its mean in the step, or OFF, shape (N, m).
 
-    A motor is off in a step if it is for most of it. Only positions are delayed [s]: a drive
-    that filters its goal switches its motor at once. Other parameters are those of
+    A motor is off in a step if it is for most of it. Only positions are delayed [s] and limited
+    in rate: a drive that filters its goal switches its motor at once. Other parameters are as in
     ``constant_forces``.
     """
     on, off = commands_and_off(motion)
-    mean, share = (np.diff(impulse(replace(motion, tau=part), times), axis=0) / h
-                   for part, times in ((on, edges - delay), (off.astype(float), edges)))
-    return np.where(share > 0.5, OFF, mean)
+    total = impulse(replace(motion, tau=on), edges - delay) if rate == math.inf else _limited(
+        motion, on, edges - delay, rate)
+    share = np.diff(impulse(replace(motion, tau=off.astype(float)), edges), axis=0) / h
+    return np.where(share > 0.5, OFF, np.diff(total, axis=0) / h)
 
 
 def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],

@@ -24,8 +24,9 @@ DELAY = 'input_delay'
 
 
 def delays(place: str) -> bool:
-    """Return True if a number delays the inputs themselves: DELAY, or the delay of a servo."""
-    return place == DELAY or (place.startswith('effects.') and place.endswith('.delay'))
+    """Return True if a number changes the inputs: DELAY, a servo's, or its rate limit."""
+    return place == DELAY or (place.startswith('effects.') and place.endswith(
+        ('.delay', '.rate_limit')))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 """Effects that do work in differentiable runs: forces, commands and damping."""
 
 from collections.abc import Sequence
+import math
 from typing import Any
 
 from hnn_vi_ros.effects import (
@@ -164,9 +165,9 @@ def on_numbers(effects: Sequence[Effect]) -> list[Effect]:
     servo: Any = next((one for one in effects if type(one) is EFFECTS['servo']), None)
     if servo is None or any(NUMBERS in getattr(one, 'takes', ()) for one in effects):
         return [*effects]
-    if servo.delay:
-        raise UnsupportedSystem(f'servo: its delay of {servo.delay:g} s is not differentiable; '
-                                'remove it, and delay the commands')
+    if servo.delay or servo.rate_limit < math.inf:
+        raise UnsupportedSystem('servo: its delay and its rate limit are not differentiable; '
+                                'remove them, and delay or limit the commands')
     taken = servo.on_numbers()
     return [taken if one is servo else one for one in effects]
 
