@@ -67,8 +67,9 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
         nested = ((own, state.resting[i:i + 1], state.step) if force.internal else own, nested)
     kinds = tuple(type(force) for force in forces)
     functions = _with_forces(*functions_of(kernel), kinds, tuple(more))
-    marks = [kind for (_, count), own in zip(more, kinds, strict=True) if joints
-             for kind in (*[ByJoint] * count, own)]
+    marks = list[type]()
+    for (_, count), kind in zip(more, kinds, strict=True) if joints else ():
+        marks += [*[ByJoint] * count, kind]
     rounding_q, rounding_p = (sum(parts) for parts in zip(
         kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True))
     space = np.zeros((12, max(d, channels)))
