@@ -230,11 +230,12 @@ def test_energy_that_does_not_change_has_no_mismatch_and_noise_no_work_that_stat
 def test_velocity_without_a_momentum_is_one_line():
     class Flat(HAMILTONIANS['pendulum']):
 
-        def gradient(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def gradient(self, q: np.ndarray, p: np.ndarray, t: float = 0.0
+                     ) -> tuple[np.ndarray, np.ndarray]:
             return np.zeros_like(q), np.zeros_like(p)
 
-        def hessian_vector(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
-                           ) -> tuple[np.ndarray, np.ndarray]:
+        def hessian_vector(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray,
+                           t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
             return np.zeros_like(q), np.zeros_like(p)
     with refused(StateError):
         momentum(Flat(), np.array([[0.1], [0.2]]), np.array([[0.0], [2.0]]), np.zeros((2, 1)))

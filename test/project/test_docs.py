@@ -182,11 +182,11 @@ def test_gallery_has_a_card_for_each_scene(generate, tmp_path, monkeypatch):
 
 
 def test_sketch_is_seen_from_above_only_if_the_motion_is_flat(generate):
-    from sketch import _plane
+    from sketch import _view
     q = np.array([[-1.0, 0.0], [0.0, 1.0], [1.0, 0.5]])
-    assert _plane(MECHANISMS['kepler'](q, 1.0)) == (0, 1)
+    assert np.array_equal(_view(MECHANISMS['kepler'](q, 1.0)), np.eye(3)[[0, 1]])
     for name, along in (('mass_spring', q[:, :1]), ('spring_chain', q)):
-        assert _plane(MECHANISMS[name](along, 1.0)) == (0, 2)
+        assert np.array_equal(_view(MECHANISMS[name](along, 1.0)), np.eye(3)[[0, 2]])
 
 
 def test_gallery_draws_a_scene_once(generate, tmp_path):
