@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         provide_for, Target)
     from hnn_vi_ros.kernels.blocks import (
         address_of, array_at, bare, Block, block, check_words, clear, entry_caller, flat, kind_of,
-        load, type_of)
+        load, row_multiplier, type_of)
     from hnn_vi_ros.kernels.compilation import (
         announced, compiled, compiled_loop, compiled_options, composed, dispatcher, entry_point,
         functions_of, kept, kept_only, name_stably, NotKept)

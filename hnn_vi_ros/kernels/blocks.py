@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 from hnn_vi_ros.kernels.linking import LINK_ONLY, Part, without_owners
 from llvmlite import ir
 import numba
-from numba.core import types
+from numba.core import cgutils, types
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic, overload
 import numpy as np
@@ -165,8 +165,8 @@ def load(_context: Any, block: Any, kind: Any) -> Any:
 
 
 @Part
-def array_at(address: int, n: int) -> np.ndarray:
-    return numba.carray(_pointer(address), (n,))
+def array_at(address: int, shape: Any) -> np.ndarray:
+    return numba.carray(_pointer(address), shape)
 
 
 @intrinsic
@@ -223,3 +223,47 @@ def entry_caller(result: types.Type) -> Any:
             return context.get_dummy_value() if result is types.none else value
         return result(address, words), generate
     return call
+
+
+def row_multiplier(count: int) -> Any:
+    """
+    Return the intrinsic that multiplies some rows of a matrix by another matrix.
+
+    Its arguments are the address of the first row, the bytes between rows and between columns, the
+    number of columns, the addresses of the other matrix and of the product, and their number of
+    columns, a multiple of 8. Eight sums of each row stay in registers; no Python loop compiles to
+    that.
+    """
+    @intrinsic
+    def multiply(_context: Any, rows: Any, across: Any, along: Any, n: Any, factor: Any,
+                 product: Any, lanes: Any) -> Any:
+        def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
+                     ) -> ir.Value:
+            rows, across, along, n, factor, product, lanes = arguments
+            word, index, real = rows.type, ir.IntType(32), ir.DoubleType()
+            vector = ir.VectorType(real, 8)
+            undefined, first = vector(ir.Undefined), ir.VectorType(index, 8)(None)
+            line = builder.mul(lanes, word(8))
+
+            def at(base: ir.Value, step: ir.Value, k: ir.Value, kind: ir.Type) -> ir.Value:
+                address = builder.add(base, builder.mul(step, k))
+                return builder.inttoptr(address, kind.as_pointer())
+            with cgutils.for_range(builder, builder.udiv(lanes, word(8))) as eight:
+                right, below = (builder.add(base, builder.mul(eight.index, word(64)))
+                                for base in (factor, product))
+                sums = [cgutils.alloca_once_value(builder, vector(None)) for _ in range(count)]
+                with cgutils.for_range(builder, n) as column:
+                    values = builder.load(at(right, line, column.index, vector), align=8)
+                    left = builder.add(rows, builder.mul(along, column.index))
+                    for i, total in enumerate(sums):
+                        weight = builder.insert_element(undefined, builder.load(
+                            at(left, across, word(i), real)), index(0))
+                        added = builder.fmul(builder.shuffle_vector(
+                            weight, undefined, first), values, flags=('contract',))
+                        builder.store(builder.fadd(
+                            builder.load(total), added, flags=('contract',)), total)
+                for i, total in enumerate(sums):
+                    builder.store(builder.load(total), at(below, line, word(i), vector), align=8)
+            return context.get_dummy_value()
+        return types.none(rows, across, along, n, factor, product, lanes), generate
+    return multiply

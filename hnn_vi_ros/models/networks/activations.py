@@ -12,7 +12,7 @@ tanh are inlined.
 
 from typing import Any
 
-from hnn_vi_ros.kernels import kept, LINK_ONLY, part
+from hnn_vi_ros.kernels import address_of, array_at, kept, LINK_ONLY, part
 from hnn_vi_ros.models.networks.perceptron_memory import (
     Mapping, PackedPerceptron, Relu, Sine, Softplus, Tanh, TILE)
 from numba.extending import overload
@@ -245,8 +245,14 @@ _FUNCTIONS: dict[type, tuple[Any, Any]] = {
     Relu: (_relu, _relu_curvature)}
 
 
-def activate(network: PackedPerceptron, s: int, layer: int, first: int, last: int) -> None:
-    """Replace z by the activation of z + b_l, in the tiles first to last."""
+def activate(network: PackedPerceptron, s: int, layer: int, bias: int, first: int, last: int
+             ) -> None:
+    """Replace z by the activation of z + b_l, b_l in row bias, in the tiles first to last."""
+    raise NotImplementedError('compiled code only')
+
+
+def in_columns(network: PackedPerceptron) -> PackedPerceptron:
+    """Return the same workspace for one state whose rows are as long as those of all states."""
     raise NotImplementedError('compiled code only')
 
 
@@ -278,13 +284,14 @@ _as_tanh, _as_sine, _as_relu, _as_softplus = map(_typed, (Tanh, Sine, Relu, Soft
 
 
 @part(fastmath=FASTMATH, error_model='numpy')
-def _activate_others(network: Mapping, s: int, layer: int, first: int, last: int) -> None:
+def _activate_others(network: Mapping, s: int, layer: int, bias: int, first: int, last: int
+                     ) -> None:
     if network.activation == 1:
-        activate(_as_sine(network), s, layer, first, last)
+        activate(_as_sine(network), s, layer, bias, first, last)
     elif network.activation == 2:
-        activate(_as_relu(network), s, layer, first, last)
+        activate(_as_relu(network), s, layer, bias, first, last)
     else:
-        activate(_as_softplus(network), s, layer, first, last)
+        activate(_as_softplus(network), s, layer, bias, first, last)
 
 
 @part(fastmath=FASTMATH, error_model='numpy')
@@ -299,27 +306,39 @@ def _scale_forth_others(network: Mapping, s: int, layer: int, first: int, last: 
 
 # In the loops below, an unsigned index cannot be negative; the wrap-around check for negative
 # indices would prevent vectorisation.
+@overload(in_columns, jit_options={**_OPTIONS, **LINK_ONLY})
+def _in_columns(network: Any) -> Any:
+    kind = network.instance_class
+
+    def of_all(network: Any) -> Any:
+        states, count, width = network.nodes.shape
+        # By address: a reshaped array would count references.
+        at, n = address_of(network.nodes[0, 0]), states * width
+        return kind(network.sizes, array_at(at, (count, n)), network.tiles,
+                    array_at(at, (1, count, n)), array_at(at, (1, count, n // TILE, TILE)))
+    return of_all
+
+
 @overload(activate, jit_options={**_OPTIONS, **LINK_ONLY})
-def _activate(network: Any, s: int, layer: int, first: int, last: int) -> Any:
-    def of_tanh(network: Any, s: int, layer: int, first: int, last: int) -> None:
-        sizes, rows, nodes = network.sizes, network.rows, network.nodes
-        bias = sizes[0] + layer - 1
+def _activate(network: Any, s: int, layer: int, bias: int, first: int, last: int) -> Any:
+    def of_tanh(network: Any, s: int, layer: int, bias: int, first: int, last: int) -> None:
+        rows, nodes = network.rows, network.nodes
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             nodes[s, layer, i] = tanh(nodes[s, layer, i] + rows[bias, i])
 
-    def of_others(network: Any, s: int, layer: int, first: int, last: int) -> None:
+    def of_others(network: Any, s: int, layer: int, bias: int, first: int, last: int) -> None:
         sizes, rows, nodes = network.sizes, network.rows, network.nodes
-        bias, slope = sizes[0] + layer - 1, 4 * sizes.size + layer
+        slope = 4 * sizes.size + layer
         for i in range(np.uint64(TILE * first), np.uint64(TILE * last)):
             value, derivative = value_and_slope(nodes[s, layer, i] + rows[bias, i])
             nodes[s, layer, i] = value
             nodes[s, slope, i] = derivative
 
-    def of_any(network: Any, s: int, layer: int, first: int, last: int) -> None:
+    def of_any(network: Any, s: int, layer: int, bias: int, first: int, last: int) -> None:
         if network.activation == 0:
-            activate(_as_tanh(network), s, layer, first, last)
+            activate(_as_tanh(network), s, layer, bias, first, last)
         else:
-            _activate_others(network, s, layer, first, last)
+            _activate_others(network, s, layer, bias, first, last)
 
     if network.instance_class is Mapping:
         return of_any

@@ -12,9 +12,9 @@ g_l, a_l' and g_l' in K + 1 rows each; activations.py contains all code that dep
 are processed in tiles of eight rows of weights.
 """
 
-from hnn_vi_ros.kernels import kept, part
+from hnn_vi_ros.kernels import address_of, kept, part, row_multiplier
 from hnn_vi_ros.models.networks.activations import (
-    activate, FASTMATH, scale, scale_forth, scale_tangent)
+    activate, FASTMATH, in_columns, scale, scale_forth, scale_tangent)
 from hnn_vi_ros.models.networks.perceptron_memory import MAX_STATES, PackedPerceptron, ROW, TILE
 import numpy as np
 
@@ -24,6 +24,11 @@ _compiled = kept(fastmath=FASTMATH, error_model='numpy')
 _inlined = kept(fastmath=FASTMATH, error_model='numpy', forceinline=True)
 _part = part(fastmath=FASTMATH, error_model='numpy', forceinline=True)
 
+_multiply_pair, _multiply_tile = row_multiplier(2), row_multiplier(TILE)
+_called = part(fastmath=FASTMATH, error_model='numpy')
+
+# States that are evaluated one by one; more are columns of matrices.
+_FEW = 8
 # Number of weights used forwards and backwards while they stay in the L1 cache, 32 KiB.
 _BLOCK = 4096
 
@@ -51,6 +56,9 @@ def gradient(network: PackedPerceptron, q: np.ndarray, p: np.ndarray,
     for chunk in range((n_states + MAX_STATES - 1) // MAX_STATES):
         first = chunk * MAX_STATES
         n = min(MAX_STATES, n_states - first)
+        if n > _FEW:
+            _gradient_of_many(network, first, n, q, p, dH_dq, dH_dp)
+            continue
         _load(network, first, n, 0, q, p)
         _propagate(network, n, False)
         _store(network, first, n, sizes.size, dH_dq, dH_dp)
@@ -69,6 +77,61 @@ def hessian_vector(network: PackedPerceptron, q: np.ndarray, p: np.ndarray, v_q:
         _load(network, first, n, 2 * sizes.size, v_q, v_p)
         _propagate(network, n, True)
         _store(network, first, n, 3 * sizes.size, product_q, product_p)
+
+
+@_called
+def _gradient_of_many(network: PackedPerceptron, first: int, n_states: int, q: np.ndarray,
+                      p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    """
+    Fill the gradients of n_states states from the first on.
+
+    States are columns: a_l is a matrix of n_l rows, each in adjacent lanes of memory, so that
+    vectors are of states, and each weight that is read serves eight of them.
+    """
+    sizes, rows = network.sizes, network.rows
+    d, n_layers, g = sizes[0] // 2, sizes.size - 1, sizes.size
+    lanes, line = (n_states + TILE - 1) & -TILE, 8 * rows.shape[1]
+    columns = in_columns(network)
+    nodes = columns.nodes
+    nodes[0, 0, :sizes[0] * lanes] = 0.0
+    for s in range(n_states):
+        for i in range(d):
+            nodes[0, 0, i * lanes + s] = q[(first + s) * d + i]
+            nodes[0, 0, (d + i) * lanes + s] = p[(first + s) * d + i]
+    at = (sizes[0] + sizes.size + TILE) & -TILE
+    for layer in range(1, n_layers + 1):
+        # The columns of W_1 are in rows.
+        first_row, across, along = (at, line, 8) if layer > 1 else (0, 8, line)
+        for i in range(0, sizes[layer], TILE):
+            _multiply_tile(address_of(rows[first_row]) + i * across, across, along,
+                           sizes[layer - 1], address_of(nodes[0, layer - 1]),
+                           address_of(nodes[0, layer]) + 8 * lanes * i, lanes)
+        _spread(rows[sizes[0] + layer - 1], sizes[layer], lanes, nodes[0, g + layer])
+        activate(columns, 0, layer, g + layer, 0, sizes[layer] * lanes // TILE)
+        at += sizes[layer] if layer > 1 else 0
+    _spread(rows[sizes[0] + n_layers], sizes[n_layers], lanes, nodes[0, g + n_layers])
+    for layer in range(n_layers, 0, -1):
+        scale(columns, 0, layer, g, 0, sizes[layer] * lanes // TILE)
+        at -= sizes[layer]
+        for i in range(0, sizes[layer - 1] if layer > 1 else 0, TILE):
+            _multiply_tile(address_of(rows[at]) + 8 * i, 8, line, sizes[layer],
+                           address_of(nodes[0, g + layer]),
+                           address_of(nodes[0, g + layer - 1]) + 8 * lanes * i, lanes)
+    for i in range(0, sizes[0], 2):
+        _multiply_pair(address_of(rows[i]), line, 8, sizes[1], address_of(nodes[0, g + 1]),
+                       address_of(nodes[0, g]) + 8 * lanes * i, lanes)
+    for s in range(n_states):
+        for i in range(d):
+            dH_dq[(first + s) * d + i] = nodes[0, g, i * lanes + s]
+            dH_dp[(first + s) * d + i] = nodes[0, g, (d + i) * lanes + s]
+
+
+@_part
+def _spread(row: np.ndarray, n: int, lanes: int, columns: np.ndarray) -> None:
+    """Fill n rows of all lanes with one number each."""
+    for i in range(n):
+        for s in range(lanes):
+            columns[i * lanes + s] = row[i]
 
 
 @_part
@@ -162,7 +225,7 @@ def forward(network: PackedPerceptron, n_states: int, n_layers: int, values: boo
     for s in range(n_states):
         if values:
             _columns(network, s, 0)
-            activate(network, s, 1, 0, sizes[1] // TILE)
+            activate(network, s, 1, sizes[0], 0, sizes[1] // TILE)
         if tangent:
             _columns(network, s, 2 * sizes.size)
             scale_forth(network, s, 1, 0, sizes[1] // TILE)
@@ -206,7 +269,7 @@ def _block_forth(network: PackedPerceptron, at: int, s: int, layer: int, first: 
     sizes = network.sizes
     if values:
         _product(network, at, s, layer, sizes[layer - 1], first, last)
-        activate(network, s, layer, first, last)
+        activate(network, s, layer, sizes[0] + layer - 1, first, last)
     if tangent:
         _product(network, at, s, 2 * sizes.size + layer, sizes[layer - 1], first, last)
         scale_forth(network, s, layer, first, last)
