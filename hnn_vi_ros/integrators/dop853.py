@@ -96,9 +96,16 @@ class PairWork(NamedTuple):
     slopes_q, slopes_p : np.ndarray, shape (16, n)
         Slopes q' and -p' of all stages.
     new : PhasePoint
-        A stage, then the new state and its gradient.
-    stage_q, stage_p : np.ndarray, shape (n,)
-        The last stage before the new state.
+        New state and its gradient.
+    stage : PhasePoint
+        The last stage; its gradients are those of trajectories under way, one after another.
+    trial : np.ndarray, shape (n, 4)
+        Size of the internal step [s]; 1 if it ends at the clock, if it follows a rejected one, if
+        it passes the clock.
+    streaks : np.ndarray, shape (n, 2)
+        Consecutive steps beyond and within the limit of stability.
+    active : np.ndarray, shape (n,)
+        First coordinates of the trajectories under way.
 
     """
 
@@ -109,8 +116,10 @@ class PairWork(NamedTuple):
     slopes_q: np.ndarray
     slopes_p: np.ndarray
     new: PhasePoint
-    stage_q: np.ndarray
-    stage_p: np.ndarray
+    stage: PhasePoint
+    trial: np.ndarray
+    streaks: np.ndarray
+    active: np.ndarray
 
     @classmethod
     def empty(cls, n: int, dtype: type = np.float64) -> 'PairWork':
@@ -120,9 +129,10 @@ class PairWork(NamedTuple):
             np.zeros(5, dtype=np.int64), PhasePoint.empty(n, dtype),
             *np.zeros((2, 8, n), dtype), *np.zeros((2, n), dtype))
         slopes: np.ndarray = np.zeros((2, _SLOPES, n), dtype)
-        stage: np.ndarray = np.zeros((2, n), dtype)
         return cls(kept, np.zeros(2), np.ones(1), np.zeros(1, dtype=np.int64), slopes[0],
-                   slopes[1], PhasePoint.empty(n, dtype), stage[0], stage[1])
+                   slopes[1], PhasePoint.empty(n, dtype), PhasePoint.empty(n, dtype),
+                   np.zeros((n, 4)), np.zeros((n, 2), dtype=np.int64),
+                   np.zeros(n, dtype=np.int64))
 
 
 class Dop853(Integrator):
@@ -179,29 +189,35 @@ class Dop853(Integrator):
     def step(kernel: Kernel, h: float, options: PairOptions, z: PhasePoint, z1: PhasePoint,
              memory: tuple[PairWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        gradients = 0
-        for a in range(0, z.q.size, kernel.dimension):
-            outcome, spent = _to_clock(kernel, h, options, z, z1, memory[0], a)
-            gradients += spent
-            if outcome != OK:
-                return outcome, 0.0, gradients
-        memory[0].kept.count[0] = 1
+        work, d, gradients = memory[0], kernel.dimension, 0
+        copy_array(work.kept.tally[3:], work.streaks[0])
+        for a in range(0, z.q.size, d):
+            gradients += _begin(kernel, options, z, work, a)
+        outcome, spent = _to_clock(kernel, h, options, work)
+        gradients += spent
+        if outcome != OK:
+            return outcome, 0.0, gradients
+        gradients += _set_paths(kernel, options.tableau, work)
+        for a in range(0, z.q.size, d):
+            _store(kernel, h, z1, work, a)
+        copy_array(work.streaks[0], work.kept.tally[3:])
+        work.kept.count[0] = 1
         return OK, 0.0, gradients
 
 
 @inlined
-def _to_clock(kernel: Kernel, h: float, options: PairOptions, z: PhasePoint, z1: PhasePoint,
-              work: PairWork, a: int) -> tuple[int, int]:
-    """Advance the trajectory from index a on; return the outcome and the number of gradients."""
+def _begin(kernel: Kernel, options: PairOptions, z: PhasePoint, work: PairWork, a: int) -> int:
+    """Prepare the trajectory from index a on; return the number of gradients."""
     kept, b, n = work.kept, a + kernel.dimension, a + kernel.dimension - kernel.channels
-    clock, control, tally = kept.clock[a], kept.control[a], kept.tally
+    clock, control, trial = kept.clock[a], kept.control[a], work.trial[a]
     end, new = part_of(kept.end, a, b), part_of(work.new, a, b)
-    part = work.own_step[0] > 0.0
-    until, longest = (work.own_step[1], work.own_step[0]) if part else (h, h)
     continues = kept.count[0] > 0
+    if not continues and a > 0:
+        work.streaks[a, 0], work.streaks[a, 1] = 0, 0
     for i in range(a, n):
         continues = continues and z.q[i] == kept.out_q[i] and z.p[i] == kept.out_p[i]
     at_clock = work.ends_at_clock[0] > 0 or (kept.count[0] > 0 and not continues)
+    trial[1], trial[2], trial[3] = 1.0 if at_clock else 0.0, 0.0, 0.0
     gradients = 0
     if not continues:
         copy_point(part_of(z, a, b), end)
@@ -212,59 +228,119 @@ def _to_clock(kernel: Kernel, h: float, options: PairOptions, z: PhasePoint, z1:
     if control[0] == 0.0:
         control[0], control[1] = _first_step(kernel, options, end, new, work), _LEAST_ERROR
         gradients += 1
-    again = False
+    return gradients
+
+
+@inlined
+def _to_clock(kernel: Kernel, h: float, options: PairOptions, work: PairWork) -> tuple[int, int]:
+    """
+    Advance all trajectories to the clock or past it; return the outcome and number of gradients.
+
+    Each takes its own steps, but all evaluate a stage together, until the last one arrives.
+    """
+    kept, active, d, gradients = work.kept, work.active, kernel.dimension, 0
+    part = work.own_step[0] > 0.0
+    until, longest = (work.own_step[1], work.own_step[0]) if part else (h, h)
     for _ in range(_MAX_STEPS):
-        if clock[0] >= h:
-            break
-        size = min(control[0], _LONGEST * longest)
-        last = at_clock and clock[0] + size * (1.0 + _END_SHARE) >= until
-        size = until - clock[0] if last else size
-        error = _try(kernel, size, options, end, new, work)
-        gradients += _NEW - 1
-        if not error <= 1.0:
-            if not size > _SHORTEST * longest:
-                return (ENDLESS if math.isfinite(error) else NOT_FINITE), gradients
-            # Not finite: NaN fails every comparison.
-            factor = _SAFETY * error ** -0.125 if error < math.inf else _LEAST
-            control[0], again = size * max(factor, _LEAST), True
-            tally[1] += 1
-            continue
-        kernel.gradient(kernel.parameters, new.q, new.p, new.dH_dq, new.dH_dp)
-        gradients += 1
-        _note_stiffness(size, n - a, new, work)
-        factor = _SAFETY * max(error, 1e-12) ** -_ALPHA * control[1] ** _BETA
-        factor = min(max(factor, _LEAST), 1.0 if again else _MOST)
-        if last:
-            # A step that ends early says little about those that do not.
-            control[0] = max(control[0], size * factor)
-            clock[0], clock[1] = until, 0.0
-        else:
-            control[0], control[1] = size * factor, max(error, _LEAST_ERROR)
-            clock[0], clock[1] = plus(clock[0], clock[1], size)
-        clock[2], again = size, False
-        if clock[0] > h:
-            _set_path(kernel, size, options.tableau, end, new, work, a)
-            gradients += 3
-        copy_point(new, end)
-    if clock[0] < h:
-        return ENDLESS, gradients
+        count = 0
+        for a in range(0, kept.end.q.size, d):
+            if kept.clock[a, 0] < h:
+                active[count] = a
+                count += 1
+        if count == 0:
+            return OK, gradients
+        for r in range(count):
+            a = active[r]
+            size = min(kept.control[a, 0], _LONGEST * longest)
+            clock, trial = kept.clock[a], work.trial[a]
+            ends = trial[1] > 0.0 and clock[0] + size * (1.0 + _END_SHARE) >= until
+            trial[0] = until - clock[0] if ends else size
+            trial[3] = 1.0 if ends else 0.0
+            for k in _places(a, d):
+                work.slopes_q[0, k], work.slopes_p[0, k] = kept.end.dH_dp[k], kept.end.dH_dq[k]
+        for i in range(1, _NEW):
+            _stage(kernel, i, options.tableau, work, count)
+        gradients += (_NEW - 1) * count
+        accepted = 0
+        for r in range(count):
+            a = active[r]
+            control, trial, size = kept.control[a], work.trial[a], work.trial[a, 0]
+            error = _error(kernel, options, work, a)
+            if not error <= 1.0:
+                if not size > _SHORTEST * longest:
+                    return (ENDLESS if math.isfinite(error) else NOT_FINITE), gradients
+                # Not finite: NaN fails every comparison.
+                factor = _SAFETY * error ** -0.125 if error < math.inf else _LEAST
+                control[0], trial[2] = size * max(factor, _LEAST), 1.0
+                kept.tally[1] += 1
+                continue
+            factor = _SAFETY * max(error, 1e-12) ** -_ALPHA * control[1] ** _BETA
+            factor = min(max(factor, _LEAST), 1.0 if trial[2] > 0.0 else _MOST)
+            if trial[3] > 0.0:
+                # A step that ends early says little about those that do not.
+                control[0] = max(control[0], size * factor)
+                kept.clock[a, 0], kept.clock[a, 1] = until, 0.0
+            else:
+                control[0], control[1] = size * factor, max(error, _LEAST_ERROR)
+                kept.clock[a, 0], kept.clock[a, 1] = plus(
+                    kept.clock[a, 0], kept.clock[a, 1], size)
+            kept.clock[a, 2], trial[2] = size, 0.0
+            trial[3] = 1.0 if kept.clock[a, 0] > h else 0.0
+            active[accepted] = a
+            accepted += 1
+        _fill_gradients(kernel, work, accepted, work.new, work.new.dH_dq, work.new.dH_dp)
+        gradients += accepted
+        for r in range(accepted):
+            a = active[r]
+            _note_stiffness(kernel, work, a)
+            if not work.trial[a, 3] > 0.0:
+                copy_point(part_of(work.new, a, a + d), part_of(kept.end, a, a + d))
+    return ENDLESS, gradients
+
+
+@inlined
+def _store(kernel: Kernel, h: float, z1: PhasePoint, work: PairWork, a: int) -> None:
+    """Fill the state at the clock, from which the time counts from now on."""
+    kept, b, n = work.kept, a + kernel.dimension, a + kernel.dimension - kernel.channels
+    clock, end = kept.clock[a], kept.end
     share = 1.0 - (clock[0] - h) / clock[2]
     for i in range(a, b):
         if clock[0] > h:
             z1.q[i], z1.q_carry[i] = dense_value(kept.path_q, share, i), 0.0
             z1.p[i], z1.p_carry[i] = dense_value(kept.path_p, share, i), 0.0
         else:
-            z1.q[i], z1.q_carry[i] = end.q[i - a], end.q_carry[i - a]
-            z1.p[i], z1.p_carry[i] = end.p[i - a], end.p_carry[i - a]
+            z1.q[i], z1.q_carry[i] = end.q[i], end.q_carry[i]
+            z1.p[i], z1.p_carry[i] = end.p[i], end.p_carry[i]
         kept.out_q[i], kept.out_p[i] = z1.q[i], z1.p[i]
     for i in range(n, b):
         # Channels of forces count time and work from the clock on.
-        end.q[i - a], end.q_carry[i - a] = end.q[i - a] - z1.q[i], 0.0
-        end.p[i - a], end.p_carry[i - a] = end.p[i - a] - z1.p[i], 0.0
+        end.q[i], end.q_carry[i] = end.q[i] - z1.q[i], 0.0
+        end.p[i], end.p_carry[i] = end.p[i] - z1.p[i], 0.0
         kept.path_q[0, i] -= z1.q[i]
         kept.path_p[0, i] -= z1.p[i]
     clock[0], clock[1] = plus(clock[0], clock[1], -h)
-    return OK, gradients
+
+
+@inlined
+def _fill_gradients(kernel: Kernel, work: PairWork, count: int, z: PhasePoint,
+                    dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    """Fill the gradients at z of the trajectories under way."""
+    d, together = kernel.dimension, work.stage
+    if count * d == z.q.size:
+        kernel.gradient(kernel.parameters, z.q, z.p, dH_dq, dH_dp)
+    elif count > 0:
+        # Carries of stages are not used.
+        n = count * d
+        for r in range(count):
+            for k in range(d):
+                a = work.active[r] + k
+                together.q_carry[r * d + k], together.p_carry[r * d + k] = z.q[a], z.p[a]
+        kernel.gradient(kernel.parameters, together.q_carry[:n], together.p_carry[:n],
+                        together.dH_dq[:n], together.dH_dp[:n])
+        for r in range(count):
+            for k in range(d):
+                a = work.active[r] + k
+                dH_dq[a], dH_dp[a] = together.dH_dq[r * d + k], together.dH_dp[r * d + k]
 
 
 @inlined
@@ -320,36 +396,38 @@ def _sum(weights: np.ndarray, slopes: np.ndarray, first: int, last: int, k: int)
 
 
 @inlined
-def _stage(kernel: Kernel, size: float, i: int, tableau: PairTableau, end: PhasePoint,
-           new: PhasePoint, work: PairWork) -> None:
-    """Fill the slopes of stage i + 1."""
-    # Weights before these are zero, except for the first one.
-    weights, first = tableau.stages[i], 1 if i < 5 else (3 if i < _NEW else 5)
-    for k in range(end.q.size):
-        work.stage_q[k] = end.q[k] + size * _sum(weights, work.slopes_q, first, i, k)
-        work.stage_p[k] = end.p[k] - size * _sum(weights, work.slopes_p, first, i, k)
-    d = end.q.size
-    kernel.gradient(kernel.parameters, work.stage_q[:d], work.stage_p[:d],
-                    work.slopes_p[i, :d], work.slopes_q[i, :d])
+def _places(a: int, d: int) -> range:
+    """Return d places from a on, which compiled code knows are not negative."""
+    return range(np.uint64(a), np.uint64(a + d))
 
 
 @inlined
-def _try(kernel: Kernel, size: float, options: PairOptions, end: PhasePoint, new: PhasePoint,
-         work: PairWork) -> float:
-    """Fill the state at the end of a step of a size; return its error over the tolerance."""
-    tableau, d = options.tableau, end.q.size
-    copy_array(end.dH_dp, work.slopes_q[0, :d])
-    copy_array(end.dH_dq, work.slopes_p[0, :d])
-    for i in range(1, _NEW):
-        _stage(kernel, size, i, tableau, end, new, work)
-    weights, n = tableau.stages[_NEW], d - kernel.channels
+def _stage(kernel: Kernel, i: int, tableau: PairTableau, work: PairWork, count: int) -> None:
+    """Fill the slopes of stage i + 1 of the trajectories under way."""
+    # Weights before these are zero, except for the first one.
+    weights, first = tableau.stages[i], 1 if i < 5 else (3 if i < _NEW else 5)
+    end, stage = work.kept.end, work.stage
+    for r in range(count):
+        a = work.active[r]
+        size = work.trial[a, 0]
+        for k in _places(a, kernel.dimension):
+            stage.q[k] = end.q[k] + size * _sum(weights, work.slopes_q, first, i, k)
+            stage.p[k] = end.p[k] - size * _sum(weights, work.slopes_p, first, i, k)
+    _fill_gradients(kernel, work, count, stage, work.slopes_p[i], work.slopes_q[i])
+
+
+@inlined
+def _error(kernel: Kernel, options: PairOptions, work: PairWork, a: int) -> float:
+    """Fill the new state of a trajectory; return the error of the step over the tolerance."""
+    tableau, n, size = options.tableau, kernel.dimension - kernel.channels, work.trial[a, 0]
+    weights, end, new = tableau.stages[_NEW], work.kept.end, work.new
     fifth, third = 0.0, 0.0
-    for k in range(d):
+    for k in _places(a, kernel.dimension):
         new.q[k], new.q_carry[k] = plus(
             end.q[k], end.q_carry[k], size * _sum(weights, work.slopes_q, 5, _NEW, k))
         new.p[k], new.p_carry[k] = plus(
             end.p[k], end.p_carry[k], -size * _sum(weights, work.slopes_p, 5, _NEW, k))
-        if k < n:
+        if k < a + n:
             scale_q = _scale(options, work, end.q[k], new.q[k])
             scale_p = _scale(options, work, end.p[k], new.p[k])
             fifth += (_sum(tableau.errors[0], work.slopes_q, 5, _NEW, k) / scale_q) ** 2 \
@@ -362,7 +440,7 @@ def _try(kernel: Kernel, size: float, options: PairOptions, end: PhasePoint, new
 
 
 @inlined
-def _note_stiffness(size: float, n: int, new: PhasePoint, work: PairWork) -> None:
+def _note_stiffness(kernel: Kernel, work: PairWork, a: int) -> None:
     """
     Count steps whose size stability limits, from the last two stages, both at the end.
 
@@ -372,40 +450,53 @@ def _note_stiffness(size: float, n: int, new: PhasePoint, work: PairWork) -> Non
 
     which does not depend on the units of q and p, unlike the ratio of z' and z.
     """
-    tally, last = work.kept.tally, _NEW - 1
+    tally, streak, last, new = work.kept.tally, work.streaks[a], _NEW - 1, work.new
     change_q, change_p, force, velocity = 0.0, 0.0, 0.0, 0.0
-    for k in range(n):
-        change_q += (new.q[k] - work.stage_q[k]) ** 2
-        change_p += (new.p[k] - work.stage_p[k]) ** 2
+    for k in _places(a, kernel.dimension - kernel.channels):
+        change_q += (new.q[k] - work.stage.q[k]) ** 2
+        change_p += (new.p[k] - work.stage.p[k]) ** 2
         force += (new.dH_dq[k] - work.slopes_p[last, k]) ** 2
         velocity += (new.dH_dp[k] - work.slopes_q[last, k]) ** 2
     tally[0] += 1
-    if size ** 4 * force * velocity > _STABLE ** 4 * change_q * change_p:
-        tally[3], tally[4] = tally[3] + 1, 0
-        if tally[3] >= _STIFF_STEPS:
+    if work.trial[a, 0] ** 4 * force * velocity > _STABLE ** 4 * change_q * change_p:
+        streak[0], streak[1] = streak[0] + 1, 0
+        if streak[0] >= _STIFF_STEPS:
             tally[2] += 1
     else:
-        tally[4] += 1
-        if tally[4] == _CALM_STEPS:
-            tally[3] = 0
+        streak[1] += 1
+        if streak[1] == _CALM_STEPS:
+            streak[0] = 0
 
 
 @inlined
-def _set_path(kernel: Kernel, size: float, tableau: PairTableau, end: PhasePoint,
-              new: PhasePoint, work: PairWork, a: int) -> None:
-    """Fill the coefficients of the dense output between two states; see ``dense_value``."""
-    path_q, path_p, d = work.kept.path_q, work.kept.path_p, end.q.size
-    copy_array(new.dH_dp, work.slopes_q[_NEW, :d])
-    copy_array(new.dH_dq, work.slopes_p[_NEW, :d])
-    for i in range(_NEW + 1, _SLOPES):
-        _stage(kernel, size, i, tableau, end, new, work)
-    for k in range(d):
-        _set_ends(path_q, a + k, end.q[k], new.q[k], size * end.dH_dp[k], size * new.dH_dp[k])
-        _set_ends(path_p, a + k, end.p[k], new.p[k], -size * end.dH_dq[k], -size * new.dH_dq[k])
-        for j in range(4):
-            weights = tableau.dense[j]
-            path_q[4 + j, a + k] = size * _sum(weights, work.slopes_q, 5, _SLOPES, k)
-            path_p[4 + j, a + k] = -size * _sum(weights, work.slopes_p, 5, _SLOPES, k)
+def _set_paths(kernel: Kernel, tableau: PairTableau, work: PairWork) -> int:
+    """
+    Fill the coefficients of the dense output of steps that pass the clock; see ``dense_value``.
+
+    Returns the number of gradients.
+    """
+    path_q, path_p, d, count = work.kept.path_q, work.kept.path_p, kernel.dimension, 0
+    end, new = work.kept.end, work.new
+    for a in range(0, end.q.size, d):
+        if work.trial[a, 3] > 0.0:
+            work.active[count] = a
+            count += 1
+            for k in range(a, a + d):
+                work.slopes_q[_NEW, k], work.slopes_p[_NEW, k] = new.dH_dp[k], new.dH_dq[k]
+    for i in range(_NEW + 1, _SLOPES if count > 0 else 0):
+        _stage(kernel, i, tableau, work, count)
+    for r in range(count):
+        a = work.active[r]
+        size = work.trial[a, 0]
+        for k in _places(a, d):
+            _set_ends(path_q, k, end.q[k], new.q[k], size * end.dH_dp[k], size * new.dH_dp[k])
+            _set_ends(path_p, k, end.p[k], new.p[k], -size * end.dH_dq[k], -size * new.dH_dq[k])
+            for j in range(4):
+                weights = tableau.dense[j]
+                path_q[4 + j, k] = size * _sum(weights, work.slopes_q, 5, _SLOPES, k)
+                path_p[4 + j, k] = -size * _sum(weights, work.slopes_p, 5, _SLOPES, k)
+        copy_point(part_of(new, a, a + d), part_of(end, a, a + d))
+    return 3 * count
 
 
 @inlined
