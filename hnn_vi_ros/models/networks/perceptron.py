@@ -12,10 +12,14 @@ g_l, a_l' and g_l' in K + 1 rows each; activations.py contains all code that dep
 are processed in tiles of eight rows of weights.
 """
 
-from hnn_vi_ros.kernels import address_of, kept, part, row_multiplier
+from typing import Any
+
+from hnn_vi_ros.kernels import address_of, kept, LINK_ONLY, part, row_multiplier
 from hnn_vi_ros.models.networks.activations import (
     activate, FASTMATH, in_columns, scale, scale_forth, scale_tangent)
 from hnn_vi_ros.models.networks.perceptron_memory import MAX_STATES, PackedPerceptron, ROW, TILE
+from numba import types
+from numba.extending import overload
 import numpy as np
 
 _compiled = kept(fastmath=FASTMATH, error_model='numpy')
@@ -57,11 +61,38 @@ def gradient(network: PackedPerceptron, q: np.ndarray, p: np.ndarray,
         first = chunk * MAX_STATES
         n = min(MAX_STATES, n_states - first)
         if n > _FEW:
-            _gradient_of_many(network, first, n, q, p, dH_dq, dH_dp)
-            continue
-        _load(network, first, n, 0, q, p)
-        _propagate(network, n, False)
-        _store(network, first, n, sizes.size, dH_dq, dH_dp)
+            _fill_many(network, first, n, q, p, dH_dq, dH_dp)
+        else:
+            _fill_few(network, first, n, q, p, dH_dq, dH_dp)
+
+
+@_part
+def _fill_few(network: PackedPerceptron, first: int, n: int, q: np.ndarray, p: np.ndarray,
+              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    _load(network, first, n, 0, q, p)
+    _propagate(network, n, False)
+    _store(network, first, n, network.sizes.size, dH_dq, dH_dp)
+
+
+def _fill_many(network: PackedPerceptron, first: int, n: int, q: np.ndarray, p: np.ndarray,
+               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    raise NotImplementedError('compiled code only')
+
+
+@overload(_fill_many, jit_options={
+    'fastmath': FASTMATH, 'error_model': 'numpy', 'forceinline': True, **LINK_ONLY})
+def _fill_many_compiled(network: Any, first: int, n: int, q: np.ndarray, p: np.ndarray,
+                        dH_dq: np.ndarray, dH_dp: np.ndarray) -> Any:
+    def in_columns(network: Any, first: int, n: int, q: np.ndarray, p: np.ndarray,
+                   dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+        _gradient_of_many(network, first, n, q, p, dH_dq, dH_dp)
+
+    def in_turn(network: Any, first: int, n: int, q: np.ndarray, p: np.ndarray,
+                dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+        _fill_few(network, first, n, q, p, dH_dq, dH_dp)
+    kinds = dict(zip(network.fields, network.types, strict=True))
+    # Studies evaluate networks in single precision.
+    return in_columns if kinds['nodes'].dtype == types.float64 else in_turn
 
 
 @_compiled
