@@ -110,9 +110,9 @@ def _effort_limits(robot: Path, hamiltonian: Hamiltonian, motions: Sequence[Even
 
     A limit below a force that the measured motion needs is a placeholder, and does not count.
     """
-    joints = read_urdf(robot).joints
-    rated = np.array([joints[one.name].limits.effort or LARGEST
-                      for one in hamiltonian.coordinates])
+    # Joints of several coordinates have names of their own.
+    efforts = {name: joint.limits.effort for name, joint in read_urdf(robot).joints.items()}
+    rated = np.array([efforts.get(one.name) or LARGEST for one in hamiltonian.coordinates])
     needed = np.max([np.abs(forces_needed(hamiltonian, motion)).max(axis=0)
                      for motion in motions], axis=0)
     return np.where(rated > needed, rated, LARGEST)

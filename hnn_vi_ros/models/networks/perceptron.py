@@ -83,7 +83,7 @@ def _fill_many(network: PackedPerceptron, first: int, n: int, q: np.ndarray, p: 
     'fastmath': FASTMATH, 'error_model': 'numpy', 'forceinline': True, **LINK_ONLY})
 def _fill_many_compiled(network: Any, first: int, n: int, q: np.ndarray, p: np.ndarray,
                         dH_dq: np.ndarray, dH_dp: np.ndarray) -> Any:
-    def in_columns(network: Any, first: int, n: int, q: np.ndarray, p: np.ndarray,
+    def by_columns(network: Any, first: int, n: int, q: np.ndarray, p: np.ndarray,
                    dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
         _gradient_of_many(network, first, n, q, p, dH_dq, dH_dp)
 
@@ -92,7 +92,7 @@ def _fill_many_compiled(network: Any, first: int, n: int, q: np.ndarray, p: np.n
         _fill_few(network, first, n, q, p, dH_dq, dH_dp)
     kinds = dict(zip(network.fields, network.types, strict=True))
     # Studies evaluate networks in single precision.
-    return in_columns if kinds['nodes'].dtype == types.float64 else in_turn
+    return by_columns if kinds['nodes'].dtype == types.float64 else in_turn
 
 
 @_compiled
