@@ -146,8 +146,9 @@ def _cell(cost: MethodCost | None, best: MethodCost | None) -> str:
 def _recommend(tolerance: Tolerance, choice: Choice) -> None:
     """Print the choice of `integrator: auto` for an error."""
     time = 1e6 * choice.seconds_per_simulated_second
-    print(f'\nRecommended for {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s '
-          f'(measured error {choice.error:.2g}, {time:.3g} us per simulated second):\n')
+    print(f'\nRecommended for {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s, '
+          f'by the number of gradients and steps, which does not depend on other load (error '
+          f'{choice.error:.2g}, measured again: {time:.3g} us per simulated second):\n')
     print(dump_yaml({'integrator': {'kind': choice.method, **choice.arguments},
                      'step_size': choice.step_size}), end='')
 

@@ -10,6 +10,7 @@ from typing import Any, TYPE_CHECKING
 import warnings
 
 from hnn_vi_ros.commands import arguments
+from hnn_vi_ros.effects import Commanded
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files import json_schema, shipped_names
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate
@@ -119,7 +120,8 @@ def explain(scene: Scene) -> Iterator[str]:
     yield from _coordinates(hamiltonian.coordinates, scene)
     for choice, effect in zip(scene.effects, parts.effects, strict=False):
         yield from _choice('effect', choice)
-        yield f'  {"conservative" if effect.conservative else "does work"}'
+        yield (f'  {"conservative" if effect.conservative else "does work"}'
+               f'{", here without commands" * isinstance(effect, Commanded)}')
     yield from _choice('integrator', scene.integrator)
     yield f'  order {integrator.order}, step_size = {scene.step_size:g} [s]'
     if chosen is not None:

@@ -129,7 +129,7 @@ def _judged(arguments: Namespace) -> _Judgement:
             'prediction time, and energy mismatch\n(change of energy minus work over each '
             'horizon, relative to its range; - if that is below a tenth of the kinetic energy)'
             f'{_left_out(parts.effects)}\n\n'
-            f'{table(scores, names)}\n\n{verdict(scores)}{said}')
+            f'{table(scores, hamiltonian.coordinates)}\n\n{verdict(scores)}{said}')
     if arguments.whole:
         whole = whole_records(simulated(parts), motions, arguments.first)
         text += f'\n\n{_whole(whole, motions, names, arguments.first)}'

@@ -77,7 +77,7 @@ def test_arrays_become_a_model_and_a_report_in_one_command(made):
     # So does how far it can be trusted: the numbers of the table.
     cells = [f'{rms:.4g}' for horizon in ('0.1', '0.5')
              for rms in card.prediction_error.horizons[horizon]]
-    assert f'| model | {" | ".join(cells)} |' in page
+    assert f'| model | angle [rad] | {" | ".join(cells)} |' in page
     assert (made.folder / 'm.predictions.png').exists()
     assert '| range of the data | ' in page and '\nforce on ' in page
     # The scene beside it runs.
@@ -175,10 +175,10 @@ def test_samples_further_apart_than_the_shortest_horizon_are_judged(tmp_path, ca
     model = tmp_path / 'rare.safetensors'
     train.main(['--config', str(config), '--data', str(tmp_path / 'rare.npz'), '--out',
                 str(model)])
-    assert '| prediction | 0.2 s: angle | 1 s: angle |' in capsys.readouterr().out
+    assert '| prediction | RMS error of | after 0.2 s | after 1 s |' in capsys.readouterr().out
     assert [*load_checkpoint(model).card.prediction_error.horizons] == ['0.2', '1']
     evaluate.main([str(model), '--data', str(tmp_path / 'rare.npz'), '--keys', 't,q,dq'])
-    assert '| prediction | 0.2 s: angle | 1 s: angle |' in capsys.readouterr().out
+    assert '| prediction | RMS error of | after 0.2 s | after 1 s |' in capsys.readouterr().out
 
 
 @pytest.mark.long

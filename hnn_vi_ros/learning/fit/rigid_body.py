@@ -118,7 +118,7 @@ def _fit_positions(networks: Sequence[MechanicalNetwork], loss: TrajectoryLoss,
     model = fitted.problem.model
     assert isinstance(model, RigidModel)
     return FittedRigidBody(model.network_at(fitted.solution.values), {
-        f'rigid_body_{length:.3g}': misfit for length, misfit in fitted.stages},
+        f'residuals / noise over {length:.3g} s': misfit for length, misfit in fitted.stages},
         noise=fitted.noise, numbers=fitted)
 
 

@@ -13,6 +13,7 @@ from hnn_vi_ros.learning.fit.windows import ModelParts
 from hnn_vi_ros.learning.judging.energy import balance, energy_mismatch, unaccounted
 from hnn_vi_ros.learning.judging.predictors import constant_velocity, Predict, simulated
 from hnn_vi_ros.models import Domain
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.run import VALID
 from hnn_vi_ros.simulation import System
 import numpy as np
@@ -228,22 +229,24 @@ def whole_records(predict: Predict, motions: Sequence[EvenMotion], first: int) -
     return found
 
 
-def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
-    """Return the scores of several predictors as a Markdown table."""
+def table(scores: dict[str, Scores], coordinates: Sequence[Coordinate]) -> str:
+    """Return the scores of several predictors as a Markdown table, a row for each coordinate."""
     first = next(iter(scores.values()))
-    head = [f'{horizon:g} s: {", ".join(names)}' for horizon in first.horizons]
-    mismatch_head = ', '.join(f'{horizon:g} s' for horizon in first.energy_mismatch or {})
-    lines = [f'| prediction | {" | ".join(head)} | valid for [s] | energy mismatch'
-             f'{": " * bool(mismatch_head)}{mismatch_head} | failed |',
-             f'|---|{"---|" * (len(head) + 3)}']
+    mismatches = [*(first.energy_mismatch or {})]
+    head = ['prediction', 'RMS error of', *(f'after {time:g} s' for time in first.horizons),
+            'valid for [s]', *(f'energy mismatch [%], {time:g} s' for time in mismatches),
+            'failed']
+    rows = [head, ['---'] * len(head)]
     for name, found in scores.items():
-        cells = [' '.join(f'{value:.4g}' for value in rms) for rms in found.horizons.values()]
         least = '>= ' if found.censored >= 0.5 else ''
-        mismatch = ' '.join(f'{100.0 * value:.3g} %'
-                            for value in (found.energy_mismatch or {}).values())
-        lines.append(f'| {name} | {" | ".join(cells)} | {least}{found.valid_prediction_time:.3g} '
-                     f'| {mismatch or "-"} | {found.failed} |')
-    return '\n'.join(lines)
+        others = [f'{least}{found.valid_prediction_time:.3g}', *(
+            f'{100.0 * found.energy_mismatch[time]:.3g}' if found.energy_mismatch else '-'
+            for time in mismatches), str(found.failed)]
+        for k, one in enumerate(coordinates):
+            rows.append(['' if k else name, f'{one.name} [{one.q_unit}]',
+                         *(f'{rms[k]:.4g}' for rms in found.horizons.values()),
+                         *([''] * len(others) if k else others)])
+    return '\n'.join(f'| {" | ".join(row)} |' for row in rows)
 
 
 def verdict(scores: dict[str, Scores]) -> str:

@@ -153,7 +153,8 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
         pictures += [f'![Losses]({outputs.losses.name})']
     facts: dict[str, Any] = {
         'family': card.family, 'data': card.dataset, 'seed': card.seed,
-        'steps': history.train_step[-1] if history.train else 0, 'best step': history.best_step,
+        **({'steps': history.train_step[-1], 'best step': history.best_step}
+           if history.train else {}),
         'wall time': f'{seconds:.1f} s on {device}, {platform.machine()}, torch '
         f'{torch.__version__}', 'command': f'`{card.training_command}`',
         **{key: f'{value:.4g}' for key, value in card.losses.items()}}

@@ -171,7 +171,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
         # A scene has many parts; the progress of the configuration says how long they take.
         nonlocal announced_before
         if not announced_before:
-            logger.info('compiling the scene; later starts load the result from disk')
+            logger.info('compiling parts of the scene, once; later starts load them from disk')
         announced_before = True
 
     if settings.lockstep_period and not settings.lockstep:
@@ -300,7 +300,7 @@ def _compile(parts: Parts, logger: Logger) -> Simulation:
     for warning in caught:
         logger.warning(str(warning.message))
     seconds = time.perf_counter() - start
-    logger.info(f'scene {parts.scene.source}: kernel compiled in {seconds:.2f} s')
+    logger.info(f'scene {parts.scene.source}: its step is ready after {seconds:.2f} s')
     return simulation
 
 
