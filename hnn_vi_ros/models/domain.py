@@ -35,9 +35,9 @@ class DomainCard(StrictModel):
         found = []
         for (name, unit, _), *ranges in zip(names, self.q, self.v, strict=True):
             found.append(name + ','.join(
-                f' {low:.3g} to {high:.3g} {of}' for (low, high), of in zip(
+                f' {low:.3g} to {_with_unit(high, of)}' for (low, high), of in zip(
                     ranges, (unit, f'{unit}/s'), strict=True)))
-        found += [f'force {i + 1} {low:.3g} to {high:.3g} {force_unit(p_unit)}' for i, (
+        found += [f'force {i + 1}: {low:.3g} to {_with_unit(high, force_unit(p_unit))}' for i, (
             (low, high), (_, _, p_unit)) in enumerate(zip(self.forces, names, strict=False))]
         return '; '.join(found)
 
@@ -117,8 +117,12 @@ class Domain:
                 unit += '/s'
             at = values[excess[:, i].argmax(), i]
             seen = self._high[i] if at > self._high[i] else self._low[i]
-            found.append(f'{name} = {at:.3g} {unit}, trained to {seen:.3g}')
+            found.append(f'{name} = {_with_unit(at, unit)}, trained to {seen:.3g}')
         return found
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return f'{value:.3g}' if unit == '1' else f'{value:.3g} {unit}'
 
 
 def domain_of(model: Any) -> Domain | None:
@@ -165,5 +169,6 @@ class SelectionCard(StrictModel):
             name = f'**{one.name}**' if one.name == self.chosen else one.name
             lines.append(f'| {name} | {" | ".join(cells) or one.failed} |')
         return '\n'.join([
-            f'Chosen by {self.held_out}. RMS errors, which include the noise of the sensors:', '',
+            f'Chosen by {self.held_out}. RMS errors of each coordinate, in its unit, which include the noise of the '
+            'sensors:', '',
             *lines, '', self.trust])

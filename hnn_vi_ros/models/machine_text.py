@@ -18,7 +18,7 @@ def sum_text(combination: Mapping[str, float]) -> str:
     """Format a linear combination; the factor of the name '' is a constant."""
     text = ' '.join(f'{"-" if factor < 0.0 else "+"} ' + ' '.join(filter(None, (
         '' if abs(factor) == 1.0 and name else f'{abs(factor):.4g}', name)))
-        for name, factor in combination.items())
+        for name, factor in combination.items() if factor)
     return text.removeprefix('+ ') or '0'
 
 

@@ -77,7 +77,7 @@ def test_arrays_become_a_model_and_a_report_in_one_command(made):
     # So does how far it can be trusted: the numbers of the table.
     cells = [f'{rms:.4g}' for horizon in ('0.1', '0.5')
              for rms in card.prediction_error.horizons[horizon]]
-    assert f'| model | angle [rad] | {" | ".join(cells)} |' in page
+    assert f'| model | angle [1] | {" | ".join(cells)} |' in page
     assert (made.folder / 'm.predictions.png').exists()
     assert '| range of the data | ' in page and '\nforce on ' in page
     # The scene beside it runs.
