@@ -169,6 +169,6 @@ class SelectionCard(StrictModel):
             name = f'**{one.name}**' if one.name == self.chosen else one.name
             lines.append(f'| {name} | {" | ".join(cells) or one.failed} |')
         return '\n'.join([
-            f'Chosen by {self.held_out}. RMS errors of each coordinate, in its unit, which include the noise of the '
-            'sensors:', '',
+            f'Chosen by {self.held_out}. RMS errors of each coordinate, in its unit, which '
+            'include the noise of the sensors:', '',
             *lines, '', self.trust])

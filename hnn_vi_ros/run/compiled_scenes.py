@@ -18,6 +18,8 @@ from hnn_vi_ros.simulation import (
 
 # Maximum number of processes, of 0.3 GB each: more would wait for the same functions.
 _MAX_PROCESSES = 8
+# Number of steps that are simulated.
+_STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -41,14 +43,15 @@ class CompiledScene:
     problem: str = ''
 
 
-def compile_scenes(names: Sequence[str], rescue: bool = True) -> Iterator[CompiledScene]:
+def compile_scenes(names: Sequence[str | tuple[str, str]], rescue: bool = True
+                   ) -> Iterator[CompiledScene]:
     """
     Compile the functions of scenes, in one process per core and at most eight.
 
     Parameters
     ----------
-    names : sequence of str
-        Names of shipped scenes, or files.
+    names : sequence of str, or of (str, str)
+        Names of shipped scenes, or files; in a pair with the integrator that replaces theirs.
     rescue : bool, optional
         True to compile the rescue of failed steps too, which takes half of the time. A run
         without a cached rescue compiles it in the background.
@@ -61,36 +64,39 @@ def compile_scenes(names: Sequence[str], rescue: bool = True) -> Iterator[Compil
     """
     with worker_processes(min(usable_processors(), _MAX_PROCESSES, len(names))) as pool:
         with ignore_sigint_in_children():
-            futures = [pool.submit(_compile, name, rescue) for name in _by_method(names)]
+            futures = [pool.submit(_compile, *one, rescue) for one in _by_method(
+                [(name, None) if isinstance(name, str) else name for name in names])]
         for future in as_completed(futures):
             yield future.result()
 
 
-def _by_method(names: Sequence[str]) -> list[str]:
-    """Return the names with one per method first, as later ones share its compiled functions."""
+def _by_method(names: Sequence[tuple[str, str | None]]) -> list[tuple[str, str | None]]:
+    """Return the scenes with one per method first, as later ones share its compiled functions."""
     turns: Counter[str] = Counter()
     places = []
-    for name in names:
-        method = ''
+    for name, method in names:
+        key = method or ''
         with suppress(HnnViRosError):
-            method = str(load_scene(name).integrator)
-        places.append((turns[method], name))
-        turns[method] += 1
-    return [name for _, name in sorted(places, key=itemgetter(0))]
+            key = method or str(load_scene(name).integrator)
+        places.append((turns[key], (name, method)))
+        turns[key] += 1
+    return [one for _, one in sorted(places, key=itemgetter(0))]
 
 
-def _compile(name: str, rescue: bool) -> CompiledScene:
+def _compile(name: str, method: str | None, rescue: bool) -> CompiledScene:
     begin, problem = time.perf_counter(), ''
     try:
         with warnings.catch_warnings():
-            # Warnings about the motion do not matter, because no step is simulated.
+            # Warnings about the motion do not matter here.
             warnings.simplefilter('ignore')
-            parts = resolve(load_scene(name))
-            simulate(parts, 0.0)
+            parts = resolve(load_scene(name).with_overrides(integrator=method))
+            # Some steps, since the guards of a run call functions from the second sample on.
+            simulate(parts, _STEPS * parts.scene.known_step_size)
             simulation = build(parts)
             simulation.compile()
             if rescue:
                 simulation.compile_rescue()
     except HnnViRosError as error:
         problem = str(error)
+    name += f' with {method}' if method else ''
     return CompiledScene(name, time.perf_counter() - begin, problem)
