@@ -10,8 +10,8 @@ import time
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.run.timing import Timing
 from hnn_vi_ros.simulation import (
-    Alarm, BlockGuard, Guard, InitialValueProblem, judge_block, SampleBuffer, SampledScale,
-    secular_change, Simulation, StateGuard, time_scale, Tolerance)
+    Alarm, BlockGuard, Guard, judge_block, SampleBuffer, SampledScale, secular_change, Simulation,
+    StateGuard, time_scale, Tolerance)
 import numpy as np
 
 # A drift is a slope over at least this many blocks, and over this many times in which the state
@@ -59,7 +59,7 @@ class EnergyRecord:
         self._size, self._steepest = abs(simulation.energy) or 1.0, 0.0
         self._tick, self._samples = tick, 0
         self._least = _MIN_DRIFT_TIMES * time_scale(
-            InitialValueProblem(simulation.hamiltonian, (), simulation.q, simulation.p))
+            simulation.hamiltonian, simulation.q, simulation.p, simulation.time)
         # Lowest and highest error of each block of _length samples, and of the unfinished block.
         self._low: list[float] = []
         self._high: list[float] = []

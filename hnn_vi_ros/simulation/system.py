@@ -485,13 +485,13 @@ class System:
             self.constraints.check_state(flat_q, flat_p)
         return states
 
-    def fastest_rate(self, q: np.ndarray) -> float:
-        """Return the fastest rate of stiff effects at q, shape (d,), 0 without any [rad/s]."""
+    def fastest_rate(self, q: np.ndarray, t: float) -> float:
+        """Return the fastest rate of stiff effects at q, (d,), and t, 0 without any [rad/s]."""
         stiff = [(effect, own) for effect, own in zip(
             self._effects, self._parameters, strict=True) if effect.stiff]
         if not stiff:
             return 0.0
-        inverse_mass = self.hamiltonian.inverse_mass(q, np.zeros(q.size))
+        inverse_mass = self.hamiltonian.inverse_mass(q, np.zeros(q.size), t)
         return max(effect.fastest_rate(own, inverse_mass) for effect, own in stiff)
 
     def energies(self, z: PhasePoint) -> list[float]:

@@ -3,13 +3,16 @@
 """H(q, p, t): paths and the work of the drive against DOP853, gradients, events, refusals."""
 
 import math
+from types import SimpleNamespace
 
 from hnn_vi_ros import torch as hnn_torch
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.run.monitor import EnergyRecord
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import build, RunFacts, simulate, simulate_many, Trajectory, Watch
 from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, survey
+from hnn_vi_ros.simulation.guards.steps import StiffnessGuard
 from hnn_vi_ros.simulation.guards.watch import energies_of, look_at_rows
 from messages import refused
 import numpy as np
@@ -207,6 +210,26 @@ def test_guards_of_many_trajectories_evaluate_h_at_their_times():
     seen.append(look_at_rows(simulation, rows, q[:1], p[:1]))
     velocities = [float(np.ravel(look.dH_dp)[0]) for look in seen]
     assert velocities == pytest.approx(0.1 / (1.0 + 0.3 * np.sin([*t, 1.5])), rel=1e-14)
+
+
+def test_restored_runs_are_judged_at_their_time():
+    simulation = build(STIFFENING)
+    simulation.restart([1.0], [0.0], step=1000)
+    record = EnergyRecord(simulation, 0.01)
+    for _ in range(200):
+        record.add(SimpleNamespace(energy_error=0.0, modified_energy=math.nan))
+    record.evaluate()
+    # 20 / 100 s in place of 20 s.
+    assert record.drift_per_hour == 0.0
+    bristles = build(MASS.changed({'effects': [
+        {'kind': 'lugre_friction', 'coordinate': 'x', 'stiffness': 1e4, 'friction': 1.0}]}))
+    reaches = []
+    for step in (0, 75):
+        bristles.restart([0.7], [0.1], step=step)
+        (guard,) = StiffnessGuard.of_run(RunFacts(bristles))
+        reaches.append(guard.value(None))
+    mass = 1.0 + 0.3 * math.sin(1.5)
+    assert reaches == pytest.approx([2.0, 2.0 / math.sqrt(mass)], rel=1e-14)
 
 
 def test_initial_state_beside_numbers_without_names_is_refused():

@@ -194,10 +194,9 @@ def parts_between(low: int, high: float) -> list[int]:
     return [k for k in _PARTS if low < k < high]
 
 
-def time_scale(problem: InitialValueProblem) -> float:
-    """Return the time in which the initial state changes by about its own size [s]."""
-    q, p = problem.q, problem.p
-    dH_dq, dH_dp = problem.hamiltonian.gradient(q, p)
+def time_scale(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, t: float = 0.0) -> float:
+    """Return the time in which a state (q, p) at time t [s] changes by about its size [s]."""
+    dH_dq, dH_dp = hamiltonian.gradient(q, p, t)
     size = max(np.abs(q).max(), np.abs(p).max())
     speed = max(np.abs(dH_dq).max(), np.abs(dH_dp).max())
     return float(size / speed) if size > 0.0 and speed > 0.0 else 1.0
@@ -289,7 +288,8 @@ def survey(problem: InitialValueProblem, horizon: float, base: float) -> PathSur
 
     """
     method = _surveyor(problem, base)
-    parts = parts_for(base / min(base, time_scale(problem)))
+    scale = time_scale(problem.hamiltonian, problem.q, problem.p)
+    parts = parts_for(base / min(base, scale))
     before, failure = None, None
     for _ in range(_MAX_HALVINGS):
         try:
