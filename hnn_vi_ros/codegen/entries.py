@@ -171,14 +171,14 @@ def _init(state: int, image: int, size: int, pointers: int, count: int, places: 
 
 
 def _save(state: int, saved: int, first: int, size: int, digest: int) -> int:
-    """Copy what changes in a state, after a digest."""
-    _words(saved, 1)[0] = digest
+    """Copy what changes in a state, after the digest of the object."""
+    _copy(digest, saved, 1)
     return _copy(state + 8 * first, saved + 8, size - first)
 
 
 def _restore(state: int, saved: int, first: int, size: int, digest: int) -> int:
     """Copy back what _save has copied, if it is of this object."""
-    if _words(saved, 1)[0] != digest:
+    if _words(saved, 1)[0] != _words(digest, 1)[0]:
         return INVALID_STATE
     return _copy(saved + 8, state + 8 * first, size - first)
 

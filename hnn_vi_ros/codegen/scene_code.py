@@ -28,6 +28,8 @@ import numpy as np
 
 
 _EFFORT_UNITS = {'rad': 'N m', 'm': 'N'}
+# Place of the digest in object files.
+_DIGEST = sha256(b'digest').digest()[:8]
 
 
 class Variable(NamedTuple):
@@ -114,6 +116,8 @@ def compile_scene(scene: Scene, name: str, target: str = HOST) -> SceneCode:
     text = '\n'.join(_assembly(name, image, found, [one for one in parameters if one.powers]))
     code = object_code(text, [*found.values(), *image.entries.values()],
                        target.split('-')[0])
+    # Saved states are those of this code: H of the same numbers may differ in it alone.
+    code = code.replace(_DIGEST, sha256(code).digest()[:len(_DIGEST)])
     bound = simulation.system.constraints is not None or simulation.hamiltonian.rotations
     starts = [] if bound else [
         (Variable(f'initial_{one.name}', one.unit, f'initial {one.text}'), value)
@@ -266,6 +270,7 @@ def _assembly(name: str, image: Image, found: dict[str, str], tuned: list[Parame
               'places': [place for place, _ in called],
               'lows': np.array([one.low for one in tuned]).view(np.int64).tolist(),
               'powers': np.array(rows, dtype=np.float64).ravel().view(np.int64).tolist(),
+              'digest': np.frombuffer(_DIGEST, dtype=np.int64).tolist(),
               'entries': [f'ptrtoint (ptr @"{symbol}" to i64)' for _, symbol in called]}
     for table, words in tables.items():
         listed = ', '.join(f'i64 {word}' for word in words)
@@ -274,12 +279,11 @@ def _assembly(name: str, image: Image, found: dict[str, str], tuned: list[Parame
         yield f'declare i32 @"{symbol}"()'
     place = {table: f'ptrtoint (ptr @{table} to i64)' for table in tables}
     size, start = image.words.size, '%start'
-    digest = int.from_bytes(sha256(image.words.tobytes()).digest()[:7], 'little')
     for function, *arguments in (
             ('init', '%0', place['image'], size, place['pointers'], image.pointers.size,
              place['places'], place['entries'], len(called)),
-            ('save', '%0', '%1', image.changing, size, digest),
-            ('restore', '%0', '%1', image.changing, size, digest),
+            ('save', '%0', '%1', image.changing, size, place['digest']),
+            ('restore', '%0', '%1', image.changing, size, place['digest']),
             ('step', start, '%1', '%n'), ('start', start, '%1', '%2'), ('energy', start),
             ('tune', '%0', size, start, '%1', place['lows'], len(tuned), place['powers'],
              len(rows)),

@@ -18,7 +18,8 @@ from threading import Thread
 from zipfile import ZipFile
 
 from helpers import long
-from hnn_vi_ros.codegen import compile_scene, entries, export, identifier, write_project
+from hnn_vi_ros.codegen import (
+    compile_scene, entries, export, identifier, scene_code, write_project)
 from hnn_vi_ros.codegen.arguments import COMPILERS, HOST
 from hnn_vi_ros.codegen.entries import EVENT, INVALID_COMMAND, INVALID_STATE
 from hnn_vi_ros.codegen.project import FUNCTIONS
@@ -245,14 +246,21 @@ def test_saved_state_continues_bit_by_bit_elsewhere():
     assert library.values(other) == library.values(state)
 
 
-def test_state_saved_by_another_object_is_refused():
-    library, other = Library('servo'), Library('formula')
+def test_state_saved_by_an_object_of_other_code_is_refused(monkeypatch):
+    for factor in (1, 2):
+        SCENES[f'event{factor}'] = lambda factor=factor: Scene.build(**FORMULA | {
+            'integrator': {'kind': 'stormer_verlet'},
+            'events': [{'when': f'x = {factor}*p_x'}]})
+    library = Library('event1')
+    monkeypatch.setattr(scene_code, 'image_of', lambda _: library.code.image)
+    other = Library('event2')
     state, foreign = library.state(), other.state()
     before = state.copy()
     saved = np.zeros(1 + max(state.size, foreign.size), dtype=np.int64)
     other.save(address(foreign), address(saved))
     assert library.restore(address(state), address(saved)) == INVALID_STATE
     assert np.array_equal(state, before)
+    assert other.restore(address(foreign), address(saved)) == OK
 
 
 def test_start_begins_at_another_state():
