@@ -3,16 +3,21 @@
 """The energy by cause: each part against an integral by DOP853, and what no cause explains."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from effect_table import EFFECT_ROWS, EffectRow
 from helpers import effect, plain_run
-from hnn_vi_ros.effects import Force, Joined, Potential
+from hnn_vi_ros.effects import (
+    Command, Force, Joined, LinkWrench, OBSERVATION, Observation, Potential)
+from hnn_vi_ros.effects.observer import Observer
+from hnn_vi_ros.hamiltonians import payload_of
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import (
     build, EnergyByCause, simulate, simulate_many, Simulation, Trajectory)
 from messages import refused
 import numpy as np
+from numpy.typing import ArrayLike
 import pytest
 from scipy.integrate import solve_ivp
 
@@ -35,7 +40,10 @@ PARTS = {
     'lugre_friction': {'coordinate': 'x', 'stiffness': 3.0, 'friction': 0.3, 'speed': 1.0,
                        'damping': 0.3},
     'motor': {'coordinate': 'y', 'time_constant': 0.3},
+    'observer': {'coordinates': ['y'], 'gain': 2.0, 'damping': 0.5, 'timeout': 100.0},
 }
+# The observed y, and its velocity.
+SEEN = Observation(['y'], 0.0, np.array([0.4]), np.array([-0.2]))
 INTERNAL = {'lugre_friction', 'motor'}
 # Too short for an instant in which the internal variable would change, long above rounding.
 INSTANT = 1e-6
@@ -52,7 +60,7 @@ def combinations(count: int, seed: int, pool: Sequence[str]) -> list[tuple[str, 
             for _ in range(count)]
 
 
-SMOOTH = [kind for kind in PARTS if kind not in INTERNAL]
+SMOOTH = [kind for kind in PARTS if kind not in {*INTERNAL, 'observer'}]
 CASES = [
     *(('implicit_midpoint', (kind,)) for kind in PARTS),
     *(('implicit_midpoint', kinds) for kinds in combinations(10, 1, [*PARTS])),
@@ -63,20 +71,35 @@ def run_of(kinds: Sequence[str], method: str, steps: int) -> Simulation:
     """Return a run with its energy by cause, in plain Python; motors have a constant command."""
     simulation = plain_run('henon_heiles', method, DURATION / steps, Q, P, *(
         effect(kind, **PARTS[kind]) for kind in listed(kinds)), energy_by_cause=True)
-    if simulation.takes_commands:
-        simulation.set_command([COMMAND] * simulation.command_size)
+    for command in commands_of(simulation):
+        simulation.set_command(command)
     simulation.advance(steps)
     return simulation
 
 
-def reference(simulation: Simulation) -> dict[str, float]:
-    """Return the parts of a run by DOP853, with one more state for each integral."""
+def commands_of(simulation: Simulation) -> list[Command]:
+    """Return the constant commands that the effects of a simulation take."""
+    return [*[[COMMAND] * simulation.command_size] * simulation.takes_commands,
+            *[SEEN] * (OBSERVATION in simulation.motors.takes)]
+
+
+class Ends(NamedTuple):
+    """State and parts at the end of a reference."""
+
+    q: np.ndarray
+    p: np.ndarray
+    parts: dict[str, float]
+
+
+def reference(simulation: Simulation, commands: Sequence[Command], q: ArrayLike = Q,
+              p: ArrayLike = P, duration: float = DURATION) -> Ends:
+    """Return the end of a run by DOP853, with one more state for each integral."""
     system = simulation.system
     causes = system.causes()
     system.effect_state.reset(0)
     simulation.motors.begin()
-    if simulation.takes_commands:
-        simulation.motors.command([COMMAND] * simulation.command_size, np.array(Q))
+    for command in commands:
+        simulation.motors.command(command, np.array(q))
     works = [(i, joint, column) for i, cause in enumerate(causes)
              for joint, column in zip(cause.rows, system.joints.get(i, [None]), strict=True)
              if not isinstance(cause.effect, Joined)]
@@ -90,6 +113,10 @@ def reference(simulation: Simulation) -> dict[str, float]:
                 column = cause.parameters.column
                 forces[1, i, column], rates[i] = cause.effect.respond(
                     cause.parameters, x[i], H_p[column], 0.0, INSTANT)
+            elif isinstance(cause.effect, Observer):
+                own = cause.parameters
+                away = q[own.columns] - SEEN.position - t * SEEN.velocity
+                forces[:, i, own.columns] = -own.damping * away, -own.gain * away
             elif isinstance(cause.effect, Force):
                 cause.effect.add_force(cause.parameters, t, q, p, H_p, *forces[:, i])
         powers = H_q * forces[0] + H_p * forces[1]
@@ -98,8 +125,8 @@ def reference(simulation: Simulation) -> dict[str, float]:
             [powers[i].sum() if column is None else powers[i, column]
              for i, _, column in works]])
 
-    start = np.array([*Q, *P, *np.zeros(len(causes) + len(works))])
-    end = solve_ivp(slope, (0.0, DURATION), start, 'DOP853', rtol=1e-11, atol=1e-12).y[:, -1]
+    start = np.array([*q, *p, *np.zeros(len(causes) + len(works))])
+    end = solve_ivp(slope, (0.0, duration), start, 'DOP853', rtol=1e-11, atol=1e-12).y[:, -1]
     q, p, x = end[:2], end[2:4], end[4:4 + len(causes)]
     sums = dict(zip([(causes[i].label, joint) for i, joint, _ in works],
                     end[4 + len(causes):].tolist(), strict=True))
@@ -119,7 +146,7 @@ def reference(simulation: Simulation) -> dict[str, float]:
     found |= {f'work/{label}{joint}': own for (label, joint), own in sums.items()}
     found |= {f'work/{cause.label}': 0.0 for cause in causes
               if isinstance(cause.effect, Joined) and not isinstance(cause.effect, Potential)}
-    return found | {'error': 0.0}
+    return Ends(q, p, found | {'error': 0.0})
 
 
 @pytest.mark.parametrize('method, kinds', CASES, ids=lambda value: (
@@ -127,7 +154,8 @@ def reference(simulation: Simulation) -> dict[str, float]:
 def test_each_part_converges_to_its_integral_and_the_error_to_zero_with_the_order(method, kinds):
     """The Lorentz force and potentials are included; each joint of motors has its integral."""
     order, errors = INTEGRATORS[method].order, []
-    exact = reference(run_of(kinds, method, 1))
+    simulation = run_of(kinds, method, 1)
+    exact = reference(simulation, commands_of(simulation)).parts
     for steps in (20, 40):
         simulation = run_of(kinds, method, steps)
         names, found = simulation.ledger.names, simulation.causes
@@ -136,16 +164,60 @@ def test_each_part_converges_to_its_integral_and_the_error_to_zero_with_the_orde
         assert sum(found[k] for k, name in enumerate(names) if name.startswith('work/')) \
             + found[-1] == pytest.approx(simulation.energy - simulation._energy0, abs=1e-14)
         errors.append(np.abs([found[k] - exact[name] for k, name in enumerate(names)]))
-    coarse, fine = errors
-    # Halved steps divide errors by 2^order up to the next term, of the size h; below 1e-9 lie
-    # the tolerance of DOP853 and the finite instant of internal variables (1e-6 of a force).
-    floor = 2e-6 if INTERNAL & set(kinds) else 1e-9
-    # An error may be small by chance, where it changes its sign.
-    leading = np.maximum(coarse, 0.1 * coarse.max())
-    assert (fine <= leading / (0.6 * 2**order) + floor).all(), dict(
-        zip(names, zip(*errors, strict=True), strict=True))
+    # The finite instant of internal variables is 1e-6 of a force.
+    assert_order(order, *errors, 2e-6 if INTERNAL & set(kinds) else 1e-9)
     # Of parts of up to 1 J.
-    assert (coarse < (0.05 if order == 2 else 1e-4)).all()
+    assert (errors[0] < (0.05 if order == 2 else 1e-4)).all()
+
+
+def assert_order(order: int, coarse: np.ndarray, fine: np.ndarray, floor: float = 1e-9) -> None:
+    """Compare errors of parts at two step sizes; the tolerance of DOP853 is below the floor."""
+    # Halved steps divide errors by 2^order up to the next term, of the size h. An error may be
+    # small by chance, where it changes its sign.
+    leading = np.maximum(coarse, 0.1 * coarse.max())
+    assert (fine <= leading / (0.6 * 2**order) + floor).all(), (coarse, fine)
+
+
+@pytest.mark.parametrize('motors', [
+    {'kind': 'external_force', 'timeout': 100.0},
+    {'kind': 'servo', 'stiffness': 20.0, 'damping': 0.5, 'position': [0.6, -0.4]}],
+    ids=['external_force', 'servo'])
+def test_wrenches_compensation_and_a_change_of_payload_have_their_integrals(motors):
+    """The payload changes in the middle of the run; its part is the jump of H."""
+    arm, (q, p), half = load_scene('two_joint_arm'), ([0.3, 0.5], [0.2, -0.1]), 0.2
+    own = arm.model_dump()['hamiltonian'] | {'payload': {'link': 'forearm'}}
+    motors = motors | {'coordinates': ['shoulder', 'elbow'], 'gravity_compensation': 'unloaded'}
+    scene = arm.changed({
+        'hamiltonian': own, 'integrator': {'kind': 'implicit_midpoint'}, 'step_size': 0.01,
+        'initial_state': {'q': q, 'p': p}, 'energy_by_cause': True,
+        'effects': [motors, {'kind': 'link_wrench', 'timeout': 100.0}]})
+    push = LinkWrench('forearm', [1.0, -0.5, 2.0], [0.1, 0.2, -0.3])
+    load = payload_of({'link': 'forearm', 'mass': 0.8, 'centre': [0.1, 0.02, 0.05]})
+    simulation = build(scene)
+    commands = [*commands_of(simulation), push]
+    first = reference(simulation, commands, q, p, half)
+    H = simulation.system.hamiltonian
+    velocity, before = H.gradient(first.q, first.p)[1], H.energy(first.q, first.p)
+    simulation.motors.command(load, first.q)
+    moved = np.linalg.solve(H.inverse_mass(first.q, first.p), velocity)
+    jump = float(H.energy(first.q, moved) - before)
+    last = reference(simulation, [*commands, load], first.q, moved, half)
+    exact = {name: part + first.parts[name] * name.startswith(('work/', 'heat/'))
+             for name, part in last.parts.items()} | {'work/payload': jump}
+    assert abs(jump) > 1e-3
+    errors = []
+    for steps in (20, 40):
+        simulation = build(scene.changed({'step_size': half / steps}))
+        for command in commands:
+            simulation.set_command(command)
+        simulation.advance(steps)
+        simulation.set_command(load)
+        simulation.advance(steps)
+        names, found = simulation.ledger.names, simulation.causes
+        assert sorted(names) == sorted(exact)
+        errors.append(np.abs([found[k] - exact[name] for k, name in enumerate(names)]))
+    assert_order(2, *errors)
+    assert (errors[0] < 0.05).all()
 
 
 @pytest.mark.parametrize('row', [
