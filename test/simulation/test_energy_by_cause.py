@@ -10,6 +10,7 @@ from helpers import effect, plain_run
 from hnn_vi_ros.effects import (
     Command, Force, Joined, LinkWrench, OBSERVATION, Observation, Potential)
 from hnn_vi_ros.effects.observer import Observer
+from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.hamiltonians import payload_of
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene, Scene
@@ -310,6 +311,11 @@ def test_run_without_it_has_the_same_code_and_its_bits_and_none_to_show(arm):
     assert np.array_equal(with_it.q, without.q) and np.array_equal(with_it.work, without.work)
     with refused(ValueError):
         plain.plot_energy()
+
+
+def test_energy_by_cause_is_true_or_false():
+    with refused(SceneError):
+        simulate('exact_pendulum', 0.1, energy_by_cause='yes')
 
 
 def test_energy_by_cause_has_names_units_and_columns_and_is_kept(arm, tmp_path):

@@ -211,13 +211,13 @@ def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = N
     """Return the parts of a resolved scene with overrides applied; see ``simulate``."""
     if isinstance(scene, Parts):
         if energy_by_cause:
-            scene = scene._replace(scene=scene.scene.changed({'energy_by_cause': True}))
+            scene = scene._replace(scene=scene.scene.changed({'energy_by_cause': energy_by_cause}))
         if all(value is None for value in (step_size, integrator, initial_state, effects)):
             return scene
         scene = scene.scene
     scene = _scene(scene).with_overrides(
         step_size, integrator, _state(initial_state), _listed(effects))
-    return resolve(scene.changed({'energy_by_cause': True}) if energy_by_cause else scene)
+    return resolve(scene.changed({'energy_by_cause': energy_by_cause}) if energy_by_cause else scene)
 
 
 def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | None = None
