@@ -30,10 +30,10 @@ def main(argv: list[str]) -> int:
                              f'compiler {compiler}, which --out does not need')
     # Imported after the choice of the processor, which the compiler reads once.
     from hnn_vi_ros.codegen.fmu import write_fmu
-    from hnn_vi_ros.codegen.project import identifier, write_project
+    from hnn_vi_ros.codegen.project import prefix_of, write_project
     from hnn_vi_ros.codegen.scene_code import compile_scene
     scene = load_scene(options.scene)
-    name = identifier(scene.name)
+    name = prefix_of(scene.name)
     print(f'compiling {name}: about a minute', file=sys.stderr)
     code = compile_scene(scene, name, options.target)
     try:

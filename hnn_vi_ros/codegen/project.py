@@ -16,12 +16,23 @@ from hnn_vi_ros.files import share_folder
 from hnn_vi_ros.kernels import processor
 from hnn_vi_ros.version import __version__
 
+# Headers and libraries that NAME.h and libNAME.a would replace.
+_TAKEN = re.compile(
+    'assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|'
+    'std(align|arg|atomic|bool|def|int|io|lib|noreturn)|string|tgmath|threads|time|uchar|wchar|'
+    'wctype|c|dl|gcc|m|pthread|rt')
 FUNCTIONS = ('init', 'start', 'tune', 'step', 'energy', 'outputs', 'save', 'restore')
 
 
 def identifier(text: str) -> str:
     """Return a text as an identifier of C."""
     return re.sub(r'^(?=\d)', '_', re.sub(r'\W', '_', text, flags=re.ASCII)) or '_'
+
+
+def prefix_of(name: str) -> str:
+    """Return the name of a scene's files, which is also the prefix of its functions."""
+    prefix = identifier(name)
+    return f'{prefix}_scene' if _TAKEN.fullmatch(prefix) else prefix
 
 
 def archive(name: str, code: bytes) -> bytes:

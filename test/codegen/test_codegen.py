@@ -19,7 +19,7 @@ from zipfile import ZipFile
 
 from helpers import long
 from hnn_vi_ros.codegen import (
-    compile_scene, entries, export, identifier, scene_code, write_project)
+    compile_scene, entries, export, identifier, prefix_of, scene_code, write_project)
 from hnn_vi_ros.codegen.arguments import COMPILERS, HOST
 from hnn_vi_ros.codegen.entries import EVENT, INVALID_COMMAND, INVALID_STATE
 from hnn_vi_ros.codegen.project import FUNCTIONS
@@ -608,4 +608,10 @@ def test_node_of_the_page_fits_the_header():
 @pytest.mark.parametrize(('text', 'expected'), [
     ('my scene', 'my_scene'), ('2 links', '_2_links'), ('ä-b', '__b'), ('', '_')])
 def test_identifier_is_one_of_c(text, expected):
-    assert identifier(text) == expected
+    assert identifier(text) == prefix_of(text) == expected
+
+
+def test_files_replace_no_header_or_library_of_c():
+    # `#include <stdint.h>` would find the header of the scene, and -lm its library.
+    assert [prefix_of(name) for name in ('stdint', 'm', 'int')] == [
+        'stdint_scene', 'm_scene', 'int']
