@@ -217,7 +217,9 @@ def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = N
         scene = scene.scene
     scene = _scene(scene).with_overrides(
         step_size, integrator, _state(initial_state), _listed(effects))
-    return resolve(scene.changed({'energy_by_cause': energy_by_cause}) if energy_by_cause else scene)
+    if energy_by_cause:
+        scene = scene.changed({'energy_by_cause': energy_by_cause})
+    return resolve(scene)
 
 
 def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | None = None
