@@ -44,6 +44,10 @@ def identify() -> Parser:
     parser.add_argument('--masses', choices=['known', 'unknown'], default='known', help=(
         'with --robot, unknown: print forces relative to the inertias of the joints, which is all '
         'that such a log tells without known masses'))
+    parser.add_argument('--loads', type=Path, metavar='YAML', help=(
+        'read what the robot carried in each log from this file: logs: {NAME: {payload: {link: '
+        'hand, mass: 0.3, centre: [0, 0, 0.1]}}}; free: [mass] fits the mass, gain: 2 is a '
+        'factor on the stiffness of servos, and NAME may be a pattern such as half_*'))
     parser.add_argument('--data', required=True, nargs='+', metavar='FILE', help=(
         'read bags with joint states; or NPZ[:RUN,...] with arrays t [s], q and optionally dq (or '
         'v) and tau, or RUN/t, ... for several runs; or logs with named '

@@ -179,7 +179,7 @@ def _of_errors(tree: RigidBodyTree, motions: Sequence[EvenMotion], delay: float
     """
     parts = []
     for motion in motions:
-        columns, needed = regression(tree, [motion], delay)
+        columns, needed = regression([(tree, 1.0)], [motion], delay)
         table = np.concatenate([needed[..., None], -columns[..., 1:], columns[..., :1]], axis=-1)
         on = columns[..., 4] != 0.0
         # The equations hold for filtered motions as well, with less noise of accelerations.

@@ -39,7 +39,7 @@ def _scene(robot: Path, folder: Path, effects: Sequence[Mapping[str, object]],
     return load_scene(path)
 
 
-def commanded_scene(robot: Path, folder: Path, hamiltonian: Hamiltonian,
+def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonian, float]],
                     motions: Sequence[EvenMotion], known: Mapping[str, float]
                     ) -> tuple[Scene, list[str]]:
     """
@@ -52,8 +52,8 @@ def commanded_scene(robot: Path, folder: Path, hamiltonian: Hamiltonian,
     ----------
     robot, folder : Path
         URDF, and folder for the scene's file.
-    hamiltonian : Hamiltonian
-        H of the robot.
+    robots : sequence of (Hamiltonian, float)
+        H of the robot with the load of each motion, and the factor on its stiffness.
     motions : sequence of EvenMotion
         Motions of all d coordinates, with commanded positions.
     known : mapping of str to float
@@ -65,12 +65,12 @@ def commanded_scene(robot: Path, folder: Path, hamiltonian: Hamiltonian,
         The scene, and the names of the numbers that the log may tell.
 
     """
-    names = [one.name for one in hamiltonian.coordinates]
+    names = [one.name for one in robots[0][0].coordinates]
     if motions[0].tau.shape[1] != len(names):
         raise DataError(f'{motions[0].where}: {motions[0].tau.shape[1]} commands, but {robot} has '
                         f'the joints {", ".join(names)}; name one command for each')
     spacing = motions[0].spacing
-    fits = [(*_guess(hamiltonian, motions, delay), delay) for delay in delays_of(motions)]
+    fits = [(*_guess(robots, motions, delay), delay) for delay in delays_of(motions)]
     _, numbers, delay = min(fits, key=lambda fit: fit[0])
     places = {'servo.delay': None} | {
         f'{key}.{name}': (k, column) for column, key in enumerate((
@@ -86,7 +86,7 @@ def commanded_scene(robot: Path, folder: Path, hamiltonian: Hamiltonian,
         else:
             numbers[places[name]] = value
     stiffness, damping, friction, rotor, offset = numbers.T.tolist()
-    limits = _effort_limits(robot, hamiltonian, motions)
+    limits = _effort_limits(robot, robots, motions)
     off = any((np.abs(motion.tau) > LARGEST).any() for motion in motions)
     effects = [
         {'kind': 'servo', 'coordinates': names, 'stiffness': stiffness, 'damping': damping,
@@ -103,8 +103,8 @@ def commanded_scene(robot: Path, folder: Path, hamiltonian: Hamiltonian,
     return scene, [name for name in free if name not in known]
 
 
-def _effort_limits(robot: Path, hamiltonian: Hamiltonian, motions: Sequence[EvenMotion]
-                   ) -> np.ndarray:
+def _effort_limits(robot: Path, robots: Sequence[tuple[Hamiltonian, float]],
+                   motions: Sequence[EvenMotion]) -> np.ndarray:
     """
     Return the limits of efforts in a URDF, shape (d,) [N m] or [N]; LARGEST for those without.
 
@@ -112,9 +112,9 @@ def _effort_limits(robot: Path, hamiltonian: Hamiltonian, motions: Sequence[Even
     """
     # Joints of several coordinates have names of their own.
     efforts = {name: joint.limits.effort for name, joint in read_urdf(robot).joints.items()}
-    rated = np.array([efforts.get(one.name) or LARGEST for one in hamiltonian.coordinates])
-    needed = np.max([np.abs(forces_needed(hamiltonian, motion)).max(axis=0)
-                     for motion in motions], axis=0)
+    rated = np.array([efforts.get(one.name) or LARGEST for one in robots[0][0].coordinates])
+    needed = np.max([np.abs(forces_needed(own, motion)).max(axis=0)
+                     for (own, _), motion in zip(robots, motions, strict=True)], axis=0)
     return np.where(rated > needed, rated, LARGEST)
 
 
@@ -131,29 +131,30 @@ def forces_needed(hamiltonian: Hamiltonian, motion: EvenMotion) -> np.ndarray:
     return CubicSpline(t, p)(t, 1) + hamiltonian.gradient(q, p)[0]
 
 
-def regression(hamiltonian: Hamiltonian, motions: Sequence[EvenMotion], delay: float
-               ) -> tuple[np.ndarray, np.ndarray]:
+def regression(robots: Sequence[tuple[Hamiltonian, float]], motions: Sequence[EvenMotion],
+               delay: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the columns of k, c, F, J, k o, shape (N, d, 5), and the forces needed, (N, d)."""
     rows, forces = [], []
-    for motion in motions:
+    for (hamiltonian, gain), motion in zip(robots, motions, strict=True):
         t, q, v = motion.t, motion.q_smooth, motion.v_smooth
         at = np.clip(np.floor((t - t[0] - delay) / motion.spacing + 1e-6).astype(int), 0, None)
         commands, off = commands_and_off(motion)
         command, on = commands[at], ~off
         rows.append(np.stack([
-            np.where(on, command - q, 0.0), -v, -np.tanh(v / SPEED), -motion.a_smooth,
-            -1.0 * on], axis=-1))
+            np.where(on, gain * (command - q), 0.0), -v, -np.tanh(v / SPEED), -motion.a_smooth,
+            -gain * on], axis=-1))
         forces.append(forces_needed(hamiltonian, motion))
     return np.concatenate(rows), np.concatenate(forces)
 
 
-def _guess(hamiltonian: Hamiltonian, motions: Sequence[EvenMotion], delay: float
-           ) -> tuple[float, np.ndarray]:
+def _guess(robots: Sequence[tuple[Hamiltonian, float]], motions: Sequence[EvenMotion],
+           delay: float) -> tuple[float, np.ndarray]:
     """Return the relative squared residuals, and k, c, F, J, o of each joint, shape (d, 5)."""
-    columns, needed = regression(hamiltonian, motions, delay)
+    columns, needed = regression(robots, motions, delay)
     # The offset may have either sign.
     columns = np.concatenate([columns, -columns[..., 4:]], axis=-1)
-    d, share = hamiltonian.dimension, 0.0
+    hamiltonian, share = robots[0][0], 0.0
+    d = hamiltonian.dimension
     found = np.empty((d, 5))
     for k in range(d):
         own, rest = nnls(columns[:, k], needed[:, k])

@@ -4,7 +4,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 import math
 import os
@@ -18,6 +18,7 @@ from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ModelError, Parameter
 from hnn_vi_ros.files import root_node, share_folder, units_in, write_new_scene, write_text
 from hnn_vi_ros.hamiltonians import (
     ElasticDrive, Hamiltonian, JointUnits, parse_urdf, read_urdf)
+from hnn_vi_ros.identify.loads import Load, load_numbers, load_of, with_load
 from hnn_vi_ros.learning import DELAY, ModelParts, Number
 from hnn_vi_ros.scene import load_scene, numbers_of, Parts, Scene, with_numbers
 import numpy as np
@@ -44,6 +45,10 @@ class FreeScene:
         Places of numbers that belong to the robot.
     held : tuple of Number
         Numbers fixed at their start.
+    loads : mapping of str to Load
+        Loads of the logs by name; none if they do not differ.
+    load : str
+        Name of the load that the scene carries; '' for that of the scene.
 
     """
 
@@ -52,6 +57,8 @@ class FreeScene:
     folder: Path
     robot: frozenset[str] = frozenset()
     held: tuple[Number, ...] = ()
+    loads: Mapping[str, Load] = field(default_factory=dict)
+    load: str = ''
 
     @property
     def name(self) -> str:
@@ -64,6 +71,14 @@ class FreeScene:
         _, hamiltonian, integrator, effects = scene.parts()
         return ModelParts(hamiltonian, integrator, effects, scene.known_step_size,
                           scene.on_failure, delay)
+
+    def load_of(self, motion: str) -> str:
+        """Return the name of the load of a motion."""
+        return load_of(self.loads, motion)
+
+    def carrying(self, load: str) -> 'FreeScene':
+        """Return the scene with one of the loads."""
+        return replace(self, load=load)
 
     def holding(self, k: int) -> 'FreeScene':
         """Return the scene with one number fixed at its initial guess."""
@@ -85,13 +100,20 @@ class FreeScene:
                          strict=True)) | {number.place: number.start for number in self.held}
         delay = given.pop(DELAY, 0.0)
         robot = {place: given.pop(place) for place in [*given] if place in self.robot}
+        carried = {place: given.pop(place) for place in load_numbers(self.loads) if place in given}
         scene = with_numbers(self.scene, given)
-        return (with_robot_numbers(scene, robot, self.folder / 'robot.urdf') if robot else scene
-                ), delay
+        if robot:
+            scene = with_robot_numbers(scene, robot, self.folder / 'robot.urdf')
+        if self.load:
+            before, own = f'{self.load}.payload.', self.loads[self.load]
+            scene = with_load(scene, own, {
+                place.removeprefix(before): value for place, value in carried.items()
+                if place.startswith(before)})
+        return scene, delay
 
 
 def free_scene(parts: Parts, names: Sequence[str], bounds: Mapping[str, tuple[float, float]],
-               folder: Path, driven: bool) -> FreeScene:
+               folder: Path, driven: bool, loads: Mapping[str, Load] | None = None) -> FreeScene:
     """
     Return a scene in which the named numbers are free.
 
@@ -109,6 +131,8 @@ def free_scene(parts: Parts, names: Sequence[str], bounds: Mapping[str, tuple[fl
         Folder for temporary files; see FreeScene.
     driven : bool
         True if the motions have measured forces, which input_delay needs.
+    loads : mapping of str to Load, optional
+        Loads of the logs, whose free numbers are free too.
 
     Raises
     ------
@@ -133,7 +157,9 @@ def free_scene(parts: Parts, names: Sequence[str], bounds: Mapping[str, tuple[fl
         if place in [number.place for number in numbers]:
             raise ParameterError(f'--free {name}: is named twice; name it once')
         numbers.append(_number(name, place, values[place], units.get(place, ''), bounds))
-    free = FreeScene(scene, tuple(numbers), folder, frozenset(robot))
+    numbers += [_number(name, name, value, unit, bounds)
+                for name, (value, unit) in load_numbers(loads or {}).items()]
+    free = FreeScene(scene, tuple(numbers), folder, frozenset(robot), loads=loads or {})
     return replace(free, numbers=tuple(_within(free, k) for k in range(len(numbers))))
 
 
@@ -154,7 +180,7 @@ def _number(name: str, place: str, start: float, unit: str,
 def _within(free: FreeScene, k: int) -> Number:
     """Return a number with the bounds within which the scene accepts it."""
     number = free.numbers[k]
-    if number.place == DELAY:
+    if number.place == DELAY or number.place.endswith('.payload.mass'):
         return replace(number, low=max(number.low, 0.0))
     if number.start < 0.0 or number.low >= 0.0:
         return number
@@ -255,7 +281,7 @@ def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
     changes: dict[tuple[str, ...], str] = {
         tuple(number.place.split('.')): repr(float(value))
         for number, value in zip(free.numbers, values, strict=True)
-        if number.place != DELAY and number.place not in free.robot}
+        if number.place != DELAY and number.place not in free.robot | {*load_numbers(free.loads)}}
     if load_scene(free.scene.source).step_size not in (None, free.scene.step_size):
         changes['step_size',] = repr(free.scene.step_size)
     if initial_state is not None:

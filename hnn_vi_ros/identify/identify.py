@@ -22,10 +22,12 @@ from hnn_vi_ros.identify.commanded import as_ratios, commanded_scene, first_scen
 from hnn_vi_ros.identify.free_numbers import free_scene, FreeScene, STATES, write_fitted
 from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
+from hnn_vi_ros.identify.loads import check_loads, Load, load_of, read_loads, with_load
 from hnn_vi_ros.learning import (
     ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FittedNumbers,
-    input_courses, InputCourses, judged, keys_of, LogSimulation, MeasuredColumns, MotionSource,
-    read_motions, refitted, Solution, source_of, split_runs, steps_between, warnings_of, Windows)
+    input_courses, InputCourses, judged, keys_of, MeasuredColumns, MotionSource,
+    predicted_by, read_motions, refitted, Solution, source_of, split_runs, steps_between,
+    warnings_of, Windows)
 from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
@@ -173,14 +175,15 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
         isinstance(effect, ExternalForce) for effect in effects)
     log = _log(options, hamiltonian, servo or options.robot is not None)
     motions, driven = log.motions, any(motion.tau.any() for motion in log.motions)
-    commanded, notes = motions[0].commanded, list[str]()
+    commanded, notes, loads = motions[0].commanded, list[str](), read_loads(options.loads)
+    check_loads(loads, [motion.name for motion in motions])
     if options.robot:
         if not commanded:
             raise DataError(f'{options.data[0]}: no commanded positions; name their columns after '
                             'the joints, such as elbow_command, or fit '
                             'measured forces with hnn train and the family rigid_body')
         scene, wanted = commanded_scene(
-            options.robot, folder, hamiltonian, motions, _known(options.known))
+            options.robot, folder, _loaded(scene, loads, motions), motions, _known(options.known))
         options.free = [*wanted, *options.free]
         parts = resolve(scene)
         _, hamiltonian, _, effects = parts
@@ -195,7 +198,8 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
     spacing = motions[0].spacing
     check_times(effects, motions, spacing / steps_between(spacing, scene.known_step_size))
     wanted, bounds = [name for name in options.free if name != STATES], _bounds(options.bounds)
-    free = free_scene(parts, wanted, bounds, folder, driven and not commanded)
+    free = free_scene(parts, wanted, bounds, folder, driven and not commanded, loads)
+    wanted = [number.name for number in free.numbers]
     for option, given in (('bounds', bounds), ('profile', options.profile)):
         for name in given:
             if name not in wanted:
@@ -224,13 +228,23 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
                       [*notes, *_energies(free, solution)])
 
 
+def _loaded(scene: Scene, loads: Mapping[str, Load], motions: Sequence[EvenMotion]
+            ) -> list[tuple[Hamiltonian, float]]:
+    """Return H with the load of each motion, and the factor on the stiffness of its servos."""
+    of = {'': (scene.create_hamiltonian(), 1.0)} | {
+        key: (with_load(scene, load, {}).create_hamiltonian(), load.gain)
+        for key, load in loads.items()}
+    return [of[load_of(loads, motion.name)] for motion in motions]
+
+
 def _energies(free: FreeScene, solution: Solution) -> list[str]:
     """Describe the works of effects, or their heats, in all windows."""
-    log = LogSimulation(free.parts_at(solution.values), solution.windows)
-    if all(isinstance(effect, Joined) for effect in log.effects) and log.hamiltonian.time is None:
+    parts = free.parts_at(solution.values)
+    if all(isinstance(effect, Joined) for effect in parts.effects) \
+            and parts.hamiltonian.time is None:
         return []
     # The work of a passive effect is the negative of its heat, but for the stored energy.
-    found = log.energies(solution.starts)
+    found = predicted_by(free, solution.values, solution.windows).log.energies(solution.starts)
     texts = [f'{name.replace("/", " of ", 1)} {value:.4g} J' for name, value in found.items()
              if name.replace('work/', 'heat/', 1) not in found or name.startswith('heat/')]
     return [f'Energy in the windows, by the fitted scene: {", ".join(texts)}']
@@ -373,10 +387,10 @@ def _finer_steps(fitted: FittedNumbers, free: FreeScene,
         done, solution = halved, fitted.solution
         errors = np.array([one.standard_error or math.inf
                            for one in estimates.estimates[:len(solution.values)]])
-        now = LogSimulation(free.parts_at(solution.values), windows).predict(solution.starts)
+        now = predicted_by(free, solution.values, windows).log.predict(solution.starts)
         while True:
             fine = free.at_step(step_size / 2**(halved + 1))
-            after = LogSimulation(fine.parts_at(solution.values), windows).predict(solution.starts)
+            after = predicted_by(fine, solution.values, windows).log.predict(solution.starts)
             change = np.where(windows.there[..., None], (after - now) / solution.noise, 0.0)
             if not np.isfinite(change).all():
                 raise DataError(
@@ -423,6 +437,8 @@ def _check(options: Namespace) -> None:
             raise ParameterError('--free: name the numbers to fit')
         if options.known or options.masses == 'unknown':
             raise ParameterError('--known and --masses need --robot')
+    if options.loads and options.masses == 'unknown':
+        raise ParameterError('--masses unknown: --loads gives masses; leave one of them out')
     if options.horizon is not None and not (
             math.isfinite(options.horizon) and options.horizon > 0.0):
         raise ParameterError(f'--horizon {options.horizon}: expected a positive number of seconds')

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         fit_numbers, FittedNumbers, judged, refitted)
     from hnn_vi_ros.learning.fit.input_courses import EVIDENCE, input_courses, InputCourses
     from hnn_vi_ros.learning.fit.noise import covariances, Process, processes
-    from hnn_vi_ros.learning.fit.prediction import Prediction
+    from hnn_vi_ros.learning.fit.prediction import predicted_by, Prediction
     from hnn_vi_ros.learning.fit.shooting import (
         column_norms, FitProblem, least_squares_factors, projected, search, Solution, units_of)
     from hnn_vi_ros.learning.fit.step_forces import commands_and_off

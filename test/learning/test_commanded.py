@@ -10,13 +10,14 @@ from hnn_vi_ros.effects import JointCommand, OFF
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.identify import main
-from hnn_vi_ros.learning import ArraysData, Prediction, read_motions, source_of
+from hnn_vi_ros.identify.loads import read_loads
+from hnn_vi_ros.learning import ArraysData, predicted_by, Prediction, read_motions, source_of
 from hnn_vi_ros.learning.data.header import read_header
 from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.fit.step_forces import constant_commands
 from hnn_vi_ros.learning.fit.windows import cut_windows
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import load_scene, Scene, with_values
 from hnn_vi_ros.simulation import build, resolve
 from messages import refused
 import numpy as np
@@ -73,8 +74,9 @@ def commands(joints: int, count: int, random: np.random.Generator) -> np.ndarray
 
 
 def write_log(folder: Path, joints: int, seed: int, duration: float = 6.0, scale: float = 1.0,
-              limit: float | None = None) -> dict[str, float]:
-    """Write arm.urdf and log.csv of an arm with all masses and torques times a factor."""
+              limit: float | None = None, payload: dict[str, object] | None = None,
+              name: str = 'log', gain: float = 1.0) -> dict[str, float]:
+    """Write arm.urdf and NAME.csv of an arm with all masses and torques times a factor."""
     random, names = np.random.default_rng(seed), list(JOINTS[:joints])
     truth = numbers(joints, random)
     (folder / 'arm.urdf').write_text(arm(joints))
@@ -84,25 +86,32 @@ def write_log(folder: Path, joints: int, seed: int, duration: float = 6.0, scale
         return [factor * value for name, value in truth.items() if name.startswith(key)]
     (folder / 'true.yaml').write_text(yaml.safe_dump({
         'hamiltonian': {'kind': 'urdf', 'file': str(folder / 'true.urdf'),
-                        'rotor_inertia': dict(zip(names, of('rotor'), strict=True))},
+                        'rotor_inertia': dict(zip(names, of('rotor'), strict=True)),
+                        **({'payload': payload} if payload else {})},
         'integrator': {'kind': 'gauss4'}, 'step_size': STEP,
         'initial_state': {'q': [0.0] * joints, 'p': [0.0] * joints},
         'effects': [
-            {'kind': 'servo', 'coordinates': names, 'stiffness': of('servo.stiffness'),
-             'damping': of('servo.damping'), 'offset': of('servo.offset', 1.0),
-             'delay': truth['servo.delay'], **({'effort_limit': limit} if limit else {})},
+            {'kind': 'servo', 'coordinates': names,
+             'stiffness': of('servo.stiffness', scale * gain), 'damping': of('servo.damping'),
+             'offset': of('servo.offset', 1.0), 'delay': truth['servo.delay'],
+             **({'effort_limit': limit} if limit else {})},
             {'kind': 'joint_friction', 'speed': truth['joint_friction.speed'],
              'friction': dict(zip(names, of('joint_friction.friction'), strict=True))}]}))
+    # Each log has its own commands and noise.
+    random = np.random.default_rng([seed, *name.encode()]) if name != 'log' else random
     count, none = round(duration / (SAMPLES * STEP)), np.full(joints, np.nan)
     simulation, r = build(resolve(load_scene(folder / 'true.yaml'))), commands(
         joints, count, random)
+    if name != 'log':
+        # Before a log, its first command is taken to act.
+        r[:10] = 0.0
     q = []
     for row in r:
         q.append(simulation.q.copy())
         simulation.set_command(JointCommand(names, row, none, none))
         simulation.advance(SAMPLES)
     read = np.array(q) + of('servo.offset', 1.0) + NOISE * random.normal(size=(count, joints))
-    np.savetxt(folder / 'log.csv', np.column_stack([
+    np.savetxt(folder / f'{name}.csv', np.column_stack([
         STEP * SAMPLES * np.arange(count), read, np.degrees(r)]), fmt='%.9g', delimiter=',',
         comments='', header=','.join(['t [s]', *(f'{name} position [rad]' for name in names),
                                       *(f'{name} command [deg]' for name in names)]))
@@ -166,6 +175,92 @@ def test_without_known_masses_forces_are_relative_to_inertias(tmp_path, capsys):
         assert one['value'] == pytest.approx(true, abs=1.5 * (one['high'] - one['low'])), name
     assert sum(name.endswith(' / inertia') for name in found) == 4
     assert 'relative to inertias alone' in capsys.readouterr().out
+
+
+def write_loads(folder: Path, joints: int, seed: int, duration: float) -> dict[str, float]:
+    """Write three logs of an arm that carries 0, .3 and .6 kg, the last unknown, and the table."""
+    logs = {}
+    for mass, gain in ((0.0, 1.0), (0.3, 2.0), (0.6, 1.0)):
+        payload = {'link': f'{JOINTS[joints - 1]}_bar', 'mass': mass, 'centre': [0.0, 0.0, -0.15]}
+        truth = write_log(folder, joints, seed, duration, payload=payload, name=f'm{mass}',
+                          gain=gain)
+        logs[f'm{mass}'] = {'payload': payload, 'gain': gain}
+    logs['m0.6'] = {'payload': {**payload, 'mass': 0.0}, 'free': ['mass']}
+    (folder / 'loads.yaml').write_text(yaml.safe_dump({'logs': logs}))
+    return truth | {'m0.6.payload.mass': 0.6}
+
+
+def with_loads(folder: Path, *options: str) -> dict[str, dict[str, float]]:
+    """Identify an arm from logs with loads, and return the content of --json."""
+    main(['--robot', str(folder / 'arm.urdf'), '--data', *map(str, sorted(folder.glob('m*.csv'))),
+          '--loads', str(folder / 'loads.yaml'), '--json', str(folder / 'found.json'), *options])
+    return json.loads((folder / 'found.json').read_text())
+
+
+def test_logs_with_several_loads_and_gains_share_the_numbers_of_a_servo(tmp_path):
+    truth = write_loads(tmp_path, 1, 3, 3.0)
+    found = with_loads(tmp_path, '--write', str(tmp_path / 'twin.yaml'))
+    assert found.keys() == truth.keys()
+    for name, one in found.items():
+        # Within three half-widths, of which one misses in 1 of 20: once in 3e8.
+        width = 3.0 * (one['high'] - one['low']) / 2.0
+        assert one['value'] == pytest.approx(truth[name], abs=width), name
+    mass = found['m0.6.payload.mass']
+    assert mass['high'] - mass['low'] < 0.1
+    assert not load_scene(tmp_path / 'twin.yaml').hamiltonian.payload
+
+
+@pytest.mark.parametrize('table', [
+    'logs: {m0.0: {}, m0.3: {}}', 'logs: {m*: {}, other: {}}',
+    'logs: {m*: {free: [mass]}}', 'logs: {m*: {payload: {link: shoulder_bar}, free: [weight]}}',
+    'logs: {m*: {payload: {link: hand}}}', 'logs: {m*: {payload: {link: base, mass: -1}}}',
+    'logs: {m*: {gain: 0}}', 'm*: {}', '--masses'])
+def test_loads_that_fit_no_logs_are_one_line(table, tmp_path):
+    write_loads(tmp_path, 1, 3, 1.0)
+    if table != '--masses':
+        (tmp_path / 'loads.yaml').write_text(table)
+    with refused(HnnViRosError):
+        with_loads(tmp_path, *(['--masses', 'unknown'] if table == '--masses' else []))
+
+
+def test_predictions_of_logs_with_loads_are_those_of_each_scene_with_its_load(tmp_path):
+    write_loads(tmp_path, 1, 3, 1.0)
+    loads = read_loads(tmp_path / 'loads.yaml')
+    scene, t = load_scene(tmp_path / 'true.yaml'), 0.01 * np.arange(31)
+    logs = [replace(smoothed(name, t, np.zeros((31, 1)), np.zeros((31, 1)), np.sin(
+        9.0 * t)[:, None], 40.0), commanded=True, inputs='held') for name in ('m0.6', 'm0.3')]
+    free = free_scene(scene.parts(), ['servo.stiffness.0'], {}, tmp_path, False, loads)
+    values, windows = np.array([9.0, 0.45]), cut_windows(logs, 0.1)
+    starts = np.tile([0.5, 0.1], (len(windows.run), 1))
+    both = predicted_by(free, values, windows)
+    mass = both.parameter_jacobian(starts)[..., 1]
+    for run, (load, gain) in enumerate(((0.45, 1.0), (0.3, 2.0))):
+        own = free_scene(with_values(scene, {
+            ('hamiltonian', 'payload', 'mass'): load}).parts(), ['servo.stiffness.0'], {},
+            tmp_path, False)
+        alone = Prediction(own, gain * values[:1], windows)
+        rows = windows.run == run
+        for one, other in ((both.by_starts(starts)[1], alone.by_starts(starts)[1]),
+                           (both.log.predict(starts), alone.log.predict(starts)),
+                           (both.directions(starts).swapaxes(0, 1),
+                            alone.directions(starts).swapaxes(0, 1))):
+            np.testing.assert_array_equal(one[rows], other[rows])
+        assert np.abs(mass[rows]).max() == 0.0 if run else np.abs(mass[rows, 1:]).min() > 0.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('joints', [1, 2])
+def test_intervals_with_several_loads_hold_the_truth(joints, tmp_path, measured):
+    held = []
+    for seed in range(10):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        truth = write_loads(folder, joints, seed, 4.0)
+        held += [one['low'] <= truth[name] <= one['high']
+                 for name, one in with_loads(folder, '--horizon', '1').items()]
+    measured('share of 95 % intervals with several loads that hold the truth', f'{joints} joints',
+             np.mean(held), '>= 0.9')
+    assert np.mean(held) >= 0.9
 
 
 @pytest.mark.long

@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.noise import covariances, likeliest, Process
-from hnn_vi_ros.learning.fit.prediction import Prediction
+from hnn_vi_ros.learning.fit.prediction import predicted_by
 from hnn_vi_ros.learning.fit.shooting import FAILED, FitProblem, search, Solution, TOLERANCE
 from hnn_vi_ros.learning.fit.windows import (
     CannotFollow, cut_windows, MeasuredColumns, ParametricModel, refined, Windows)
@@ -246,7 +246,7 @@ def _searched(model: ParametricModel, windows: Windows, noise: np.ndarray, start
     random, d = np.random.default_rng(0), len(seen.spread)
     hidden = ~np.isin(np.arange(d), seen.columns)
     for _ in range(2):
-        problem, prediction = FitProblem(model, windows, noise, starts, False), Prediction(
+        problem, prediction = FitProblem(model, windows, noise, starts, False), predicted_by(
             model, values, windows)
         found, best = starts, np.full(len(starts), np.inf)
         for k in range(_PLACES + 1):
@@ -332,7 +332,7 @@ def cost_at_start(model: ParametricModel, motions: Sequence[EvenMotion]) -> floa
     windows = cut_windows(motions, min(first_length(motions), max(
         motion.t[-1] - motion.t[0] for motion in motions)))
     values = np.array([number.start for number in model.numbers])
-    prediction = Prediction(model, values, windows)
+    prediction = predicted_by(model, values, windows)
     starts = prediction.log.starts(*windows.start.swapaxes(0, 1))
     problem = FitProblem(model, windows, first_noise(motions), starts, False, tolerance=1.0)
     _, residuals, _ = problem.descend(prediction, starts)
@@ -364,7 +364,7 @@ def _check_followed(fitted: FittedNumbers, motions: Sequence[EvenMotion], length
     """Raise CannotFollow if a fit is off by a swing in longer windows, as in a chaotic motion."""
     model, values = fitted.problem.model, fitted.solution.values
     windows = cut_windows(motions, length, seen)
-    off = LogSimulation(model.parts_at(values), windows).predict(
+    off = predicted_by(model, values, windows).log.predict(
         _starts(model, values, windows, fitted)) - windows.measured
     swing = np.prod(_speeds_and_paces(motions), axis=0)
     size = np.sqrt(np.mean(off[..., :len(swing)]**2, axis=1, where=windows.there[..., None]))
@@ -472,9 +472,9 @@ def _starts(model: ParametricModel, values: np.ndarray, windows: Windows,
     """Return initial guesses: the starts of shorter windows, or smoothed measurements."""
     q, v = windows.start.swapaxes(0, 1)
     if before is None:
-        return LogSimulation(model.parts_at(values), windows).starts(q, v)
+        return predicted_by(model, values, windows).log.starts(q, v)
     solution = before.solution
-    states = LogSimulation(model.parts_at(values), solution.windows).states(
+    states = predicted_by(model, values, solution.windows).log.states(
         solution.starts[:, None])[:, 0]
     found = np.empty((len(q), 2 * q.shape[1]))
     for w in range(len(q)):

@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prediction of a parametric model in windows of measured motions, with its derivatives."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
+from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
 from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.learning.fit.following import LogSimulation
-from hnn_vi_ros.learning.fit.windows import CannotFollow, delays, ParametricModel, Windows
+from hnn_vi_ros.learning.fit.windows import (
+    CannotFollow, delays, ParametricModel, Windows, windows_in)
 from hnn_vi_ros.simulation import (
     Change, Dependence, difference, DifferentiableRun, flow_rates, OnNumber, sum_of)
 import numpy as np
@@ -220,6 +222,74 @@ class Prediction:
                         value, _SPACING * max(abs(value), usual), low, high)]
         raise CannotFollow(f'{self._model.name} is invalid on both sides of {number.name} = '
                            f'{value:g}')
+
+
+class PredictionByLoad:
+    """
+    Prediction of logs with different loads, each by its own model; see Prediction.
+
+    It is its own simulation, `log`.
+
+    Parameters
+    ----------
+    parts : sequence of (np.ndarray of int, Prediction)
+        Windows of each load, and their prediction.
+
+    """
+
+    def __init__(self, parts: Sequence[tuple[np.ndarray, Prediction]]):
+        self._parts, self.log = parts, self
+        self._order = np.argsort(np.concatenate([rows for rows, _ in parts]))
+
+    def directions(self, starts: np.ndarray) -> np.ndarray:
+        """Return the independent directions of initial states, shape (k, W, 2 d)."""
+        return self._joined(lambda one, rows: one.directions(starts[rows]).swapaxes(0, 1)
+                            ).swapaxes(0, 1)
+
+    def by_starts(self, starts: np.ndarray, only: np.ndarray | None = None
+                  ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the prediction, and its derivative along ``directions``."""
+        found = [one.by_starts(starts[rows], None if only is None else only[rows])
+                 for rows, one in self._parts]
+        predicted, slopes = (np.concatenate(part)[self._order]
+                             for part in zip(*found, strict=True))
+        return predicted, slopes
+
+    def parameter_jacobian(self, starts: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the prediction by the numbers, shape (W, T, C, n)."""
+        return self._joined(lambda one, rows: one.parameter_jacobian(starts[rows]))
+
+    def starts(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the states (q, p), shape (W, 2 d), with velocities v at coordinates q."""
+        return self._joined(lambda one, rows: one.log.starts(q[rows], v[rows]))
+
+    def states(self, starts: np.ndarray) -> np.ndarray:
+        """Return the states at the samples, shape (W, K, T, 2 d)."""
+        return self._joined(lambda one, rows: one.log.states(starts[rows]))
+
+    def predict(self, starts: np.ndarray) -> np.ndarray:
+        """Return the prediction from initial states, without derivatives, (W, T, C)."""
+        return self._joined(lambda one, rows: one.log.predict(starts[rows]))
+
+    def energies(self, starts: np.ndarray) -> dict[str, float]:
+        """Return the works and heats of effects [J]."""
+        found = [one.log.energies(starts[rows]) for rows, one in self._parts]
+        return {name: sum(own[name] for own in found) for name in found[0]}
+
+    def _joined(self, of: Callable[[Prediction, np.ndarray], np.ndarray]) -> np.ndarray:
+        return np.concatenate([of(one, rows) for rows, one in self._parts])[self._order]
+
+
+def predicted_by(model: ParametricModel, values: np.ndarray, windows: Windows
+                 ) -> Prediction | PredictionByLoad:
+    """Return the prediction of a model, whose scene may carry other loads in other logs."""
+    scene: Any = model
+    if not getattr(model, 'loads', None):
+        return Prediction(model, values, windows)
+    loads = np.array([scene.load_of(windows.motions[run].name) for run in windows.run])
+    return PredictionByLoad([(rows, Prediction(
+        scene.carrying(load), values, windows_in(windows, rows)))
+        for load in np.unique(loads).tolist() for rows in [np.flatnonzero(loads == load)]])
 
 
 class _OnNumber(OnNumber):

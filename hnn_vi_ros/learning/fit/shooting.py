@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.learning.fit.prediction import Prediction
+from hnn_vi_ros.learning.fit.prediction import predicted_by, Prediction, PredictionByLoad
 from hnn_vi_ros.learning.fit.windows import CannotFollow, ParametricModel, Windows
 import numpy as np
 from scipy.optimize import least_squares
@@ -135,12 +135,12 @@ class FitProblem:
         there = self.windows.there.reshape(self.windows.there.shape + (1,) * (values.ndim - 2))
         return np.where(there, values / self.noise.reshape(shape), 0.0)
 
-    def _evaluate(self, prediction: Prediction, starts: np.ndarray,
+    def _evaluate(self, prediction: Prediction | PredictionByLoad, starts: np.ndarray,
                   only: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         predicted, slopes = prediction.by_starts(starts, only)
         return self.scaled(predicted - self.windows.measured), self.scaled(slopes)
 
-    def descend(self, prediction: Prediction, starts: np.ndarray
+    def descend(self, prediction: Prediction | PredictionByLoad, starts: np.ndarray
                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Minimise over the initial states of all windows with Levenberg-Marquardt steps."""
         residuals, slopes = self._evaluate(prediction, starts)
@@ -228,7 +228,7 @@ class _Residuals:
             if np.isfinite(self._at).all():
                 starts = starts + self._slope @ (values - self._at)
             try:
-                self._prediction = Prediction(
+                self._prediction = predicted_by(
                     self._problem.model, values, self._problem.windows)
                 *best, slopes = self._problem.descend(self._prediction, starts)
                 self._best = *best, np.nan_to_num(slopes)

@@ -3,7 +3,7 @@
 """Measured motions cut into windows, and models with free numbers that predict them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple, Protocol
 
@@ -200,6 +200,12 @@ class Windows:
         """Return the start time of each window [s], shape (W,)."""
         return np.array([self.motions[run].t[first]
                          for run, first in zip(self.run, self.first, strict=True)])
+
+
+def windows_in(windows: Windows, rows: np.ndarray) -> Windows:
+    """Return some of the windows."""
+    return replace(windows, **{name: getattr(windows, name)[rows] for name in (
+        'run', 'first', 'measured', 'there', 'start')})
 
 
 def cut_windows(motions: Sequence[EvenMotion], horizon: float, seen: MeasuredColumns | None = None
