@@ -11,7 +11,8 @@ from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files import write_text
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.identify import arguments as command_lines
-from hnn_vi_ros.identify.commanded import delays_of, forces_needed, regression, SPEED
+from hnn_vi_ros.identify.commanded import (
+    delays_of, forces_needed, regression, robot_of, SPEED)
 from hnn_vi_ros.identify.identify import source_by_format
 from hnn_vi_ros.learning import (
     ANGLE, configuration_of, even_motions, EvenMotion, LogWarning, low_pass, Motion, read_header,
@@ -81,7 +82,7 @@ def main(argv: Sequence[str]) -> int:
     if not (options.log or options.excitation):
         raise ParameterError('give a LOG, or --robot URDF and --excitation FILE.csv')
     if options.excitation:
-        write_text(options.excitation, excitation_text(RigidBodyTree(str(options.robot))))
+        write_text(options.excitation, excitation_text(robot_of(options.robot)))
     if not options.log:
         return 0
     try:
@@ -112,7 +113,7 @@ def check(log: Sequence[str], robot: Path | None = None) -> Checked:
         The log cannot be read, or holds no motion.
 
     """
-    tree = None if robot is None else RigidBodyTree(str(robot))
+    tree = None if robot is None else robot_of(robot)
     coordinates: Sequence[Any] = tree.coordinates if tree is not None else [
         Coordinate(one['name'], one['q_unit'], one['p_unit'])
         for one in configuration_of(log, usual=ANGLE)['coordinates']]

@@ -28,6 +28,14 @@ _LATEST, _LARGEST_STEP = 0.15, 0.01
 _RATES, _LESS = (1.2, 1.0, 0.85, 0.7, 0.5), 0.8
 
 
+def robot_of(urdf: Path) -> RigidBodyTree:
+    """Return the robot of a URDF, or raise ParameterError if none of its joints can be driven."""
+    try:
+        return RigidBodyTree(str(urdf))
+    except ValueError as problem:
+        raise ParameterError(f'--robot {urdf}: {problem}') from problem
+
+
 def first_scene(robot: Path, folder: Path) -> Scene:
     """Return a scene of a robot at rest, with which its log is read."""
     return _scene(robot, folder, [], {})
@@ -35,7 +43,7 @@ def first_scene(robot: Path, folder: Path) -> Scene:
 
 def _scene(robot: Path, folder: Path, effects: Sequence[Mapping[str, object]],
            more: Mapping[str, object], step_size: float = _LARGEST_STEP) -> Scene:
-    path, rest = folder / f'{robot.stem}.yaml', [0.0] * RigidBodyTree(str(robot)).dimension
+    path, rest = folder / f'{robot.stem}.yaml', [0.0] * robot_of(robot).dimension
     write_text(path, safe_dump({
         'hamiltonian': {'kind': 'urdf', 'file': str(robot.resolve()), **more},
         'integrator': {'kind': 'implicit_midpoint'}, 'step_size': step_size,

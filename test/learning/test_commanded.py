@@ -8,6 +8,7 @@ from pathlib import Path
 
 from hnn_vi_ros.effects import JointCommand, OFF
 from hnn_vi_ros.errors import DataError, HnnViRosError
+from hnn_vi_ros.identify.check import main as check
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.identify import main
 from hnn_vi_ros.identify.loads import read_loads
@@ -21,7 +22,7 @@ from hnn_vi_ros.scene import load_scene, Scene, with_values
 from hnn_vi_ros.simulation import build, resolve
 from messages import refused
 import numpy as np
-from pandas import DataFrame
+from pandas import DataFrame, read_parquet
 import pytest
 import yaml
 
@@ -475,6 +476,21 @@ def test_episodes_of_lerobot_are_motions_in_degrees(tmp_path):
     expected = np.radians(120.0) * np.stack([np.cos(2.0 * t), np.sin(t)], axis=1)
     np.testing.assert_allclose(motions[1].q, expected, atol=1e-9)
     np.testing.assert_allclose(motions[1].tau, expected + np.radians(1.0), atol=1e-9)
+
+
+@pytest.mark.parametrize('name', ['timestamp', 'episode_index'])
+def test_lerobot_table_without_times_or_episodes_is_one_line(name, tmp_path):
+    path = dataset(tmp_path, ['shoulder_pan.pos', 'elbow_flex.pos', 'gripper.pos'], 120.0)
+    read_parquet(path).drop(columns=[name]).to_parquet(path)
+    with refused(DataError):
+        source_of(str(path), [], None, True)
+
+
+def test_robot_without_moving_joints_is_one_line(tmp_path):
+    (tmp_path / 'fixed.urdf').write_text('<robot name="fixed"><link name="base"/></robot>')
+    for run, options in ((main, ['--data', 'log.csv']), (check, ['--excitation', 'move.csv'])):
+        with refused(HnnViRosError):
+            run(['--robot', str(tmp_path / 'fixed.urdf'), *options])
 
 
 def test_per_cent_of_a_range_are_refused_without_calibration(tmp_path):

@@ -111,6 +111,10 @@ def _of_episodes(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.nda
     meta/info.json.
     """
     states, actions = (np.stack([*columns[key]]).astype(float) for key in (_STATE, _ACTION))
+    lacking = [name for name in ('timestamp', 'episode_index') if name not in columns]
+    if lacking:
+        raise DataError(f'{path}: has {_STATE} and {_ACTION} as a LeRobot dataset, but no '
+                        f'{" and no ".join(lacking)}; add it')
     found = {'t [s]': columns['timestamp'], 'episode': columns['episode_index']}
     names = [f'q{k + 1}' for k in range(states.shape[1])]
     for folder in path.resolve().parents[:3]:
