@@ -107,6 +107,8 @@ def _of_chain(mechanical: MechanicalCard, prior: PriorCard, names: list[str]) ->
         energy[pair] = float(terms.stiffness[i, j])
     for row, i in np.argwhere(terms.powers).tolist():
         energy[f'{names[i]}^{row + 3} / {row + 3}'] = float(terms.powers[row, i])
+    energy |= {f'max({sum_text({names[0]: 1.0, "": -knot})}, 0)^2 / 2': bend for knot, bend in zip(
+        terms.knots.tolist(), terms.bends.tolist(), strict=True) if bend}
     yield f'V = {sum_text(energy)}'
 
 

@@ -12,7 +12,8 @@ from hnn_vi_ros.models.box_error import Interval
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.families import NetworkShape
 from hnn_vi_ros.models.planar_chain import (
-    CHAINS, has_offsets, is_chain, parameter_names, PLANAR_CHAIN, power_of_springs, symmetric)
+    CHAINS, has_offsets, is_chain, knots_of, parameter_names, PLANAR_CHAIN, power_of_springs,
+    symmetric)
 from hnn_vi_ros.models.rigid_body_card import (
     bodies_of, check_values, EACH, Identification, RIGID_BODY, TreeCard)
 import numpy as np
@@ -253,7 +254,7 @@ class MechanicalCard(StrictModel):
             create(prior.kind, prior.values)
             return
         names = parameter_names(self.angles, power_of_springs(prior.parameters),
-                                has_offsets(prior.parameters))
+                                has_offsets(prior.parameters), knots_of(prior.parameters))
         if sorted(prior.parameters) != sorted(names):
             raise ValueError(f'prior: parameters {listed(prior.parameters)}, expected '
                              f'{", ".join(names)}')

@@ -9,7 +9,8 @@ the angles of links from the vertical, zero for carts; F has the rows of A, and 
     M = sum_i I_i F_i F_i^T + sum_(i<j) C_ij cos(phi_i - phi_j) (F_i F_j^T + F_j F_i^T)
         + sum_(i>1) R_i e_i e_i^T
     V = sum_i G_i (1 - cos phi_i),  G_i q_i for a cart
-        + q . k q / 2 - T . q + sum_(n>1) sum_i S_ni q_i^(n+1) / (n + 1)  with springs
+        + q . k q / 2 - T . q + sum_(n>1) sum_i S_ni q_i^(n+1) / (n + 1)
+        + sum_x B_x max(q_1 - x, 0)^2 / 2  with springs
 
 I_i = J_i + m_i c_i^2 + l_i^2 sum_(k>i) m_k, C_ij = l_i (m_j c_j + l_j sum_(k>j) m_k) and
 G_i = g (m_i c_i + l_i sum_(k>i) m_k), for masses m, lengths l, centres of mass c and inertias J
@@ -17,8 +18,10 @@ about them; R_i is the inertia of a motor on joint i. Only these combinations ar
 For a cart, I_i is all that it carries, C_ij = m_j c_j + l_j sum_(k>j) m_k, and G_i a weight along
 its rail. G_i < 0 if zero is upright. k is the stiffness of springs at joints and between them,
 and T their force at q = 0 (for a cart, a part of G_i). S_n is the part of a spring's force that
-grows with the n-th power, up to the fifth. M and V are linear in these parameters. Where sensors
-of rotating joints are off by constants z, q is measured, and q - z is in place of it in M and V.
+grows with the n-th power, up to the fifth. B_x is the change of the stiffness of the spring of a
+single coordinate at the knot x: a spline of first degree of the force. M and V are linear in
+these parameters. Where sensors of rotating joints are off by constants z, q is measured, and
+q - z is in place of it in M and V.
 
 M is positive definite at all q if the matrix K of I_i and C_ij is, and without motors only if:
 cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
@@ -41,6 +44,8 @@ CHAINS = {'pendulum': (1, 1), 'double_pendulum': (2, 2), PLANAR_CHAIN: (1, 4)}
 HIGHEST_POWER = 5
 # Kind of the parameters that are offsets of sensors.
 OFFSET = 'sensor_offset'
+# Beginning of the names of the changes of a spring's stiffness; their knots follow.
+_ABOVE = 'stiffness_above_'
 
 
 class Terms(NamedTuple):
@@ -48,6 +53,7 @@ class Terms(NamedTuple):
     M = sum_k A_k cos(g_k . q), and a potential V.
 
         V = sum_l c_l (1 - cos(h_l . q)) + w . q + q . k q / 2 + sum_ni s_ni q_i^(n+1) / (n + 1)
+            + sum_j b_j max(q_1 - x_j, 0)^2 / 2
 
     Parameters
     ----------
@@ -65,6 +71,8 @@ class Terms(NamedTuple):
         k.
     powers : np.ndarray, shape (4, d)
         s_n for n of 2 to 5.
+    knots, bends : np.ndarray, shape (j,)
+        x_j and b_j.
 
     """
 
@@ -75,6 +83,8 @@ class Terms(NamedTuple):
     pull: np.ndarray
     stiffness: np.ndarray
     powers: np.ndarray
+    knots: np.ndarray
+    bends: np.ndarray
 
 
 def chain_angles(kinds: Sequence[str], features: Sequence[Sequence[float]] = ()
@@ -117,12 +127,13 @@ def is_chain(kind: str, angles: Sequence[Sequence[float]] | np.ndarray, kinds: S
                 and np.linalg.matrix_rank(A) == d - carts)
 
 
-def parameter_places(angles: Sequence[Sequence[float]], springs: int = 0, offsets: bool = False
-                     ) -> list[tuple[str, tuple[int, ...]]]:
+def parameter_places(angles: Sequence[Sequence[float]], springs: int = 0, offsets: bool = False,
+                     knots: Sequence[float] = ()) -> list[tuple[str, tuple[int, ...]]]:
     """
     Return the kind of each parameter, and its link or its two links.
 
     Forces of springs grow up to the power ``springs``; 0 for none. ``offsets`` are of sensors.
+    At ``knots`` the stiffness of the spring of a single coordinate changes.
     """
     d, carts = len(angles), sum(not any(row) for row in angles)
     # For links whose coordinates are their own angles, it is a part of the inertia.
@@ -133,16 +144,17 @@ def parameter_places(angles: Sequence[Sequence[float]], springs: int = 0, offset
               'motor_inertia': links[carts + 1:] if relative else []}
     if springs:
         places |= {'stiffness': [*links, *pairs], 'spring_force': links[carts:]} | {
-            f'spring{power}_': links for power in range(2, springs + 1)}
+            f'spring{power}_': links for power in range(2, springs + 1)} | {
+            f'{_ABOVE}{knot}_': links for knot in knots}
     places |= {OFFSET: links[carts:]} if offsets else {}
     return [(kind, place) for kind, own in places.items() for place in own]
 
 
-def parameter_names(angles: Sequence[Sequence[float]], springs: int = 0, offsets: bool = False
-                    ) -> list[str]:
+def parameter_names(angles: Sequence[Sequence[float]], springs: int = 0, offsets: bool = False,
+                    knots: Sequence[float] = ()) -> list[str]:
     """Return the names: inertia1, coupling12, gravity1, stiffness1, spring_force1, spring2_1."""
     return [kind + ''.join(str(link + 1) for link in place)
-            for kind, place in parameter_places(angles, springs, offsets)]
+            for kind, place in parameter_places(angles, springs, offsets, knots)]
 
 
 def is_spring(name: str) -> bool:
@@ -166,6 +178,12 @@ def power_of_springs(parameters: Iterable[str]) -> int:
                 if (f'spring{power}_1' if power > 1 else 'stiffness1') in parameters), default=0)
 
 
+def knots_of(parameters: Iterable[str]) -> tuple[float, ...]:
+    """Return the coordinates at which the stiffness of a spring changes."""
+    return tuple(float(name.removeprefix(_ABOVE).removesuffix('_1'))
+                 for name in parameters if name.startswith(_ABOVE))
+
+
 def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Terms:
     """Return M and V of a chain with these parameters."""
     A = np.array(angles, dtype=np.float64)
@@ -185,27 +203,29 @@ def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, floa
     stiffness = symmetric(d, parameters, 'stiffness', 'stiffness')
     powers = np.array([[parameters.get(f'spring{power}_{i + 1}', 0.0) for i in range(d)]
                        for power in range(2, HIGHEST_POWER + 1)])
+    knots = knots_of(parameters)
     return Terms(np.array(rows), np.array(matrices), A, gravity, gravity * slides - force,
-                 stiffness, powers)
+                 stiffness, powers, np.array(knots),
+                 np.array([parameters[f'{_ABOVE}{knot}_1'] for knot in knots]))
 
 
-def unit_terms(angles: Sequence[Sequence[float]], springs: int = 0, offsets: bool = False
-               ) -> list[Terms]:
+def unit_terms(angles: Sequence[Sequence[float]], springs: int = 0, offsets: bool = False,
+               knots: Sequence[float] = ()) -> list[Terms]:
     """Return M and V, linear in the parameters, for each parameter at 1 and others at 0."""
-    names = parameter_names(angles, springs, offsets)
+    names = parameter_names(angles, springs, offsets, knots)
     return [chain_terms(angles, dict(zip(names, row, strict=True))) for row in np.eye(len(names))]
 
 
 def chain_kernel(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Kernel:
     """Return the functions of H of a chain, as code without loops."""
-    springs, offsets = power_of_springs(parameters), has_offsets(parameters)
-    return _kernels(tuple(map(tuple, angles)), springs, offsets)({
-        name: parameters[name] for name in parameter_names(angles, springs, offsets)})
+    terms = power_of_springs(parameters), has_offsets(parameters), knots_of(parameters)
+    return _kernels(tuple(map(tuple, angles)), *terms)({
+        name: parameters[name] for name in parameter_names(angles, *terms)})
 
 
 @cache
-def _kernels(angles: tuple[tuple[float, ...], ...], springs: int, offsets: bool
-             ) -> Callable[[Mapping[str, float]], Kernel]:
+def _kernels(angles: tuple[tuple[float, ...], ...], springs: int, offsets: bool,
+             knots: tuple[float, ...]) -> Callable[[Mapping[str, float]], Kernel]:
     """Return the functions as a function of the parameters; fits try many of them."""
     graph, d = Graph(), len(angles)
     names, momenta = ([f'{kind}{i}' for i in range(d)] for kind in 'qp')
@@ -218,8 +238,8 @@ def _kernels(angles: tuple[tuple[float, ...], ...], springs: int, offsets: bool
         return sum((float(row[i]) * q[i] for i in np.flatnonzero(row)),
                    Symbol(graph, graph.number(0.0)))
     mass, energy = np.zeros((d, d), dtype=object), combined(np.zeros(d))
-    for name, terms in zip(parameter_names(angles, springs), unit_terms(angles, springs),
-                           strict=True):
+    for name, terms in zip(parameter_names(angles, springs, knots=knots),
+                           unit_terms(angles, springs, knots=knots), strict=True):
         parameter = Symbol(graph, graph.name(name))
         for row, matrix in zip(terms.mass_rows, terms.matrices, strict=True):
             for i, j in np.argwhere(np.tril(matrix)):
@@ -231,6 +251,10 @@ def _kernels(angles: tuple[tuple[float, ...], ...], springs: int, offsets: bool
             energy += 0.5 * (parameter * q[i] * q[j])
         for n, i in np.argwhere(terms.powers).tolist():
             energy += 1.0 / (n + 3) * (parameter * q[i]**(n + 3))
+        for knot in terms.knots[terms.bends != 0.0].tolist():
+            above = q[0] - knot
+            energy += 0.5 * parameter * Symbol(graph, graph.where(
+                above.node, (above * above).node, graph.number(0.0)))
     return mass_kernels(graph, mass, energy, p, (names, momenta))
 
 

@@ -116,6 +116,20 @@ def sliding(**family: object) -> MachineConfig:
 
 
 @cache
+def kinked_spring(begin: float) -> EvenMotion:
+    """Return a driven mass of 0.5 kg at 20 N/m below 0.07 m and 60 N/m above, by its positions."""
+    t = 0.02 * np.arange(1000)
+    force = (0.4 * np.sin(t[:, None] * [2.1, 5.3, 8.0] + [0.3, 1.0, begin])).sum(1)
+
+    def rates(time: float, z: np.ndarray) -> list[float]:
+        above = max(z[0] - 0.07, 0.0)
+        return [z[1], 2.0 * (np.interp(time, t, force) - 0.35 * z[1] - 20.0 * z[0] - 40.0 * above)]
+    z = solve_ivp(rates, (0.0, t[-1]), [begin, 0.0], t_eval=t, rtol=1e-9, atol=1e-11).y.T
+    q = z[:, :1] + 1e-3 * np.random.default_rng(5).normal(size=(len(t), 1))
+    return smoothed('spring', t, q, None, force[:, None], 20.0)
+
+
+@cache
 def double_well() -> EvenMotion:
     """Return a driven mass of 0.5 kg, V = -6 q^2 + 225 q^4, by its positions every 10 ms."""
     t = 0.01 * np.arange(1000)

@@ -314,7 +314,8 @@ def test_what_is_no_linear_combination_is_refused(text):
     {'features': ['a', '2 * a'], 'prior': 'double_pendulum'}, {'prior': 'pendulum'},
     {'residual': False}, {'friction': {'network_depends_on': ['a']}},
     {'friction': {'network': True, 'network_depends_on': ['c']}},
-    {'friction': {'network': True}, 'prior': 'double_pendulum', 'residual': False}])
+    {'friction': {'network': True}, 'prior': 'double_pendulum', 'residual': False},
+    {'prior': 'planar_chain', 'springs': True, 'spring_knots': [0.1]}])
 def test_configuration_refuses_what_makes_no_sense(changes):
     with misfit():
         MachineConfig.model_validate(CONFIG | {'family': CONFIG['family'] | changes})

@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 import math
+from pathlib import Path
 
 from hnn_vi_ros.learning.data.motions import of_positions, smoothed
 from hnn_vi_ros.learning.families.choices import FrictionChoice, Structure
@@ -17,8 +18,8 @@ from hnn_vi_ros.learning.fit.machine_fit import fit_machine
 from hnn_vi_ros.learning.fit.prediction import Prediction
 from hnn_vi_ros.learning.fit.rigid_model import PriorUnknowns
 from hnn_vi_ros.learning.tasks.machine import MACHINE, MachineData
-from hnn_vi_ros.models import CoordinateCard
-from machines import carriage, double_well, machine_config, sliding
+from hnn_vi_ros.models import CoordinateCard, equation_text
+from machines import carriage, compiled, double_well, kinked_spring, machine_config, sliding
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -58,6 +59,30 @@ def test_double_well_has_a_cubic_spring():
         low, high = found[name].interval
         # Four standard errors.
         assert abs(found[name].value - truth) < 2.0 * (high - low) / 1.96
+
+
+def test_stiffness_of_a_spring_changes_at_a_knot(tmp_path: Path):
+    chosen = sliding(prior='planar_chain', residual=False, springs=1,
+                     spring_knots=[-0.1, 0.07, 0.15], friction={'coulomb': 1})
+    motions = [kinked_spring(0.3), kinked_spring(-0.25)]
+    rigid = fit_machine(chosen, motions)
+    found = rigid.estimates([CoordinateCard(name='x', q_unit='m', p_unit='N s')], None)
+    assert found['stiffness_above_0.07_1'].unit == 'N/m'
+    assert not {'stiffness_above_-0.1_1', 'stiffness_above_0.15_1'} & {*found}
+    for name, truth in (('inertia1', 0.5), ('stiffness1', 20.0), ('stiffness_above_0.07_1', 40.0)):
+        low, high = found[name].interval
+        # Four standard errors.
+        assert abs(found[name].value - truth) < 2.0 * (high - low) / 1.96
+    hamiltonian, _ = compiled(rigid.module, motions, tmp_path)
+    values = hamiltonian.checkpoint.card.mechanical.prior.values
+    stiffness, above, weight = (values[name] for name in (
+        'stiffness1', 'stiffness_above_0.07_1', 'gravity1'))
+    q = np.array([-0.2, 0.05, 0.12, 0.3])
+    energy = hamiltonian.energy(q[:, None], np.zeros((4, 1)))
+    # Round-off of the terms of V.
+    assert energy == pytest.approx(0.5 * stiffness * q**2 + weight * q + 0.5 * above * np.maximum(
+        q - 0.07, 0.0)**2, rel=1e-12)
+    assert f'{above:.4g} max(x0 - 0.07, 0)^2 / 2' in equation_text(hamiltonian.checkpoint.card)
 
 
 @pytest.mark.parametrize('stiffness', [0.0, 60.0])

@@ -13,7 +13,7 @@ from hnn_vi_ros.learning.fit.fitted_rigid_body import FittedRigidBody
 from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import Fading
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
-from hnn_vi_ros.learning.judging.residuals import errors_text, is_off
+from hnn_vi_ros.learning.judging.residuals import errors_text, is_noise, is_off
 from hnn_vi_ros.learning.tasks.selection import (
     _is_explained, _Trials, best_of, Candidate, held_out, OF_VELOCITIES, RIGID, selected,
     trust_text)
@@ -21,7 +21,7 @@ from hnn_vi_ros.models.domain import CandidateCard, Domain, DomainCard, Selectio
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.samples import GuardState
-from machines import carriage, double_well, machine_config, sliding
+from machines import carriage, double_well, kinked_spring, machine_config, sliding
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -189,6 +189,14 @@ def test_sensor_is_off_by_a_number_where_gravity_shows_it(off: float):
             low, high = numbers[name].interval
             assert abs(numbers[name].value - truth) < 1.5 * 0.5 * (high - low)
             assert high - low < 0.02 * (truth if truth > 1.0 else 1.0)
+
+
+@pytest.mark.long
+def test_spring_with_a_kink_is_a_spline_of_its_force():
+    """Powers up to the fifth leave residuals of many times the noise."""
+    chosen, card = selected(sliding(), [kinked_spring(0.3), kinked_spring(-0.25)])
+    assert card.chosen == RIGID and chosen.family.springs == 1 and chosen.family.spring_knots
+    assert is_noise(card.candidates[0].residuals)
 
 
 @pytest.mark.long

@@ -33,13 +33,17 @@ def test_kernel_agrees_with_torch_autograd(shape: str):
     assert_agrees_with_torch(hamiltonian, hamiltonian.checkpoint, z, z[::-1])
 
 
-@pytest.mark.parametrize('angles', [
-    [[1.0]], [[0.0] * 3, [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]], np.tril(np.ones((4, 4))).tolist()])
-@pytest.mark.parametrize(('springs', 'offsets'), [(0, False), (1, False), (5, False), (5, True)])
+_ANGLES = [[1.0]], [[0.0] * 3, [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]], np.tril(np.ones((4, 4))).tolist()
+
+
+@pytest.mark.parametrize(('angles', 'springs', 'offsets', 'knots'), [
+    *((angles, springs, offsets, ()) for angles in _ANGLES
+      for springs, offsets in ((0, False), (1, False), (5, False), (5, True))),
+    ([[1.0]], 1, True, (-0.9, 0.1, 1e-7)), ([[0.0]], 2, False, (0.2,))])
 def test_straight_code_of_a_chain_is_that_of_its_mass_and_potential(
-        angles: list, springs: int, offsets: bool):
+        angles: list, springs: int, offsets: bool, knots: tuple[float, ...]):
     rng, d = np.random.default_rng(2), len(angles)
-    names = parameter_names(angles, springs, offsets)
+    names = parameter_names(angles, springs, offsets, knots)
     parameters = {name: float(rng.uniform(1.0, 2.0) * (0.2 if name.startswith('c') else 1.0))
                   for name in names}
     kernel, terms = chain_kernel(angles, parameters), chain_terms(angles, parameters)
@@ -50,7 +54,9 @@ def test_straight_code_of_a_chain_is_that_of_its_mass_and_potential(
     mass = np.tensordot(np.cos(terms.mass_rows @ q), terms.matrices, 1)
     expected = (0.5 * p @ np.linalg.solve(mass, p) + terms.pull @ q + 0.5 * q @ terms.stiffness @ q
                 + terms.weights @ (1.0 - np.cos(terms.rows @ q))
-                + sum(s @ q**n / n for n, s in enumerate(terms.powers, 3)))
+                + sum(s @ q**n / n for n, s in enumerate(terms.powers, 3))
+                + 0.5 * terms.bends @ np.maximum(q[0] - terms.knots, 0.0)**2)
+    assert terms.knots.tolist() == [*knots] and (terms.bends >= 1.0).all()
     # Round-off of some 100 operations on numbers of order one.
     assert abs(energy - expected) < 1e-13 * (1.0 + abs(expected))
 

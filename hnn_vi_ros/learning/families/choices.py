@@ -234,6 +234,8 @@ class Structure:
         Highest power of the springs of a chain, 0 without them.
     sensor_offsets : bool
         True if the sensors of a chain's joints have unknown offsets.
+    spring_knots : tuple of float
+        Coordinates at which the stiffness of a spring changes, for one coordinate.
 
     """
 
@@ -251,6 +253,7 @@ class Structure:
     angles: list[list[float]] | None = None
     springs: int = 0
     sensor_offsets: bool = False
+    spring_knots: tuple[float, ...] = ()
 
 
 class MechanicalChoice(FamilyChoice):
@@ -286,6 +289,10 @@ class MechanicalChoice(FamilyChoice):
         'stiffness and position of rest; true: linear, or the highest power of their force; '
         'prior: auto adds them if they predict held-out motions better, up to the fifth power '
         'for one coordinate with positions alone'))
+    spring_knots: list[float] = Field([], max_length=100, description=(
+        'for the springs of a planar_chain of one coordinate: coordinates at which the stiffness '
+        'changes, between which the force is a straight line; prior: auto adds some if they '
+        'predict held-out motions of positions better'))
     sensor_offsets: bool = Field(False, description=(
         'for a planar_chain: fit a constant offset of the sensor of each rotating coordinate; '
         'prior: auto adds them if they predict held-out motions of positions better'))
@@ -335,7 +342,8 @@ class MechanicalChoice(FamilyChoice):
             rows(rubbing, 'friction.network_depends_on') if friction.network else None,
             left_out=() if self.residual is True else tuple(
                 name for name in parts if name not in (self.residual or parts)), angles=angles,
-            springs=int(self.springs), sensor_offsets=self.sensor_offsets)
+            springs=int(self.springs), sensor_offsets=self.sensor_offsets,
+            spring_knots=tuple(sorted({*self.spring_knots})))
 
     def _angles(self, names: Sequence[str], kinds: list[Kind], texts: Sequence[str]
                 ) -> list[list[float]]:
@@ -352,6 +360,9 @@ class MechanicalChoice(FamilyChoice):
             raise ValueError('angles: valid only with prior: planar_chain or auto; remove it')
         if self.springs and self.prior not in (AUTO, *CHAINS):
             raise ValueError('springs: valid only with prior: planar_chain or auto; remove it')
+        if self.spring_knots and not (self.springs and len(kinds) == 1):
+            raise ValueError('spring_knots: valid only for one coordinate with springs; set '
+                             'springs: true, or remove it')
         if self.prior in (None, AUTO):
             if self.residual is not True:
                 raise ValueError('residual: valid only with a prior; set prior, or remove '

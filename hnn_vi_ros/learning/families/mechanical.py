@@ -561,5 +561,5 @@ def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | R
     if structure.prior in CHAINS:
         assert structure.angles is not None, 'a chain has them'
         return PlanarChain(structure.angles, inertia, structure.springs,
-                           structure.sensor_offsets)
+                           structure.sensor_offsets, structure.spring_knots)
     return ExactPrior(structure.prior)

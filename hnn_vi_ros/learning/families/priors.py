@@ -79,32 +79,35 @@ class PlanarChain(PriorModule):
         Highest power of the springs, 0 without them.
     offsets : bool
         True if the sensors of joints have offsets.
+    knots : sequence of float
+        Coordinates at which the stiffness of a spring changes.
 
     """
 
     linear = True
 
     def __init__(self, angles: Sequence[Sequence[float]], inertia: float, springs: int = 0,
-                 offsets: bool = False):
+                 offsets: bool = False, knots: Sequence[float] = ()):
         super().__init__()
-        self._places = parameter_places(angles, springs, offsets)
-        self.names = parameter_names(angles, springs, offsets)
+        self._places = parameter_places(angles, springs, offsets, knots)
+        self.names = parameter_names(angles, springs, offsets, knots)
         self.angles = [[*row] for row in angles]
         d = len(self.angles)
         # Counts of inertias, couplings, gravities, motor inertias, and all other numbers.
         self._sizes = [sum(name.startswith(kind) for name in self.names)
                        for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')]
         self._sizes.append(len(self.names) - sum(self._sizes))
-        units = unit_terms(angles, springs, offsets)
+        units = unit_terms(angles, springs, offsets, knots)
         zeros = np.zeros((len(self.names), d))
         for row, (kind, place) in zip(zeros, self._places, strict=True):
             row[place[0]] = kind == OFFSET
-        matrices, weights, pulls, stiffness, powers = (
+        matrices, weights, pulls, stiffness, powers, bends = (
             np.stack([getattr(unit, name) for unit in units])
-            for name in ('matrices', 'weights', 'pull', 'stiffness', 'powers'))
+            for name in ('matrices', 'weights', 'pull', 'stiffness', 'powers', 'bends'))
         self._springs = springs
         keep(self, mass_rows=units[0].mass_rows, matrices=matrices, rows=units[0].rows,
              offsets=zeros, weights=weights, pulls=pulls, stiffness=stiffness, powers=powers,
+             knots=units[0].knots, bends=bends,
              lower=np.stack(np.triu_indices(d, 1)[::-1]), unit=np.array(inertia))
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))
 
@@ -138,7 +141,8 @@ class PlanarChain(PriorModule):
             if kind == OFFSET:
                 unit = 'rad'
             elif unit != '1' and is_spring(kind) and kind != 'spring_force':
-                unit += ('/m' if slide else '/rad') + kind.removeprefix('stiffness')[6:-1]
+                unit += ('/m' if slide else '/rad') + (
+                    kind[6:-1] if kind.startswith('spring') else '')
             elif unit != '1' and kind not in ('gravity', 'spring_force'):
                 unit = _INERTIAS.get((unit, slide), f'{unit} s2' + ('/m' if slide else ''))
             found[name] = Quantity(value=value, unit=unit)
@@ -185,6 +189,7 @@ class PlanarChain(PriorModule):
                         - (weights * torch.sin(q @ self.rows.T)) @ self.rows
                         - values @ self.pulls
                         - q @ (values @ self.stiffness.flatten(1)).reshape(-1, d)
+                        - torch.relu(q[:, :1] - self.knots) @ (values @ self.bends)[:, None]
                         - sum((values @ self.powers[:, n] * q**(n + 2)
                                for n in range(self._springs - 1)), torch.zeros_like(q)))
 

@@ -42,6 +42,8 @@ _PIECES, _LONGEST = 40, 2.0
 _FURTHEST, _ORDINARY = 0.1, 5
 # From this number of runs on, the most extreme runs are held out whole, half of the time at most.
 _RUNS = 4
+# Number of knots of a spring whose force consists of straight lines.
+_KNOTS = 32
 # Shares of training steps and windows per step for candidates; horizons at which they are
 # judged, and time between starts [s].
 _SHARE, _BATCH, _HORIZONS, _EVERY = 0.5, 0.125, (0.1, 0.5), 0.05
@@ -60,7 +62,8 @@ _CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
         RIGID: {'prior': PLANAR_CHAIN, 'residual': False},
         'rigid body and a network of V': {'prior': PLANAR_CHAIN, 'residual': ['potential']},
         'rigid body and networks': {'prior': PLANAR_CHAIN, 'residual': True},
-        ALONE: {'prior': None, 'residual': True, 'angles': None, 'springs': False}},
+        ALONE: {'prior': None, 'residual': True, 'angles': None, 'springs': False,
+                'spring_knots': []}},
     'rigid_body': {
         RIGID: {'residual': []},
         'rigid body and a network of V': {'residual': ['potential']},
@@ -307,6 +310,12 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
     if not best.explained:
         best, *more = _with_terms(best, first, 'springs', {
             'springs': HIGHEST_POWER if alone and len(kinds) == 1 else 1})
+        others = [*more, *others]
+    if not best.explained and alone and len(kinds) == 1:
+        q = np.concatenate([motion.q for motion in first.trials.motions])
+        best, *more = _with_terms(best, first, 'a spring of straight pieces', {
+            'springs': 1, 'spring_knots': [
+                float(f'{knot:.4g}') for knot in np.linspace(q.min(), q.max(), _KNOTS + 2)[1:-1]]})
         others = [*more, *others]
     return [best, *others]
 
