@@ -8,6 +8,8 @@ import shutil
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.identify.check import check, main
+from hnn_vi_ros.learning.data.log_warnings import warnings_of
+from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import simulate
 from messages import refused
@@ -116,6 +118,15 @@ def test_good_log_of_torques_and_of_free_motion_are_usable(logged, tmp_path, cap
         tmp_path / 'free.csv', index=False)
     free = check([str(tmp_path / 'free.csv')])
     assert not free.useless and not free.numbers, free.warnings
+
+
+def test_motion_of_ten_samples_a_period_moves():
+    t = 0.1 * np.arange(300)
+    q = np.sin(2.0 * np.pi * t)[:, None] + 1e-3 * np.random.default_rng(0).normal(size=(300, 1))
+    assert not warnings_of([smoothed('run', t, q, None, 0.0 * q, 4.0)], ['a'])
+    noise = smoothed('run', t, 1e-3 * (q - q.mean() + 1e3 * np.random.default_rng(1).normal(
+        size=q.shape)), None, 0.0 * q, 4.0)
+    assert next(iter(warnings_of([noise], ['a']))).text == 'a does not move'
 
 
 @pytest.mark.parametrize('kind', USELESS)

@@ -27,8 +27,8 @@ _GREEK = str.maketrans({'θ': 'theta', 'ϑ': 'theta', 'φ': 'phi', 'ϕ': 'phi', 
                         'ω': 'omega', 'τ': 'tau', '\u03b1': 'alpha', 'β': 'beta'})
 _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+')
 _ROLES = {word: role for role, words in {
-    TIME: ('t time times timestamp stamp elapsed seconds secs sec clock millis date datum fecha '
-           'zeit uhrzeit temps heure tiempo hora tempo tijd'),
+    TIME: ('t ts time times timestamp stamp elapsed seconds secs sec clock millis date datum '
+           'fecha zeit uhrzeit temps heure tiempo hora tempo tijd'),
     TRIAL: 'trial run experiment episode swing segment repetition',
     UNUSED: ('index sample samples n seq row id frame unnamed error err temperature temp status '
              'mode flag raw filtered smoothed sin sine cos cosine'),
@@ -402,8 +402,10 @@ def _time_of(path: Path, columns: Sequence[Column], values: Mapping[str, np.ndar
     for one in times:
         if text := repeated_text(values[one.name]):
             raise DataError(f'{path}: column {one.name!r}: {text}')
-    raise DataError(f'{path}: no column of times that increase: '
-                    f'{listed(one.name for one in columns)}; name it t [s], and write seconds')
+    back = [one.name for one in times if np.isfinite(values[one.name]).any()]
+    raise DataError(f'{path}: no column of times that increase: ' + (
+        f'{listed(back)} goes back; sort the rows by time' if back else
+        f'{listed(one.name for one in columns)}; name it t [s], and write seconds'))
 
 
 def _time_unit(time: Column, t: np.ndarray, known: bool, doubts: list[str]) -> str:

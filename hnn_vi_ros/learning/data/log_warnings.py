@@ -72,9 +72,10 @@ def _resolution(x: np.ndarray) -> float:
 
 def _moves(q: np.ndarray) -> bool:
     """Return whether a coordinate moves by more than a few steps of its resolution, or noise."""
-    steps = np.diff(q)
+    # Third differences of a smooth motion are small, also of few samples a period.
+    noise = np.median(np.abs(np.diff(q, 3))) / (0.6745 * np.sqrt(20.0))
     slow = np.ptp(np.convolve(q, np.ones(5) / 5.0, 'valid'))
-    return bool(slow > _STILL * max(_resolution(q), 3.0 * np.median(np.abs(steps))))
+    return bool(slow > _STILL * max(_resolution(q), 3.0 * noise))
 
 
 def _of_channel(x: np.ndarray, what: str) -> Iterator[LogWarning]:

@@ -366,7 +366,8 @@ def _check_motions(cut: Sequence[Pieces]) -> None:
             if interleaved(x):
                 raise DataError(f'{motion.where}: {label} goes to and fro between two motions, as '
                                 'of two bodies in one column; give each a log of its own')
-    if all(is_noise(x) for _, q in runs for x in q.T):
+    # Noise of angles that is unwrapped is a random walk.
+    if all(is_noise(x) for one in cut for rows in one.rows for x in one.motion.q[rows].T):
         raise DataError(f'{motion.where}: no sample of {listed(motion.labels[:q.shape[1]])} is '
                         'related to those before it: it is noise, at rest, or sampled less than '
                         'twice a period; measure a motion')
