@@ -41,6 +41,7 @@ def test_name_is_split_from_its_unit(name, base, unit):
 
 @pytest.mark.parametrize('unit, target, factor', [
     ('mm', 'm', 1e-3), ('deg/s', 'rad/s', np.pi / 180.0), ('rpm', 'rad s-1', np.pi / 30.0),
+    ('kgf·cm', 'N m', 0.0980665), ('ozf in', 'N m', 7.0615518e-3), ('lbf', 'N', 4.4482216),
     ('N·mm', 'N m', 1e-3), ('mm/s', 'cm/s', 0.1), ('kg m2/s', 'N m s', 1.0), ('mm', 'rad', None),
     ('px', 'm', None), ('furlong', 'm', None)])
 def test_units_of_one_quantity_are_converted(unit, target, factor):

@@ -232,6 +232,8 @@ REFUSED: dict[str, Callable[[], str | bytes]] = {
                                          '%time,field.name0,field.position0')),
     'ros2 topic echo --csv': lambda: rows(*stamps(1e-9), [''] * len(T), ['elbow'] * len(T), Q,
                                           head=''),
+    'a force of an unknown unit': lambda: rows(T, Q, U, head='t,theta [rad],torque [g cm]'),
+    'a force in the unit of a mass': lambda: rows(T, Q, U, head='t,theta [rad],torque [kg cm]'),
     'unknown unit of a small angle': lambda: rows(T, 0.05 * DEG, head='t,angle [foo]'),
     'counts of an unknown turn': lambda: rows(T, counts(4096), head='t,encoder'),
     'dates that are none': lambda: rows([f'2026-13-01 10:00:{t:08.5f}' for t in T], Q),

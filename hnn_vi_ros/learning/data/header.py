@@ -327,6 +327,12 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
                for one in tau]
     doubts += [f'{one.name!r} has an unknown unit' for one in [*q, *v, *tau]
                if not one.unit and _BRACKETED.search(one.name)]
+    for one in tau:
+        # Datasheets write kg cm for kgf cm.
+        known = parse_unit(one.unit)
+        if known is not None and 'kg' in known[1] and 's' not in known[1]:
+            raise DataError(f'{path}: {one.name!r} is in {one.unit}, which is no unit of a force; '
+                            'write one in its name, such as N m, kgf or kgf cm')
     units = {time.name: _time_unit(time, t, bool(coordinates), doubts)} | {
         one.name: _unit(one, values[one.name], doubts) for one in q}
     units |= {one.name: one.unit for one in q if one.unit and not split_unit(one.name)[1]}

@@ -25,7 +25,9 @@ _UNITS: tuple[tuple[str, float, Dimensions], ...] = (
     ('cm', 1e-2, {'m': 1}), ('mm', 1e-3, {'m': 1}), ('um µm μm', 1e-6, {'m': 1}),
     ('km', 1e3, {'m': 1}), ('in inch', 0.0254, {'m': 1}), ('ft', 0.3048, {'m': 1}),
     ('kg', 1.0, {'kg': 1}), ('N newton newtons', 1.0, _FORCE), ('mN', 1e-3, _FORCE),
-    ('kN', 1e3, _FORCE), ('Nm nm NM', 1.0, _TORQUE), ('mNm Nmm', 1e-3, _TORQUE),
+    ('kN', 1e3, _FORCE), ('kgf kp', 9.80665, _FORCE), ('gf', 9.80665e-3, _FORCE),
+    ('lbf', 4.4482216152605, _FORCE), ('ozf', 0.27801385095378125, _FORCE),
+    ('Nm nm NM', 1.0, _TORQUE), ('mNm Nmm', 1e-3, _TORQUE),
     ('Ncm', 1e-2, _TORQUE), ('kNm', 1e3, _TORQUE),
     ('J', 1.0, _TORQUE), ('V volt volts', 1.0, {'V': 1}), ('mV', 1e-3, {'V': 1}),
     ('A amp amps ampere', 1.0, {'A': 1}), ('mA', 1e-3, {'A': 1}), ('% percent', 1.0, {'%': 1}),
@@ -37,6 +39,8 @@ _CLEAR = frozenset((
     'usec', 'µs', 'ns', 'nsec', 'millis', 'micros', 'nanos', 'milliseconds', 'microseconds',
     'nanoseconds', 'rpm', 'dps'))
 _BRACKETED = re.compile(r'[\[(]([^\[\]()]*)[\])]')
+# A name up to a place that is in brackets, behind another word.
+_BEHIND_WORD = re.compile(r'.*[\[(][^\[\]()]*\w[^\[\]()]*')
 _WORD = re.compile(r'[^\W\d_]+|[°º%]')
 _FACTOR = re.compile(r'([^\W\d_]+|[°º%1])\^?([-+]?\d)?')
 # Number of words at the end of a name that may form a unit.
@@ -88,6 +92,8 @@ def split_unit(name: str) -> tuple[str, str]:
             return (name[:match.start()] + name[match.end():]).strip(), match[1].strip()
     words = [*_WORD.finditer(name)]
     for first, word in enumerate(words):
+        if _BEHIND_WORD.fullmatch(name[:word.start()]):
+            continue
         # A limit, because the words of a long name would be compared in pairs.
         rest = [other[0] for other in words[first:first + _MOST_WORDS]
                 if other[0] not in ('per', 'in')]
