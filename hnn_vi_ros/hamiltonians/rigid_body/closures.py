@@ -34,19 +34,6 @@ def is_closure(tag: str) -> bool:
     return _ACTING.match(tag) is not None
 
 
-def closures_of(root: Element, robot: Robot) -> tuple[Closure, ...]:
-    """
-    Return the elements of a robot that close chains.
-
-    Raises
-    ------
-    ModelError
-        Numbers of an element cannot be read.
-
-    """
-    return tuple(_closures(root, robot))
-
-
 def loops_in(robot: Robot, rows: Mapping[str, int], bodies: Bodies, following: Following | None
              ) -> list[ClosingJoint]:
     """
@@ -99,7 +86,16 @@ def _between(bodies: Bodies, rows: Sequence[int]) -> set[int]:
     return joints
 
 
-def _closures(root: Element, robot: Robot) -> Iterator[Closure]:
+def closures_in(root: Element, robot: Robot) -> Iterator[Closure]:
+    """
+    Yield the elements of a robot that close chains.
+
+    Raises
+    ------
+    ModelError
+        Numbers of an element cannot be read.
+
+    """
     for element in root.children:
         place = place_of(element, robot.where)
         if element.tag == 'loop_joint':

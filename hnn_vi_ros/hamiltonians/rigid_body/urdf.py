@@ -16,7 +16,7 @@ import warnings
 
 from hnn_vi_ros.errors import did_you_mean, listed, ModelError
 from hnn_vi_ros.files import Element, MAX_XML_BYTES, parse_xml, read_limited
-from hnn_vi_ros.hamiltonians.rigid_body.closures import closures_of, is_closure
+from hnn_vi_ros.hamiltonians.rigid_body.closures import closures_in, is_closure
 from hnn_vi_ros.hamiltonians.rigid_body.elements import (
     frame_in, name_of, number_of, only_child, place_of, vector_of)
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
@@ -124,7 +124,7 @@ def parse_urdf(text: bytes, where: str) -> Robot:
         for element, (name, own) in zip(links, carried.items(), strict=True)}, first,
         where, text.decode(errors='replace'))
     _warn_of_units(robot)
-    return replace(robot, closures=closures_of(root, robot))
+    return replace(robot, closures=tuple(closures_in(root, robot)))
 
 
 def _warn_of_units(robot: Robot) -> None:
