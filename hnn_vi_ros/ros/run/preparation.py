@@ -212,8 +212,9 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     report = scene_report(scene, simulation, origin, chosen)
     if topics.remapped:
         report[KEY] = dict(topics.remapped)
-    if settings.autostart:
-        _await_subscribers(discovery, begin)
+    while settings.autostart and not discovery.over:
+        begin('waiting for subscribers')
+        time.sleep(DISCOVERY_PERIOD)
     # Before the files are created, because it takes a while and they must hold all that follows.
     freeze_memory()
     begin(OPENING)
@@ -274,12 +275,6 @@ def _build(scene: Scene, publish_accuracy: bool, logger: Logger, tell: Callable[
         alone = not (scene.events or publish_accuracy or members or twin)
         ready = compile_rest(simulation, kept_only if alone else nullcontext)
     return _RunParts(simulation, members, twin, ready)
-
-
-def _await_subscribers(discovery: Discovery, begin: Callable[[str], None]) -> None:
-    while not discovery.over:
-        begin('waiting for subscribers')
-        time.sleep(DISCOVERY_PERIOD)
 
 
 def _compile(parts: Parts, logger: Logger) -> Simulation:
