@@ -14,7 +14,7 @@ from studies.results import read_results, Results, unwritable
 from studies.work_precision_figure import draw, draw_fronts
 
 PAGE, FOLDER, PICTURE = 'accuracy-and-cost.md', 'accuracy', 'fronts.png'
-_PAPER, _CLASSIC, _PAIR = 'variational_euler', 'rk4', 'dop853'
+_PAPER, _CLASSIC = 'variational_euler', 'rk4'
 _ANSWERS = (1e-2, 1e-4, 1e-6, 1e-9)
 _CHOICES = (1e-2, 1e-4, 1e-6, 1e-9)
 # Errors at which our methods are compared with peers.
@@ -93,17 +93,17 @@ def as_page(results: _Results) -> str:
     """Return the page, from the results of each scene."""
     parts: dict[str, Callable[[_Results], Any]] = {
         'own_errors': _own_errors, 'choices': _choices, 'slower': _slower, 'missed': _missed,
-        'with_pair': _with_pair, 'left_out': _left_out, 'first_order': _first_order,
-        'drifting': _drifting, 'scenes': _scenes}
+        'left_out': _left_out, 'first_order': _first_order, 'drifting': _drifting,
+        'scenes': _scenes}
     name = _example(results)
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
     made = {name: part(results) for name, part in parts.items()}
     first = results[name].shown[0]
     return render(PAGE, machine=' and '.join(machines), example=name, picture=PICTURE,
                   horizon=first, own_error=_own_error(results[name], first),
-                  choice_errors=_CHOICES, variants=any(
-                      '@' in row.method for entry in results.values() for row in entry.rows), **{
-        name: list(part) if isinstance(part, Iterator) else part for name, part in made.items()})
+                  choice_errors=_CHOICES, **{
+                      name: list(part) if isinstance(part, Iterator) else part
+                      for name, part in made.items()})
 
 
 def _cheapest_pair(rows: Sequence[StudyRow], error: float
@@ -209,15 +209,9 @@ def _slower(results: _Results) -> dict[str, tuple[float, float, float]]:
     return found
 
 
-def _with_pair(results: _Results) -> list[str]:
-    """Return the scenes that were measured with our adaptive pair."""
-    return [name for name, entry in results.items()
-            if any(row.family == _PAIR for row in entry.rows)]
-
-
 def _missed(results: _Results) -> Iterator[list[str]]:
-    """Yield the cells of scenes with the pair in which we take more than _SHARE of a peer's."""
-    for name, horizon, rows in _cases({name: results[name] for name in _with_pair(results)}):
+    """Yield the cells in which we take more than _SHARE of a peer's."""
+    for name, horizon, rows in _cases(results):
         for error in _CHOICES:
             best, other = _cheapest_pair(rows, error)
             if best is not None and other is not None and _ratio(best, other) > _SHARE:

@@ -239,7 +239,7 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
         card = card.model_copy(update={'selection': card.selection.model_copy(
             update={'trust': trust_text(card.selection, config, residuals, everything, off)})})
     text = '\n\n'.join(filter(None, (
-        table(scores, config.coordinates), verdict(scores), said.rstrip(),
+        table(scores, hamiltonian.coordinates), verdict(scores), said.rstrip(),
         '' if domain is None else outside(domain, fans, horizons).text,
         '' if card.selection is None else card.selection.text,
         parameters_text(card, open_scale), equation_text(card),
