@@ -594,10 +594,11 @@ def _momenta(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, drawn: np
     if not data.velocities:
         return drawn
     zero = np.zeros_like(q)
+    columns = [hamiltonian.hessian_vector(q, zero, zero, np.tile(unit, (len(q), 1)))[1]
+               for unit in np.eye(q.shape[1])]
     rest = hamiltonian.gradient(q, zero)[1]
     # This is exact because dq/dt is affine in p for all of these Hamiltonians.
-    return np.linalg.solve(
-        hamiltonian.inverse_mass(q, zero), (drawn - rest)[:, :, None])[:, :, 0]
+    return np.linalg.solve(np.stack(columns, axis=2), (drawn - rest)[:, :, None])[:, :, 0]
 
 
 def _is_within(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray

@@ -117,7 +117,9 @@ def simulated(parts: ModelParts) -> Predict:
 
 def _light_joints(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> str:
     """Return a remark on coordinates with next to no inertia at a state, '' for none."""
-    inertia = 1.0 / np.diag(hamiltonian.inverse_mass(q, p))
+    inverse = [hamiltonian.hessian_vector(q, p, np.zeros_like(q), unit)[1]
+               for unit in np.eye(len(q))]
+    inertia = 1.0 / np.diag(inverse)
     light = [name for name, x in zip(names_of(hamiltonian), inertia, strict=True)
              if x < _LIGHT * inertia.max()]
     return f'; {listed(light)}: next to no inertia beside the others; geared joints have that ' \
