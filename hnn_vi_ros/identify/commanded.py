@@ -4,15 +4,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-import math
 from pathlib import Path
 
-from hnn_vi_ros.effects import LARGEST, OFF
+from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files import write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum, read_urdf, RigidBodyTree
 from hnn_vi_ros.identify.intervals import Estimate, Estimates
-from hnn_vi_ros.learning import commands_and_off, EvenMotion, ramps
+from hnn_vi_ros.learning import commands_and_off, EvenMotion
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -23,9 +22,6 @@ from yaml import safe_dump
 SPEED = 0.05
 # Longest delay that is tried for the initial guess [s], and largest step size [s].
 _LATEST, _LARGEST_STEP = 0.15, 0.01
-# Limits of the rate of commands that are tried, relative to the largest speed, and the share of
-# the squared residuals to which one has to reduce them.
-_RATES, _LESS = (1.2, 1.0, 0.85, 0.7, 0.5), 0.8
 
 
 def robot_of(urdf: Path) -> RigidBodyTree:
@@ -82,8 +78,9 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
         raise DataError(f'{motions[0].where}: {motions[0].tau.shape[1]} commands, but {robot} has '
                         f'the joints {", ".join(names)}; name one command for each')
     spacing = motions[0].spacing
-    rate, numbers, delay = _guess_with_rate(robots, motions, known.get('servo.rate_limit'))
-    places = {'servo.delay': None, 'servo.rate_limit': None} | {
+    fits = [(*_guess(robots, motions, delay), delay) for delay in delays_of(motions)]
+    _, numbers, delay = min(fits, key=lambda fit: fit[0])
+    places = {'servo.delay': None} | {
         f'{key}.{name}': (k, column) for column, key in enumerate((
             'servo.stiffness', 'servo.damping', 'joint_friction.friction', 'rotor_inertia',
             'servo.offset')) for k, name in enumerate(
@@ -92,15 +89,16 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
         if name not in places:
             raise ParameterError(f'--known {name}: not among the numbers of the servos: '
                                  f'{", ".join(places)}')
-        if places[name] is not None:
+        if places[name] is None:
+            delay = value
+        else:
             numbers[places[name]] = value
     stiffness, damping, friction, rotor, offset = numbers.T.tolist()
     limits = _effort_limits(robot, robots, motions)
     off = any((np.abs(motion.tau) > LARGEST).any() for motion in motions)
     effects = [
         {'kind': 'servo', 'coordinates': names, 'stiffness': stiffness, 'damping': damping,
-         'offset': offset, 'delay': known.get('servo.delay', delay),
-         **({'rate_limit': rate} if rate < math.inf else {}),
+         'offset': offset, 'delay': delay,
          **({'effort_limit': limits.tolist()} if (limits < LARGEST).any() else {})},
         {'kind': 'joint_friction', 'friction': dict(zip(names, friction, strict=True)),
          'speed': SPEED, **({'damping': {name: 0.1 * b for name, b in zip(
@@ -110,26 +108,7 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
                    min(spacing, _LARGEST_STEP))
     free = [*places, 'joint_friction.speed',
             *(f'joint_friction.damping.{name}' for name in names if off)]
-    return scene, [name for name in free if name not in known and (
-        rate < math.inf or name != 'servo.rate_limit')]
-
-
-def _guess_with_rate(robots: Sequence[tuple[Hamiltonian, float]], motions: Sequence[EvenMotion],
-                     known: float | None) -> tuple[float, np.ndarray, float]:
-    """Return the rate limit, inf if none is worth it, the numbers of ``_guess``, and the delay."""
-    def best(rate: float) -> tuple[float, float, np.ndarray, float]:
-        limited = [*motions]
-        for k, motion in enumerate(motions if rate < math.inf else ()):
-            on, off = commands_and_off(motion)
-            limited[k] = replace(motion, tau=np.where(off, OFF, ramps(motion, on, rate)))
-        found = [(*_guess(robots, limited, delay), delay) for delay in delays_of(motions)]
-        rest, numbers, delay = min(found, key=lambda one: one[0])
-        return rest, rate, numbers, delay
-    speed = max(float(np.abs(motion.v_smooth).max()) for motion in motions)
-    fits = [best(rate) for rate in (
-        [math.inf, *(share * speed for share in _RATES)] if known is None else [known])]
-    least = min(fits, key=lambda fit: fit[0])
-    return (least if least[0] < _LESS * fits[0][0] else fits[0])[1:]
+    return scene, [name for name in free if name not in known]
 
 
 def _effort_limits(robot: Path, robots: Sequence[tuple[Hamiltonian, float]],

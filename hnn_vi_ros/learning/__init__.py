@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.fit.prediction import predicted_by, Prediction
     from hnn_vi_ros.learning.fit.shooting import (
         column_norms, FitProblem, least_squares_factors, projected, search, Solution, units_of)
-    from hnn_vi_ros.learning.fit.step_forces import commands_and_off, ramps
+    from hnn_vi_ros.learning.fit.step_forces import commands_and_off
     from hnn_vi_ros.learning.fit.windows import (
         check_times, DELAY, MeasuredColumns, ModelParts, Number, Windows)
 

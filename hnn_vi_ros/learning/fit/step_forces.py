@@ -76,24 +76,18 @@ def commands_and_off(motion: EvenMotion) -> tuple[np.ndarray, np.ndarray]:
     return on, off
 
 
-def ramps(motion: EvenMotion, positions: np.ndarray, rate: float) -> np.ndarray:
+def _limited(motion: EvenMotion, positions: np.ndarray, times: np.ndarray, rate: float
+             ) -> np.ndarray:
     """
-    Return a reference, at the samples, that follows positions at a rate, shape (N, m).
+    Return the integral to given times of a reference that follows positions at a rate.
 
     It begins at the measured position if each joint has a command, else at the first command.
     """
-    r, most = positions.copy(), rate * motion.spacing
+    spacing, r = motion.spacing, positions.copy()
     if motion.q.shape == r.shape:
         r[0] = motion.q[0]
     for before, now, position in zip(r, r[1:], positions, strict=False):
-        now[:] = before + np.clip(position - before, -most, most)
-    return r
-
-
-def _limited(motion: EvenMotion, positions: np.ndarray, times: np.ndarray, rate: float
-             ) -> np.ndarray:
-    """Return the integral to given times of such a reference."""
-    spacing, r = motion.spacing, ramps(motion, positions, rate)
+        now[:] = before + np.clip(position - before, -rate * spacing, rate * spacing)
 
     def integral(change: np.ndarray, x: np.ndarray) -> np.ndarray:
         ramp = np.minimum(np.abs(change) / rate, x)
