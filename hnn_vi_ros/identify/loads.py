@@ -14,7 +14,7 @@ from pydantic import Field
 
 
 class Load(StrictModel):
-    """What differs between the logs of one machine."""
+    """Payload and stiffness of a machine during one log."""
 
     payload: Payload | None = Field(None, description='payload of the robot, as in a scene')
     free: list[str] = Field([], description=(
