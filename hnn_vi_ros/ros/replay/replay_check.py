@@ -24,7 +24,7 @@ import numpy as np
 _PERTURBATION, _NO_PERTURBATION = 2.0**-26, -0.0
 # Round-off of one step, in units in the last place of the largest coordinate or momentum: the
 # solver stops at a few units, and a network sums hundreds of terms.
-_ROUND_OFF_UNITS = 64.0
+_ROUND_OFF_UNITS = 128.0
 _EPSILON = np.finfo(np.float64).eps
 # Maximum steps per sample, and before the first sample of another recorder. At 1 to 3 us per
 # step, 10^6 steps per sample still run in real time at one sample per second.
