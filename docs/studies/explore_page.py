@@ -86,7 +86,7 @@ def _line_style(name: str) -> dict[str, str]:
     style, group = line_style(name), group_of(name)
     return {'color': style['color'],
             'symbol': _SYMBOLS[style['marker']] + ('' if group == 'ours' else '-open'),
-            'dash': {'ours': 'solid', 'peers': 'dash', 'variants': 'dot'}[group],
+            'dash': {'ours': 'solid', 'peers': 'dash'}[group],
             'group': group}
 
 

@@ -34,7 +34,7 @@ class StudyRow:
     Parameters
     ----------
     method : str
-        The label of a method, a variant of one, or a peer, with its tolerance if it is adaptive.
+        The label of a method or a peer, with its tolerance if it is adaptive.
     step_size : float
         h [s]; NaN for an adaptive method.
     horizon : float
@@ -91,7 +91,7 @@ class StudyRow:
     @property
     def is_ours(self) -> bool:
         """Return whether it is of one of our methods, solved to round-off in double precision."""
-        return not self.is_peer and '@' not in self.method
+        return not self.is_peer
 
     @property
     def was_run(self) -> bool:

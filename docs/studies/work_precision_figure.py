@@ -36,10 +36,7 @@ _LOST = 100.0
 _DPI, _WIDTH, _COLOURS = 125, 8.6, 128
 # Heights of a panel: its title, itself, ticks with their label; margins above and below [inch].
 _TITLE, _PANEL, _TICKS, _TOP, _BOTTOM = 0.3, 3.9, 0.5, 0.35, 0.6
-# Markers for methods that stop early, and for rounded gradients.
-_VARIANT_MARKS = {'float32': '*'}
 _FLOORS = {'path_error': 'path', 'energy_band': 'energy'}
-_EARLY, _PALE = 'h', '#d9d9d9'
 _EPS = float(np.finfo(np.float64).eps)
 
 
@@ -71,7 +68,6 @@ PATHS = Panel(_TIME[0], 'path_error', 'Path error', _TIME[1],
               r'$\|(q, p) - \mathrm{reference}\|_\infty$ [SI units]')
 ENERGIES = Panel(_TIME[0], 'energy_band', 'Energy error', _TIME[1],
                  'energy band, largest $|H - H_0|$ [J]')
-_MAIN, _VARIANTS = ('ours', 'peers'), ('variants',)
 
 
 def series_of(rows: Iterable[StudyRow]) -> dict[str, list[StudyRow]]:
@@ -82,15 +78,10 @@ def series_of(rows: Iterable[StudyRow]) -> dict[str, list[StudyRow]]:
     return series
 
 
-def panels_of(rows: Sequence[StudyRow]) -> list[tuple[Panel, tuple[str, ...]]]:
-    """Return the panels and the groups of lines in each; without paths where none is known."""
+def panels_of(rows: Sequence[StudyRow]) -> list[Panel]:
+    """Return the panels of a figure; without paths where none is known."""
     paths = any(row.finished and not math.isnan(row.path_error) for row in rows)
-    panels = [(PATHS, _MAIN)] * paths + [(ENERGIES, _MAIN)]
-    if any('@' in row.method for row in rows):
-        first, _ = panels[0]
-        panels.append((first._replace(title='Not solved to round-off, or float32: '
-                                      f'{first.title.lower()}'), _VARIANTS))
-    return panels
+    return [PATHS] * paths + [ENERGIES]
 
 
 def is_peer(name: str) -> bool:
@@ -100,18 +91,15 @@ def is_peer(name: str) -> bool:
 
 def group_of(name: str) -> str:
     """Return the column of panels of a line."""
-    return 'variants' if '@' in name else 'peers' if is_peer(name) else 'ours'
+    return 'peers' if is_peer(name) else 'ours'
 
 
 def line_style(name: str) -> dict[str, Any]:
     """Return the style of a line: its own colour and mark, the dash of its group."""
-    base, _, variant = name.partition('@')
-    color, marker = {**STYLES, **_PEERS}.get(base, _OTHER)
+    color, marker = {**STYLES, **_PEERS}.get(name, _OTHER)
     group = group_of(name)
-    if variant:
-        marker = _VARIANT_MARKS.get(variant, _EARLY)
     return {'color': color, 'marker': marker, 'markersize': 8.0 if marker == '*' else 6.0,
-            'linestyle': {'ours': '-', 'peers': (0, (5, 2)), 'variants': ':'}[group],
+            'linestyle': {'ours': '-', 'peers': (0, (5, 2))}[group],
             'linewidth': 1.6 if group == 'ours' else 1.2, 'markeredgecolor': color,
             'markerfacecolor': color if group == 'ours' else 'white', 'markeredgewidth': 1.0}
 
@@ -137,19 +125,19 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
     figure = Figure(figsize=(_WIDTH, height), dpi=_DPI, facecolor='white')
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.15 / height)
-    for k, (panel, groups) in enumerate(panels):
+    for k, panel in enumerate(panels):
         top = height - _TOP - k * (_TITLE + _PANEL + _TICKS) - _TITLE
         floor = getattr(known.model, _FLOORS[panel.y]) if known.model else math.nan
         ax = figure.add_axes((0.95 / _WIDTH, (top - _PANEL) / height, 4.9 / _WIDTH,
                               _PANEL / height))
         ax.tick_params(labelsize=8.5)
         _begin_panel(ax, panel, _limits_of(panel, rows, floor))
-        _draw_lines(ax, panel, series, groups)
+        _draw_lines(ax, panel, series)
         _draw_levels(ax, panel, floor, known)
-        # Panels with the same lines share a legend.
-        if k == 0 or groups != panels[k - 1][1]:
-            ax.legend(handles=_handles(series, groups), loc='upper left', frameon=False,
-                      fontsize=8.0, bbox_to_anchor=(1.01, 1.02))
+        # The panels have the same lines and share a legend.
+        if k == 0:
+            ax.legend(handles=_handles(series), loc='upper left', frameon=False, fontsize=8.0,
+                      bbox_to_anchor=(1.01, 1.02))
     figure.legend(handles=_common_handles(known), loc='lower center', frameon=False,
                   fontsize=8.5, ncols=2)
     figure.savefig(path, dpi=_DPI)
@@ -256,19 +244,13 @@ def _limits(values: np.ndarray, floor: float) -> tuple[float, float]:
             10.0 ** math.ceil(math.log10(usual.max()) + 0.1))
 
 
-def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]],
-                groups: Sequence[str]) -> None:
-    """Draw the lines of some groups with the steps that are the cheapest; others of ours pale."""
+def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]]) -> None:
+    """Draw the lines, and name the steps that are the cheapest."""
     low, high = ax.get_ylim()
     labels: list[Label] = []
     for name, rows in series.items():
         good, lost = _points(panel, rows, low, high)
         points = np.array([point[:2] for point in good]).reshape(-1, 2)
-        if group_of(name) not in groups:
-            # Variants in the panels of all methods would only hide these.
-            if groups == _VARIANTS and not is_peer(name):
-                ax.plot(*points.T, color=_PALE, linewidth=0.9, zorder=1)
-            continue
         style = line_style(name)
         ax.plot(*points.T, zorder=4, clip_on=False, **style)
         # A lost run may have taken longer than all that arrived.
@@ -294,16 +276,15 @@ def _points(panel: Panel, rows: Sequence[StudyRow], low: float, high: float
     return good, [x for x in lost if not math.isnan(x)]
 
 
-def _handles(series: dict[str, list[StudyRow]], groups: Sequence[str]) -> list[Line2D]:
-    """Return an entry of a legend for each line of some groups."""
+def _handles(series: dict[str, list[StudyRow]]) -> list[Line2D]:
+    """Return an entry of a legend for each line."""
     return [Line2D([], [], label=_legend_text(name, rows), **line_style(name))
-            for name, rows in series.items() if group_of(name) in groups]
+            for name, rows in series.items()]
 
 
 def _common_handles(known: Floor) -> list[Any]:
     """Return an entry of a legend for each mark that is no line of a method."""
     handles: list[Any] = [
-        Line2D([], [], color=_PALE, label='our other lines (last panel)'),
         Line2D([], [], color=INK, marker='x', linestyle='', markersize=8.0, markeredgewidth=2.0,
                label='upper edge: failed or lost')]
     if known.model is not None:
