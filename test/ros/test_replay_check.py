@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
-from hnn_vi_ros import load_scene
+from hnn_vi_ros import load_scene, Scene
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.files import share_folder
 from hnn_vi_ros.kernels import identity
@@ -315,6 +315,19 @@ def test_energy_work_and_force_are_good_elsewhere_within_round_off_alone(
     for size, within in ((1e-14, True), (1e-7, False)):
         bag = record_run(tmp_path / f'bag{within}', load_scene(scene), 20, change=lambda sample:
                          replace(sample, **{name: getattr(sample, name) + size}))
+        verdict = check_replay(bag)
+        assert verdict.good == within, verdict.text
+
+
+def test_round_off_of_H_elsewhere_is_of_its_terms_not_of_their_sum(tmp_path, elsewhere):
+    # q^2 / 2, with terms of 5e5 J that have a round-off of 6e-11 J each.
+    scene = Scene.build(
+        hamiltonian={'kind': 'formula', 'coordinates': ['x'],
+                     'H': '(x + 1000)^2/2 - 1000*x - 500000 + p_x^2/2'},
+        integrator='stormer_verlet', step_size=0.01, initial_state=([0.7], [0.3]))
+    for size, within in ((1e-10, True), (1e-7, False)):
+        bag = record_run(tmp_path / f'bag{within}', scene, 20, change=lambda sample:
+                         replace(sample, energy=sample.energy + size))
         verdict = check_replay(bag)
         assert verdict.good == within, verdict.text
 

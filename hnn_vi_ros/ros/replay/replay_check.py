@@ -24,8 +24,11 @@ import numpy as np
 _PERTURBATION, _NO_PERTURBATION = 2.0**-26, -0.0
 # Round-off of one step, in units in the last place of the largest coordinate or momentum: the
 # solver stops at a few units, and a network sums hundreds of terms.
-_ROUND_OFF_UNITS = 128.0
+_ROUND_OFF_UNITS = 64.0
 _EPSILON = np.finfo(np.float64).eps
+# Relative changes of a state along which H is linear up to round-off, and the largest round-off
+# on another processor relative to that seen there, which is of a few states only.
+_NEIGHBOURS, _SCATTERS = 2.0**-34 * np.arange(-8, 9), 8.0
 # Maximum steps per sample, and before the first sample of another recorder. At 1 to 3 us per
 # step, 10^6 steps per sample still run in real time at one sample per second.
 _MAX_STEPS_PER_SAMPLE, _MAX_STEPS_BEFORE = 10**6, 10**8
@@ -362,7 +365,8 @@ def _margin(run: RecordedRun) -> Margin:
     The round-off of each step propagates like a change of the initial state, whose growth a second
     simulation measures. It changes H by at most that times the largest |dH/dq| + |dH/dp|, the work
     by as much as H or as in the second simulation, and dp/dt by as much as there. The round-off of
-    each of these quantities is added.
+    each of these quantities is added; that of H, whose terms may be much larger than their sum,
+    is measured at adjacent states, and each step of the work has as much.
     """
     own = _simulation(run)
     try:
@@ -372,7 +376,7 @@ def _margin(run: RecordedRun) -> Margin:
         shaken = _simulation(run)
     change = _PERTURBATION * _size(own)
     sizes, growths = dict.fromkeys(_values(own), 0.0), dict.fromkeys(_values(own), 0.0)
-    growth, slope, worst = 1.0, 0.0, Margin(0.0, 0.0, 0, 'q')
+    growth, slope, scatter, worst = 1.0, 0.0, 0.0, Margin(0.0, 0.0, 0, 'q')
     for stamp, values in _simulated_samples(run, own, shaken):
         here, there = _values(own), _values(shaken)
         for kind in here:
@@ -380,8 +384,10 @@ def _margin(run: RecordedRun) -> Margin:
             growths[kind] = max(growths[kind], _largest(there[kind] - here[kind]) / change)
         growth = max(growth, growths['q'], growths['p'])
         slope = max(slope, float(np.abs(own.dH_dq).sum() + np.abs(own.dH_dp).sum()))
-        rounded = _ROUND_OFF_UNITS * _EPSILON * max(sizes['q'], sizes['p']) * (
-            own.steps - run.first_step)
+        steps, scatter = own.steps - run.first_step, max(scatter, _scatter(own))
+        rounded = _ROUND_OFF_UNITS * _EPSILON * max(sizes['q'], sizes['p']) * steps
+        parts = {'H': _SCATTERS * scatter} | dict.fromkeys(
+            ('work', CAUSES), _SCATTERS * scatter * (1 + steps))
         carried = {'q': growth, 'p': growth, 'dp/dt': growths['dp/dt'], 'H': growth * slope,
                    'work': growth * slope + growths['work'],
                    CAUSES: growth * slope + growths.get(CAUSES, 0.0)}
@@ -389,7 +395,7 @@ def _margin(run: RecordedRun) -> Margin:
             difference = _largest(recorded - here[kind])
             explained = rounded * carried[kind]
             if kind not in ('q', 'p'):
-                explained += _ROUND_OFF_UNITS * _EPSILON * sizes[kind]
+                explained += _ROUND_OFF_UNITS * _EPSILON * sizes[kind] + parts.get(kind, 0.0)
             found = Margin(difference, explained, stamp, kind)
             if np.isnan(difference):
                 # The log holds NaN, which round-off does not explain.
@@ -397,6 +403,14 @@ def _margin(run: RecordedRun) -> Margin:
             if difference and difference * worst.explained >= worst.difference * explained:
                 worst = found
     return worst
+
+
+def _scatter(simulation: Simulation) -> float:
+    """Return the round-off of H [J]: the second differences of H in a row of adjacent states."""
+    scales = 1.0 + _NEIGHBOURS.reshape((-1,) + (1,) * simulation.q.ndim)
+    energies = simulation.hamiltonian.energy(
+        scales * simulation.q, scales * simulation.p, simulation.time)
+    return _largest(np.diff(energies, 2, axis=0)) / 2.0
 
 
 def _size(simulation: Simulation) -> float:
