@@ -34,8 +34,9 @@ _OTHER = ('#555555', '*')
 _LOST = 100.0
 # A page shows a picture about as wide as this [inch], so texts keep their size on it.
 _DPI, _WIDTH, _COLOURS = 125, 8.6, 128
-# Heights of a panel: its title, itself, ticks with their label; margins above and below [inch].
-_TITLE, _PANEL, _TICKS, _TOP, _BOTTOM = 0.3, 3.9, 0.5, 0.35, 0.6
+# Heights: the title of a panel, all panels beside their legend, ticks with their label; margins
+# above and below [inch].
+_TITLE, _PANELS, _TICKS, _TOP, _BOTTOM = 0.3, 7.8, 0.5, 0.35, 0.6
 _FLOORS = {'path_error': 'path', 'energy_band': 'energy'}
 _EPS = float(np.finfo(np.float64).eps)
 
@@ -121,15 +122,16 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
 
     """
     series, panels = series_of(rows), panels_of(rows)
-    height = _TOP + len(panels) * (_TITLE + _PANEL + _TICKS) + _BOTTOM
+    size = _PANELS / len(panels)
+    height = _TOP + len(panels) * (_TITLE + size + _TICKS) + _BOTTOM
     figure = Figure(figsize=(_WIDTH, height), dpi=_DPI, facecolor='white')
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.15 / height)
     for k, panel in enumerate(panels):
-        top = height - _TOP - k * (_TITLE + _PANEL + _TICKS) - _TITLE
+        top = height - _TOP - k * (_TITLE + size + _TICKS) - _TITLE
         floor = getattr(known.model, _FLOORS[panel.y]) if known.model else math.nan
-        ax = figure.add_axes((0.95 / _WIDTH, (top - _PANEL) / height, 4.9 / _WIDTH,
-                              _PANEL / height))
+        ax = figure.add_axes((0.95 / _WIDTH, (top - size) / height, 4.9 / _WIDTH,
+                              size / height))
         ax.tick_params(labelsize=8.5)
         _begin_panel(ax, panel, _limits_of(panel, rows, floor))
         _draw_lines(ax, panel, series)
