@@ -163,6 +163,13 @@ def test_motors_that_are_off_for_the_whole_log_are_not_overlooked(logged, tmp_pa
     assert check([str(tmp_path / 'log.csv')]).useless == ['the motors are off in all samples']
 
 
+def test_log_with_one_of_two_commands_is_useless(logged, tmp_path):
+    folder, _ = logged
+    frame(folder).drop(columns=R[1]).to_csv(tmp_path / 'log.csv', index=False)
+    assert check([str(tmp_path / 'log.csv')], folder / 'arm.urdf').useless == [
+        '1 commands for 2 joints: give one for each']
+
+
 def test_constant_position_and_large_units_are_warnings(logged, tmp_path):
     folder, _ = logged
     log = with_values(frame(folder), Q[1], 0.3)

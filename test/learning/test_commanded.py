@@ -360,7 +360,8 @@ def test_commands_limited_in_rate_are_those_of_a_fine_integration(rate):
     ('t,q1 [rad],q2 [rad],q1_des,q2_des', ['q1_des [rad]', 'q2_des [rad]'], []),
     ('t,q1 [rad],q2 [rad],q1_des,q2_des,q1_dot_des,q2_dot_des',
      ['q1_des [rad]', 'q2_des [rad]'], []),
-    ('t,q1 [rad],q2 [rad],q1_des', [], []), ('t [s],angle [rad],torque command', [], [])])
+    ('t,q1 [rad],q2 [rad],q1_des', ['q1_des [rad]'], []),
+    ('t,q1 [rad],q2 [rad],q1_des,tau1', [], []), ('t [s],angle [rad],torque command', [], [])])
 def test_commanded_positions_are_found_by_their_names(names, command, enabled, tmp_path):
     count, t = len(names.split(',')), 0.01 * np.arange(60)
     rows = np.column_stack([t, *(np.sin(t + k) for k in range(count - 1))])

@@ -340,11 +340,13 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
     turns = [one.kind == ANGLE and _turns(t, values[one.name] * (
         2.0 * np.pi / settings['counts'] if one.unit == 'count' else _size(renamed[one.name])))
              for one in q]
-    commands = [one for one in columns if one.role == COMMAND]
-    commands = _columns_of(q, commands, 'command', []) if len(commands) >= len(q) else []
+    commands = _columns_of(q, [one for one in columns if one.role == COMMAND], 'command', [])
+    # Beside forces, commands of some joints are of another controller.
+    commands = commands if len(commands) == len(q) or not tau else []
     # A command has the unit of its coordinate, unless it has one of its own.
-    renamed |= {one.name: f'{one.name} [{unit}]' for one, other in zip(commands, q, strict=False)
-                if not one.unit and (unit := units[other.name] or other.unit)}
+    renamed |= {one.name: f'{one.name} [{unit}]' for k, one in enumerate(commands) for other in (
+        q[k:k + 1] if len(commands) == len(q) else [own for own in q if own.key == one.key])
+        if not one.unit and (unit := units[other.name] or other.unit)}
     commands, enabled = ([replace(one, name=renamed.get(one.name, one.name)) for one in ones]
                          for ones in (commands, [one for one in columns if one.role == ENABLED]))
     uses = {'counts': any(one.unit == 'count' for one in q),
@@ -353,7 +355,7 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
     names = [renamed.get(name, name) for name in names]
     reading = Reading(path, names if names != table.names else [], time, [*trials, None][0], q,
                       v if len(v) == len(q) else [], tau, turns,
-                      commands if len(commands) == len(q) else [], enabled,
+                      commands, enabled,
                       {key: x for key, x in settings.items() if uses[key]}, still)
     if doubts:
         raise _refusal(doubts[0], reading)
