@@ -466,6 +466,17 @@ def test_episodes_of_lerobot_are_motions_in_degrees(tmp_path):
     np.testing.assert_allclose(motions[1].tau, expected + np.radians(1.0), atol=1e-9)
 
 
+def test_episode_of_three_rows_is_left_out_and_said(tmp_path):
+    path = dataset(tmp_path, ['shoulder_pan.pos', 'elbow_flex.pos', 'gripper.pos'], 120.0)
+    read_parquet(path).iloc[:53].to_parquet(path)
+    joints = [Coordinate(name, 'rad', 'N m s') for name in ('shoulder_pan', 'elbow_flex')]
+    names = [one.name for one in joints]
+    motions, said = read_motions(tmp_path, source_of(str(path), joints, None, True), names,
+                                 [str(path)], ['rad', 'rad'], True)
+    assert [motion.name for motion in motions] == ['0']
+    assert 'left out 3 in pieces of fewer than 20 of the samples' in said
+
+
 @pytest.mark.parametrize('name', ['timestamp', 'episode_index'])
 def test_lerobot_table_without_times_or_episodes_is_one_line(name, tmp_path):
     path = dataset(tmp_path, ['shoulder_pan.pos', 'elbow_flex.pos', 'gripper.pos'], 120.0)

@@ -262,7 +262,10 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
                for motion in recording.motions]
     for motion in motions:
         _check_copies(motion, report)
-    cut = [pieces_of(motion, data.on_bad, report) for motion in motions]
+    # A run that is too short alone is refused there.
+    long = [motion for motion in motions if len(motion.t) >= MIN_SAMPLES] or motions
+    report.short += sum(len(motion.t) for motion in motions) - sum(len(one.t) for one in long)
+    cut = [pieces_of(motion, data.on_bad, report) for motion in long]
     _check_motions(cut)
     # The interval of most samples is used for motions at different rates.
     usual = float(np.quantile(np.repeat([one.spacing for one in cut], [
