@@ -77,6 +77,9 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
     if motions[0].tau.shape[1] != len(names):
         raise DataError(f'{motions[0].where}: {motions[0].tau.shape[1]} commands, but {robot} has '
                         f'the joints {", ".join(names)}; name one command for each')
+    if all((np.abs(motion.tau) > LARGEST).all() for motion in motions):
+        raise DataError(f'{motions[0].where}: the motors are off in all samples, which tells '
+                        'nothing of servos; give a log in which they are on')
     spacing = motions[0].spacing
     fits = [(*_guess(robots, motions, delay), delay) for delay in delays_of(motions)]
     _, numbers, delay = min(fits, key=lambda fit: fit[0])

@@ -395,6 +395,15 @@ def test_log_without_commands_is_refused_for_a_robot(tmp_path):
         main(['--robot', str(tmp_path / 'arm.urdf'), '--data', str(tmp_path / 'log.npz')])
 
 
+def test_servos_whose_motors_are_never_on_are_refused(tmp_path):
+    write_log(tmp_path, 1, 2)
+    t, q, r = np.loadtxt(tmp_path / 'log.csv', delimiter=',', skiprows=1).T
+    np.savez(tmp_path / 'log.npz', t=t, q=q[:, None], goal=np.radians(r)[:, None],
+             enabled=np.zeros(len(t)))
+    with refused(DataError):
+        main(['--robot', str(tmp_path / 'arm.urdf'), '--data', str(tmp_path / 'log.npz')])
+
+
 def test_array_of_commands_and_of_motors_that_are_off_is_read(tmp_path):
     (tmp_path / 'arm.urdf').write_text(arm(1))
     write_log(tmp_path, 1, 2)
