@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.identify.check import main as check
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.identify import main
-from hnn_vi_ros.identify.loads import read_loads
+from hnn_vi_ros.identify.loads import Load, read_loads
 from hnn_vi_ros.learning import ArraysData, predicted_by, Prediction, read_motions, source_of
 from hnn_vi_ros.learning.data.header import read_header
 from hnn_vi_ros.learning.data.motions import smoothed
@@ -247,6 +247,21 @@ def test_predictions_of_logs_with_loads_are_those_of_each_scene_with_its_load(tm
                             alone.directions(starts).swapaxes(0, 1))):
             np.testing.assert_array_equal(one[rows], other[rows])
         assert np.abs(mass[rows]).max() == 0.0 if run else np.abs(mass[rows, 1:]).min() > 0.0
+
+
+def test_energies_of_logs_with_and_without_a_payload_are_summed(tmp_path):
+    write_loads(tmp_path, 1, 3, 1.0)
+    write_log(tmp_path, 1, 3, 1.0)
+    loads, t = {**read_loads(tmp_path / 'loads.yaml'), 'none': Load()}, 0.01 * np.arange(31)
+    logs = [replace(smoothed(name, t, np.zeros((31, 1)), np.zeros((31, 1)), np.sin(
+        9.0 * t)[:, None], 40.0), commanded=True, inputs='held') for name in ('m0.3', 'none')]
+    free = free_scene(load_scene(tmp_path / 'true.yaml').parts(), [], {}, tmp_path, False, loads)
+    windows = [cut_windows(logs[k:end], 0.3) for k, end in ((0, 1), (1, 2), (0, 2))]
+    one, other, both = (predicted_by(free, np.array([0.6]), own).log.energies(
+        np.zeros((len(own.run), 2))) for own in windows)
+    assert both['work/payload'] == 0.0 and 'work/payload' not in other
+    for name in other:
+        assert both[name] == pytest.approx(one[name] + other[name], rel=1e-12)
 
 
 @pytest.mark.long

@@ -274,7 +274,9 @@ class PredictionByLoad:
     def energies(self, starts: np.ndarray) -> dict[str, float]:
         """Return the works and heats of effects [J]."""
         found = [one.log.energies(starts[rows]) for rows, one in self._parts]
-        return {name: sum(own[name] for own in found) for name in found[0]}
+        # Logs without a payload have no work of one.
+        return {name: sum(own.get(name, 0.0) for own in found)
+                for name in dict.fromkeys(name for own in found for name in own)}
 
     def _joined(self, of: Callable[[Prediction, np.ndarray], np.ndarray]) -> np.ndarray:
         return np.concatenate([of(one, rows) for rows, one in self._parts])[self._order]
