@@ -7,16 +7,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files import write_text
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.identify import arguments as command_lines
 from hnn_vi_ros.identify.commanded import (
-    delays_of, forces_needed, regression, robot_of, SPEED)
+    delays_of, forces_needed, rated_efforts, regression, robot_of, SPEED)
 from hnn_vi_ros.identify.identify import source_by_format
 from hnn_vi_ros.learning import (
     ANGLE, configuration_of, even_motions, EvenMotion, LogWarning, low_pass, Motion, read_header,
     recording_of, warnings_of)
+from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -82,7 +84,12 @@ def main(argv: Sequence[str]) -> int:
     if not (options.log or options.excitation):
         raise ParameterError('give a LOG, or --robot URDF and --excitation FILE.csv')
     if options.excitation:
-        write_text(options.excitation, excitation_text(robot_of(options.robot)))
+        robot = robot_of(options.robot)
+        rows, names = excitation_of(robot), [one.name for one in robot.coordinates]
+        write_text(options.excitation, '\n'.join([
+            ','.join(['time', *(f'{name}_command' for name in names)]),
+            *(','.join(f'{x:.6g}' for x in row) for row in rows)]) + '\n')
+        print(*saturation_of(robot, rated_efforts(options.robot, names), rows), '', sep='\n')
     if not options.log:
         return 0
     try:
@@ -265,15 +272,29 @@ def draw(path: Path, found: Checked) -> None:
     figure.savefig(path)
 
 
-def excitation_text(robot: RigidBodyTree) -> str:
-    """Return a log of positions to command, joint by joint: steps, then slow ramps."""
-    names, rows, time = [one.name for one in robot.coordinates], list[list[float]](), 0.0
-    middle, size = np.zeros(len(names)), np.full(len(names), _UNLIMITED)
+def saturation_of(robot: RigidBodyTree, limits: np.ndarray, rows: np.ndarray) -> Iterator[str]:
+    """Yield for each joint with a limit what saturates its drive in an excitation."""
+    q = rows[:, 1:]
+    weights = np.abs(robot.gradient(q, np.zeros_like(q))[0]).max(axis=0)
+    steps = np.abs(np.diff(q, axis=0)).max(axis=0)
+    for one, weight, step, limit in zip(robot.coordinates, weights, steps, limits, strict=True):
+        if limit < LARGEST:
+            unit, most = force_unit(one.p_unit), (limit - weight) / step
+            yield (f'{one.name}: up to {weight:.3g} of {limit:.3g} {unit} bear the weight; ' + (
+                f'its steps of {step:.3g} {one.q_unit} saturate a drive stiffer than {most:.3g} '
+                f'{unit}/{one.q_unit}: then make them smaller' if most > 0.0 else
+                'the drive saturates: command other positions'))
+
+
+def excitation_of(robot: RigidBodyTree) -> np.ndarray:
+    """Return times and positions to command, (N, 1 + d), joint by joint: steps, slow ramps."""
+    d, rows, time = robot.dimension, list[list[float]](), 0.0
+    middle, size = np.zeros(d), np.full(d, _UNLIMITED)
     for k, joint in enumerate(robot.joints):
         low, high = joint.bounds
         if low is not None and high is not None:
             middle[k], size[k] = 0.5 * (low + high), min(_SHARE * (high - low), _UNLIMITED)
-    for k in range(len(names)):
+    for k in range(d):
         course = [(step, _HELD) for step in _STEPS] + [
             (x, 0.02) for x in np.interp(np.arange(0.0, _RAMP, 0.02), np.array(
                 [0.0, 0.25, 0.75, 1.0]) * _RAMP, [0.0, 1.0, -1.0, 0.0])]
@@ -282,5 +303,4 @@ def excitation_text(robot: RigidBodyTree) -> str:
             target[k] += share * size[k]
             rows.append([time, *target])
             time += held
-    head = ','.join(['time', *(f'{name}_command' for name in names)])
-    return '\n'.join([head, *(','.join(f'{x:.6g}' for x in row) for row in rows)]) + '\n'
+    return np.array(rows)

@@ -114,6 +114,13 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
     return scene, [name for name in free if name not in known]
 
 
+def rated_efforts(robot: Path, names: Sequence[str]) -> np.ndarray:
+    """Return the limits of efforts in a URDF [N m] or [N]; LARGEST for those without."""
+    # Joints of several coordinates have names of their own.
+    efforts = {name: joint.limits.effort for name, joint in read_urdf(robot).joints.items()}
+    return np.array([efforts.get(name) or LARGEST for name in names])
+
+
 def _effort_limits(robot: Path, robots: Sequence[tuple[Hamiltonian, float]],
                    motions: Sequence[EvenMotion]) -> np.ndarray:
     """
@@ -121,9 +128,7 @@ def _effort_limits(robot: Path, robots: Sequence[tuple[Hamiltonian, float]],
 
     A limit below a force that the measured motion needs is a placeholder, and does not count.
     """
-    # Joints of several coordinates have names of their own.
-    efforts = {name: joint.limits.effort for name, joint in read_urdf(robot).joints.items()}
-    rated = np.array([efforts.get(one.name) or LARGEST for one in robots[0][0].coordinates])
+    rated = rated_efforts(robot, [one.name for one in robots[0][0].coordinates])
     needed = np.max([np.abs(forces_needed(own, motion)).max(axis=0)
                      for (own, _), motion in zip(robots, motions, strict=True)], axis=0)
     return np.where(rated > needed, rated, LARGEST)

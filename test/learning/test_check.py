@@ -225,6 +225,21 @@ def test_check_without_a_log_or_a_robot_is_refused(argv):
         main(argv)
 
 
+def test_excitation_says_what_saturates_the_drives_of_the_robot(logged, tmp_path, capsys):
+    folder, _ = logged
+    text = (folder / 'arm.urdf').read_text().replace('"continuous"', '"revolute"')
+    # Masses and centres of arm(), whose shoulder goes to .4 rad.
+    weight = 9.81 * (0.6 * 0.125 + 0.4 * 0.35) * np.sin(0.4)
+    for effort, said in ((5.0, f'steps of 0.2 rad saturate a drive stiffer than '
+                          f'{(5.0 - weight) / 0.2:.3g} N m/rad'), (0.1, 'the drive saturates')):
+        (tmp_path / 'arm.urdf').write_text(text.replace(
+            '<axis', f'<limit lower="-1" upper="1" effort="{effort}" velocity="5"/><axis'))
+        main(['--robot', str(tmp_path / 'arm.urdf'), '--excitation', str(tmp_path / 'move.csv')])
+        found = capsys.readouterr().out.splitlines()[0]
+        assert found.startswith(f'shoulder: up to {weight:.3g} of {effort:g} N m')
+        assert said in found
+
+
 def test_excitation_needs_no_log(logged, tmp_path):
     folder, _ = logged
     assert main(['--robot', str(folder / 'arm.urdf'),
