@@ -260,11 +260,11 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
     motions = [replace(motion, tau=None if data.forces == NONE else motion.tau,
                        v=None if data.velocities == NONE else motion.v)
                for motion in recording.motions]
-    for motion in motions:
-        _check_copies(motion, report)
-    # A run that is too short alone is refused there.
+    # One that is alone is refused below.
     long = [motion for motion in motions if len(motion.t) >= MIN_SAMPLES] or motions
     report.short += sum(len(motion.t) for motion in motions) - sum(len(one.t) for one in long)
+    for motion in long:
+        _check_copies(motion, report)
     cut = [pieces_of(motion, data.on_bad, report) for motion in long]
     _check_motions(cut)
     # The interval of most samples is used for motions at different rates.
