@@ -129,6 +129,19 @@ def test_motion_of_ten_samples_a_period_moves():
     assert next(iter(warnings_of([noise], ['a']))).text == 'a does not move'
 
 
+@pytest.mark.parametrize(('spacing', 'step', 'told'), [
+    (0.01, 0.0, ''), (0.01, 0.1, 'position of a has a coarse resolution of 0.1'),
+    (10.0, 0.0, 'a sample every 10 s: check the unit of the times')])
+def test_coarse_positions_and_times_of_another_unit_are_told(spacing, step, told):
+    """Between few samples, coarse values are many of all; they are not those of a stop."""
+    t = spacing * np.arange(250)
+    q = np.sin(0.16 * np.arange(250))[:, None]
+    q = step * np.round(q / step) if step else q
+    (text,) = [one.text for one in warnings_of([smoothed(
+        'run', t, q, None, 0.0 * q, 0.4 / spacing)], ['a'])] or ['']
+    assert told in text and bool(told) == bool(text)
+
+
 @pytest.mark.parametrize('kind', USELESS)
 def test_useless_logs_are_told(logged, tmp_path, kind):
     folder, _ = logged

@@ -72,6 +72,10 @@ def test_free_motion_is_not_cut(case, noise):
     assert not said and len(parts) == 1 and len(parts[0]) == len(q)
 
 
+def test_steps_of_a_coarse_sensor_are_no_rest():
+    assert not cut_at_rest(T, 0.4 * np.round(noisy(swing(1.0, 0.0), 2e-3) / 0.4))[1]
+
+
 def test_rest_of_a_driven_machine_is_kept_and_that_of_a_free_one_is_in_the_description():
     q = noisy(np.concatenate([hold(1.0, 75), swing(1.0)]), 2e-3)
     t, tau = SPACING * np.arange(len(q)), np.zeros((len(q), 1))

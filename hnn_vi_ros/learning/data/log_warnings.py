@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.data.sampling import resolution, ROUNDED
 import numpy as np
 
 # Shortest log [samples]; largest share of samples at an extreme value, and of different values in
@@ -15,10 +16,8 @@ import numpy as np
 _SHORT, _AT_END, _DISTINCT, _COARSE, _STILL = 200, 0.02, 0.05, 0.02, 3.0
 # Widest motion of a joint on the way of its commands: two turns [rad].
 _WIDEST = 4.0 * np.pi
-# Differences that are rounding, relative to the range.
-_ROUNDED = 1e-6
-# Highest frequency of a motion, relative to the sampling rate.
-_FASTEST = 0.35
+# Highest frequency of a motion, relative to the sampling rate; longest interval of samples [s].
+_FASTEST, _LONGEST = 0.35, 1.0
 # Least correlation of a position with its command, and that which another joint has; slopes
 # between which both have the same unit; longest delay of a command [s].
 _FOLLOWS, _OTHER, _UNITS, _LATEST = 0.5, 0.9, (0.2, 5.0), 0.3
@@ -37,6 +36,8 @@ def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str]) -> list[Log
     spacing = motions[0].spacing
     if samples < _SHORT:
         found.append(LogWarning(f'{samples} samples: record at least {_SHORT}', True))
+    if spacing > _LONGEST:
+        found.append(LogWarning(f'a sample every {spacing:.4g} s: check the unit of the times'))
     fastest = max(0.5 * (motion.cutoff_alone or motion.cutoff) for motion in motions)
     if fastest * spacing > _FASTEST:
         found.append(LogWarning(
@@ -65,30 +66,25 @@ def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str]) -> list[Log
     return found
 
 
-def _resolution(x: np.ndarray) -> float:
-    steps = np.abs(np.diff(np.unique(x)))
-    return float(np.quantile(steps, 0.05)) if steps.size else 0.0
-
-
 def _moves(q: np.ndarray) -> bool:
     """Return whether a coordinate moves by more than a few steps of its resolution, or noise."""
     # Third differences of a smooth motion are small, also of few samples a period.
     noise = np.median(np.abs(np.diff(q, 3))) / (0.6745 * np.sqrt(20.0))
     slow = np.ptp(np.convolve(q, np.ones(5) / 5.0, 'valid'))
-    return bool(slow > _STILL * max(_resolution(q), 3.0 * noise))
+    return bool(slow > _STILL * max(resolution(q), 3.0 * noise))
 
 
 def _of_channel(x: np.ndarray, what: str) -> Iterator[LogWarning]:
     """Yield warnings about the values of a channel that changes steadily."""
     values = np.unique(x)
+    if resolution(x) > _COARSE * np.ptp(x):
+        yield LogWarning(f'{what} has a coarse resolution of {resolution(x):.3g}')
+        return
     if len(values) < _DISTINCT * len(x):
-        if _resolution(x) > _COARSE * np.ptp(x):
-            yield LogWarning(f'{what} has {len(values)} different values: its resolution of '
-                             f'{_resolution(x):.3g} is coarse')
         return
     for limit, end in ((values[0], 'smallest'), (values[-1], 'largest')):
         # Interpolation to even times rounds.
-        share = float(np.mean(np.abs(x - limit) < _ROUNDED * np.ptp(x)))
+        share = float(np.mean(np.abs(x - limit) < ROUNDED * np.ptp(x)))
         if share > _AT_END:
             yield LogWarning(f'{what} is at its {end} value, {limit:.4g}, in {share:.0%} of '
                              'the samples: it is saturated there', share > 10.0 * _AT_END)

@@ -31,6 +31,8 @@ _LEAST, _RELATED = 50, 5.0
 _AROUND = 20
 # Rates are judged only where a coordinate moves by this multiple of its noise.
 _MIN_MOTION = 20.0
+# Differences that are rounding, relative to the range.
+ROUNDED = 1e-6
 # Interpolation: maps new times, times t and values, shape (N, k), to values at the new times.
 Between = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
@@ -95,6 +97,13 @@ def is_noise(x: np.ndarray) -> bool:
     spectrum = np.abs(np.fft.rfft(x, 2 * len(x)))**2
     correlation = np.fft.irfft(spectrum)[1:len(x) // 4]
     return bool(np.abs(correlation).max() < _RELATED / math.sqrt(len(x)) * (x @ x))
+
+
+def resolution(x: np.ndarray) -> float:
+    """Return the step between values of a sensor, shape (N,); that of noise is small."""
+    steps = np.diff(np.unique(x))
+    steps = steps[steps > ROUNDED * np.ptp(x)]
+    return float(np.quantile(steps, 0.05)) if steps.size else 0.0
 
 
 def interleaved(x: np.ndarray) -> bool:
