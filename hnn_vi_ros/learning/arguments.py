@@ -57,7 +57,7 @@ def train() -> Parser:
         'are in units of their root mean squares'))
     parser.add_argument('--out', type=Path, metavar='FILE',
                         help='write the model to this file (default: models/<name>.safetensors)')
-    parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
+    parser.add_argument('--data', nargs='+', action='extend', default=[], metavar='FILE',
                         help=(
                             'read these logs (.csv, .parquet, ...), bags or arrays (.npz), each '
                             'a run; overrides the data of the configuration'))
@@ -87,7 +87,7 @@ def evaluate() -> Parser:
     parser.add_argument('model', metavar='MODEL|SCENE', help=(
         'a .safetensors file, simulated with its friction and a force on each coordinate; or the '
         'name or YAML file of a scene'))
-    parser.add_argument('--data', nargs='+', default=[], metavar='FILE', help=(
+    parser.add_argument('--data', nargs='+', action='extend', default=[], metavar='FILE', help=(
         'read bags with joint states; or NPZ[:RUN,...] with arrays t [s], q, dq/dt and motor '
         'forces, or RUN/t, ... for several runs; or logs with named columns; '
         'or, with --config, files of its format'))

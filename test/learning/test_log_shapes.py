@@ -7,7 +7,8 @@ from pathlib import Path
 import sys
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning import EvenMotion, read_motions
+from hnn_vi_ros.identify import arguments as identify
+from hnn_vi_ros.learning import arguments, EvenMotion, read_motions
 from hnn_vi_ros.learning.data.header import read_header
 from hnn_vi_ros.learning.data.sources import configuration_of, source_of
 from hnn_vi_ros.learning.data.text import LogMotions
@@ -366,6 +367,13 @@ def test_counts_per_turn_are_an_option_for_logs(tmp_path):
     np.savez(tmp_path / 'log.npz', t=T)
     with refused(DataError):
         configuration_of([str(tmp_path / 'log.npz')], 4096.0)
+
+
+@pytest.mark.parametrize(('parser', 'before'), [
+    (arguments.train, []), (arguments.evaluate, ['m']), (identify.identify, ['s'])])
+def test_logs_may_be_given_one_by_one(parser, before):
+    given = parser().parse_args([*before, '--data', 'a', 'b', '--data', 'c'])
+    assert [str(one) for one in given.data] == ['a', 'b', 'c']
 
 
 @pytest.mark.parametrize('encoding', ['utf-16', 'cp1252'])
