@@ -312,10 +312,11 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
             'springs': HIGHEST_POWER if alone and len(kinds) == 1 else 1})
         others = [*more, *others]
     if not best.explained and alone and len(kinds) == 1:
-        q = np.concatenate([motion.q for motion in first.trials.motions])
+        # As many samples between all, so that no piece is known by a few.
+        q = np.concatenate([motion.q for motion in first.trials.kept])
         best, *more = _with_terms(best, first, 'a spring of straight pieces', {
-            'springs': 1, 'spring_knots': [
-                float(f'{knot:.4g}') for knot in np.linspace(q.min(), q.max(), _KNOTS + 2)[1:-1]]})
+            'springs': 1, 'spring_knots': [float(f'{knot:.4g}') for knot in np.quantile(
+                q, np.linspace(0.0, 1.0, _KNOTS + 2)[1:-1])]})
         others = [*more, *others]
     return [best, *others]
 
