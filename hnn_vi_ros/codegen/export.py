@@ -34,8 +34,8 @@ def main(argv: list[str]) -> int:
     from hnn_vi_ros.codegen.scene_code import compile_scene
     scene = load_scene(options.scene)
     name = prefix_of(scene.name)
-    print(f'compiling {name}: about a minute', file=sys.stderr)
-    code = compile_scene(scene, name, options.target)
+    code = compile_scene(scene, name, options.target, lambda: print(
+        f'compiling {name}: about a minute', file=sys.stderr))
     try:
         written = [] if options.out is None else write_project(options.out, name, code)
         if options.fmu is not None:

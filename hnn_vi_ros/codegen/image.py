@@ -10,7 +10,7 @@ from hnn_vi_ros.integrators import MemoryByAddress
 from hnn_vi_ros.kernels import Block, flat, provide_all, symbol_at, Target
 import numpy as np
 
-# Regions keep their places in cache lines [bytes].
+# Regions begin at cache lines [bytes].
 _LINE = 64
 
 
@@ -124,7 +124,7 @@ def image_of(memory: Block) -> Image:
     for blocks in (True, False):
         changing = end
         for low, high in _merged(walk.spans[blocks]):
-            gap, size = (low - end) % _LINE, high - low
+            gap, size = -end % _LINE, high - low
             places.append((low, high, end + gap))
             parts += bytes(gap), ctypes.string_at(low, size), bytes(-(end + gap + size) % 8)
             end = sum(map(len, parts[-3:]), end)
@@ -147,11 +147,12 @@ def image_of(memory: Block) -> Image:
 
 
 def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return spans in order, with those that overlap as one."""
-    found: list[tuple[int, int]] = []
-    for low, high in sorted(spans):
-        if found and low <= found[-1][1]:
-            found[-1] = found[-1][0], max(high, found[-1][1])
+    """Return spans, with those that overlap as one, in an order that no address changes."""
+    found: list[tuple[int, int, int]] = []
+    for (low, high), k in sorted(zip(spans, range(len(spans)), strict=True)):
+        if found and low <= found[-1][2]:
+            first, begin, end = found[-1]
+            found[-1] = min(first, k), begin, max(high, end)
         else:
-            found.append((low, high))
-    return found
+            found.append((k, low, high))
+    return [(low, high) for _, low, high in sorted(found)]

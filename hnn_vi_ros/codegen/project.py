@@ -74,7 +74,7 @@ def write_project(folder: Path, name: str, scene: SceneCode) -> list[Path]:
     library.write_bytes(archive(name, scene.code))
     written, compiler = [library], COMPILERS[scene.target]
     if shutil.which(compiler):
-        subprocess.run([compiler, '-shared', '-o', shared, '-Wl,--whole-archive', library,
+        subprocess.run([compiler, '-shared', '-s', '-o', shared, '-Wl,--whole-archive', library,
                         '-Wl,--no-whole-archive', '-lm'], check=True)
         written.append(shared)
     values = template_values(name, scene) | {

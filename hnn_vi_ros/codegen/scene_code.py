@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Object code of a scene: its compiled step, and the memory that it needs."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from hashlib import sha256
 import math
 import re
@@ -76,7 +76,8 @@ class SceneCode(NamedTuple):
     target: str
 
 
-def compile_scene(scene: Scene, name: str, target: str = HOST) -> SceneCode:
+def compile_scene(scene: Scene, name: str, target: str = HOST,
+                  begin: Callable[[], None] = lambda: None) -> SceneCode:
     """
     Return the object code of a scene.
 
@@ -88,6 +89,8 @@ def compile_scene(scene: Scene, name: str, target: str = HOST) -> SceneCode:
         Prefix of the exported functions, an identifier of C.
     target : str, optional
         System that runs the code; see object_code.
+    begin : callable, optional
+        Called when nothing is refused, before the code is compiled.
 
     Raises
     ------
@@ -101,6 +104,7 @@ def compile_scene(scene: Scene, name: str, target: str = HOST) -> SceneCode:
     start = [*simulation.q.tolist(), *simulation.p.tolist()]
     conditions = [Condition(event.when) for event in parts.scene.events]
     events = _events(simulation, parts.scene, conditions)
+    begin()
     inputs, wanted = _inputs(simulation)
     shared = simulation.shared()
     z, z1 = shared[4:6]

@@ -4,6 +4,7 @@
 
 from collections.abc import Iterable
 import platform
+import re
 from typing import Any
 
 from hnn_vi_ros.errors import UnsupportedSystem
@@ -11,6 +12,8 @@ from hnn_vi_ros.kernels.linking import kept_module
 import llvmlite.binding as llvm
 from numba.core.registry import cpu_target
 
+# Exceptions of Python, which nobody reads from C. They name files of this machine.
+_EXCEPTION = re.compile(r'(?<!\n)@\.const\.picklebuf[\w.]*')
 # Library and symbol of each function that is called by address.
 _entries: dict[int, tuple[Any, str]] = {}
 
@@ -62,15 +65,18 @@ def object_code(text: str, symbols: Iterable[str], machine: str = platform.machi
     exported = {function.name for function in module.functions if not function.is_declaration}
     triple, cpu, features = codegen.magic_tuple()
     module.triple, module.data_layout = triple, str(codegen.target_data)
-    wanted = set(symbols)
-    for library in {id(own): own for own, name in _entries.values() if name in wanted}.values():
-        module.link_in(kept_module(library))
+    libraries = {name: own for own, name in _entries.values()}
+    for library in dict.fromkeys(map(libraries.__getitem__, symbols)):
+        module.link_in(llvm.parse_assembly(_EXCEPTION.sub('null', str(kept_module(library)))))
     for own in (*module.functions, *module.global_variables):
         if own.name.startswith('numba.dynamic.globals'):
             raise UnsupportedSystem('compiled code contains the address of an array of more than '
                                     '1 MB, and cannot be exported; pass it as a parameter')
         if not own.is_declaration and own.name not in exported:
             own.linkage = 'internal'
+    for function in module.functions:
+        if not function.is_declaration:
+            function.add_function_attribute('optsize')
     if machine != platform.machine():
         llvm.initialize_all_targets()
         llvm.initialize_all_asmprinters()
@@ -81,6 +87,10 @@ def object_code(text: str, symbols: Iterable[str], machine: str = platform.machi
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
     passes.run(module, llvm.create_pass_builder(target, llvm.create_pipeline_tuning_options()))
+    # Numba's names differ from process to process.
+    for k, own in enumerate((*module.functions, *module.global_variables)):
+        if own.linkage == llvm.Linkage.internal:
+            own.name = f'part_{k}'
     module.verify()
     return bytes(target.emit_object(module))
 

@@ -19,7 +19,7 @@ from zipfile import ZipFile
 
 from helpers import long
 from hnn_vi_ros.codegen import (
-    compile_scene, entries, export, identifier, prefix_of, scene_code, write_project)
+    compile_scene, entries, export, identifier, prefix_of, scene_code, write_fmu, write_project)
 from hnn_vi_ros.codegen.arguments import COMPILERS, HOST
 from hnn_vi_ros.codegen.entries import EVENT, INVALID_COMMAND, INVALID_STATE
 from hnn_vi_ros.codegen.project import FUNCTIONS
@@ -192,8 +192,22 @@ def test_object_needs_the_mathematical_library_only(name):
     sections = subprocess.run(['nm', f'lib{name}.a'], cwd=folder, capture_output=True, text=True,
                               check=True).stdout.split()
     assert not {'B', 'b', 'D', 'C'} & set(sections)
+    # Names of Python and of folders do not reach other machines.
+    assert not re.search(rb'numba|/site-packages|\.py\b', code.code)
     # Code and tables; the image is as large as the weights and the workspaces.
-    assert len(code.code) - code.image.words.nbytes < 300_000
+    assert (folder / f'{name}.so').stat().st_size - code.image.words.nbytes < 300_000
+
+
+@pytest.mark.long
+def test_equal_scenes_give_equal_files_in_every_process(tmp_path):
+    subprocess.run([sys.executable, '-m', 'hnn_vi_ros', 'export', 'driven_duffing', '--out',
+                    str(tmp_path / 'one'), '--fmu', str(tmp_path / 'one.fmu')], check=True)
+    code = compile_scene(SCENES['time'](), 'driven_duffing')
+    write_project(tmp_path / 'two', 'driven_duffing', code)
+    write_fmu(tmp_path / 'two.fmu', 'driven_duffing', code)
+    assert (tmp_path / 'one.fmu').read_bytes() == (tmp_path / 'two.fmu').read_bytes()
+    for path in (tmp_path / 'one').iterdir():
+        assert path.read_bytes() == (tmp_path / 'two' / path.name).read_bytes()
 
 
 def test_commands_act_as_in_a_simulation():
@@ -453,7 +467,7 @@ def test_scene_with_what_is_not_compiled_is_refused(name):
         'measurements': {'measurements': {'joint_states': {}}},
         'observer': {'effects': [{'kind': 'observer', 'coordinates': joints}]}}[name])
     with refused(HnnViRosError):
-        compile_scene(scene, 'refused')
+        compile_scene(scene, 'refused', begin=lambda: pytest.fail('has begun to compile'))
 
 
 def test_without_a_compiler_the_archive_alone_is_written(monkeypatch, capsys, tmp_path):
