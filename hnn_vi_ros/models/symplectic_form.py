@@ -89,7 +89,8 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
         n = 2 * self.dimension
         return FormParameters(
             self._packed('energy'), pack_outputs(self.checkpoint, 'one_form', 'both'),
-            np.array(self.checkpoint.card.mass), *np.zeros((2, n, n)), np.zeros(n), 0.0, 0.0)
+            np.array(self.checkpoint.card.mass), np.zeros((n, n)), np.zeros((n, n)),
+            np.zeros(n), 0.0, 0.0)
 
 
 def irregularity(two_forms: np.ndarray, half: np.ndarray) -> str:
