@@ -246,7 +246,7 @@ def _energies(free: FreeScene, solution: Solution) -> list[str]:
     # The work of a passive effect is the negative of its heat, but for the stored energy.
     found = predicted_by(free, solution.values, solution.windows).log.energies(solution.starts)
     texts = [f'{name.replace("/", " of ", 1)} {value:.4g} J' for name, value in found.items()
-             if value and (name.replace('work/', 'heat/', 1) not in found or 'heat/' in name)]
+             if name.replace('work/', 'heat/', 1) not in found or name.startswith('heat/')]
     return [f'Energy in the windows, by the fitted scene: {", ".join(texts)}'] if texts else []
 
 

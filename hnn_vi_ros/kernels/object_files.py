@@ -74,10 +74,6 @@ def object_code(text: str, symbols: Iterable[str], machine: str = platform.machi
                                     '1 MB, and cannot be exported; pass it as a parameter')
         if not own.is_declaration and own.name not in exported:
             own.linkage = 'internal'
-    # Padding before loops, and copies in line, would be a twentieth of the code.
-    for function in module.functions:
-        if not function.is_declaration:
-            function.add_function_attribute('optsize')
     if machine != platform.machine():
         llvm.initialize_all_targets()
         llvm.initialize_all_asmprinters()

@@ -256,16 +256,6 @@ def test_force_that_is_missing_is_named_with_what_it_goes_with():
     assert said.startswith('On angle a force of ') and 'goes with velocity' in said
 
 
-def test_accelerations_at_the_ends_of_motions_show_no_missing_force():
-    motion = swing(0.02)
-    network = learn(config('a', **PENDULUM), [motion]).module
-    assert not missing_force(network, [motion], ['angle'])
-    a = motion.a_smooth.copy()
-    # Steps of a motor at the ends are no motion that the filter knows.
-    a[:2], a[-2:] = 50.0 * np.abs(a).max(), -50.0 * np.abs(a).max()
-    assert not missing_force(network, [replace(motion, a_smooth=a)], ['angle'])
-
-
 def test_filter_ends_where_the_motion_sinks_into_its_noise():
     # The swing has 0.4 Hz and harmonics: the more noise, the fewer are seen.
     cutoffs = [swing(deg).cutoff for deg in (0.01, 0.1, 1.0)]

@@ -27,21 +27,15 @@ def missing_force(network: MechanicalNetwork, motions: Sequence[EvenMotion],
 
     The force needed for the smoothed accelerations, less that of the model, is regressed on
     functions of each quantity alone. Its own past is that of the rest which no quantity explains,
-    earlier by the time of two periods of the smoothing. Its accelerations are wrong for one period
-    at both ends of a motion, which are left out.
+    earlier by the time of two periods of the smoothing.
     """
-    period = max(1, round(1.0 / (motions[0].cutoff * motions[0].spacing)))
-    motions = [motion for motion in motions if len(motion.t) > 3 * period]
-    if not motions:
-        return ''
-    inside = slice(period, -period)
-    q, v, a, tau = (np.concatenate([getattr(motion, name)[inside] for motion in motions])
+    q, v, a, tau = (np.concatenate([getattr(motion, name) for motion in motions])
                     for name in ('q_smooth', 'v_smooth', 'a_smooth', 'tau'))
     with torch.no_grad():
         given = network.joint_forces(torch.tensor(tau))
         needed = network.forces(*map(torch.tensor, (q, v, a, tau)))
     missing, size = (given - needed).numpy(), given.numpy().std(axis=0)
-    t = np.concatenate([(motion.t - motion.t[0])[inside, None] for motion in motions])
+    t = np.concatenate([(motion.t - motion.t[0])[:, None] for motion in motions])
     switch = np.tanh(v / (0.1 * v.std(axis=0) + 1e-300))
     columns = {'position': [q, q**2, q**3, np.sin(q), np.cos(q)],
                'velocity': [v, v * np.abs(v), switch], 'input': [tau, np.abs(tau)],
@@ -51,8 +45,7 @@ def missing_force(network: MechanicalNetwork, motions: Sequence[EvenMotion],
         force = missing[:, j] - missing[:, j].mean()
         found = {key: _explained(parts, force)[0] for key, parts in columns.items()}
         rest = _explained([part for parts in columns.values() for part in parts], force)[1]
-        found['own past'] = _own_past(rest, 2 * period, [
-            len(motion.t) - 2 * period for motion in motions]) * float(rest.var() / force.var())
+        found['own past'] = _own_past(rest, motions) * float(rest.var() / force.var())
         named = {key: share for key, share in sorted(found.items(), key=lambda one: -one[1])
                  if share > _SHARE}
         if not named:
@@ -72,9 +65,11 @@ def _explained(parts: Sequence[np.ndarray], force: np.ndarray) -> tuple[float, n
     return 1.0 - float(rest.var() / max(force.var(), 1e-300)), rest
 
 
-def _own_past(rest: np.ndarray, lag: int, counts: Sequence[int]) -> float:
-    """Return the share of the rest that its own past explains, in motions of so many samples."""
-    pairs = [(part[:-lag], part[lag:]) for part in np.split(rest, np.cumsum(counts)[:-1])
+def _own_past(rest: np.ndarray, motions: Sequence[EvenMotion]) -> float:
+    """Return the share of the rest that its own past explains."""
+    lag = max(1, round(2.0 / (motions[0].cutoff * motions[0].spacing)))
+    ends = np.cumsum([len(motion.t) for motion in motions])
+    pairs = [(part[:-lag], part[lag:]) for part in np.split(rest, ends[:-1])
              if len(part) > 2 * lag]
     if not pairs:
         return 0.0
