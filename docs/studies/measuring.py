@@ -90,7 +90,7 @@ class StudyRow:
 
     @property
     def is_ours(self) -> bool:
-        """Return whether it is of one of our methods, solved to round-off in double precision."""
+        """Return whether it is of one of our methods."""
         return not self.is_peer
 
     @property

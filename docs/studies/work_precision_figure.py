@@ -91,7 +91,7 @@ def is_peer(name: str) -> bool:
 
 
 def group_of(name: str) -> str:
-    """Return the column of panels of a line."""
+    """Return the group of a line: a peer's, or ours."""
     return 'peers' if is_peer(name) else 'ours'
 
 
