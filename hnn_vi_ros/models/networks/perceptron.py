@@ -18,6 +18,7 @@ from hnn_vi_ros.kernels import address_of, kept, LINK_ONLY, part, row_multiplier
 from hnn_vi_ros.models.networks.activations import (
     activate, FASTMATH, in_columns, scale, scale_forth, scale_tangent)
 from hnn_vi_ros.models.networks.perceptron_memory import MAX_STATES, PackedPerceptron, ROW, TILE
+from llvmlite.binding import get_host_cpu_features
 from numba import types
 from numba.extending import overload
 import numpy as np
@@ -28,7 +29,9 @@ _compiled = kept(fastmath=FASTMATH, error_model='numpy')
 _inlined = kept(fastmath=FASTMATH, error_model='numpy', forceinline=True)
 _part = part(fastmath=FASTMATH, error_model='numpy', forceinline=True)
 
-_multiply_pair, _multiply_tile = row_multiplier(2), row_multiplier(TILE)
+# Rows whose sums stay in registers: there are 32 of 512 bits, or 16 of 256.
+_ROWS = 8 if get_host_cpu_features().get('avx512f') else 4
+_multiply_pair, _multiply_rows = row_multiplier(2), row_multiplier(_ROWS)
 _called = part(fastmath=FASTMATH, error_model='numpy')
 
 # States that are evaluated one by one; more are columns of matrices.
@@ -133,8 +136,8 @@ def _gradient_of_many(network: PackedPerceptron, first: int, n_states: int, q: n
     for layer in range(1, n_layers + 1):
         # The columns of W_1 are in rows.
         first_row, across, along = (at, line, 8) if layer > 1 else (0, 8, line)
-        for i in range(0, sizes[layer], TILE):
-            _multiply_tile(address_of(rows[first_row]) + i * across, across, along,
+        for i in range(0, sizes[layer], _ROWS):
+            _multiply_rows(address_of(rows[first_row]) + i * across, across, along,
                            sizes[layer - 1], address_of(nodes[0, layer - 1]),
                            address_of(nodes[0, layer]) + 8 * lanes * i, lanes)
         _spread(rows[sizes[0] + layer - 1], sizes[layer], lanes, nodes[0, g + layer])
@@ -144,8 +147,8 @@ def _gradient_of_many(network: PackedPerceptron, first: int, n_states: int, q: n
     for layer in range(n_layers, 0, -1):
         scale(columns, 0, layer, g, 0, sizes[layer] * lanes // TILE)
         at -= sizes[layer]
-        for i in range(0, sizes[layer - 1] if layer > 1 else 0, TILE):
-            _multiply_tile(address_of(rows[at]) + 8 * i, 8, line, sizes[layer],
+        for i in range(0, sizes[layer - 1] if layer > 1 else 0, _ROWS):
+            _multiply_rows(address_of(rows[at]) + 8 * i, 8, line, sizes[layer],
                            address_of(nodes[0, g + layer]),
                            address_of(nodes[0, g + layer - 1]) + 8 * lanes * i, lanes)
     for i in range(0, sizes[0], 2):
