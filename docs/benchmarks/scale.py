@@ -134,7 +134,7 @@ def _against_diffrax(name: str, horizon: float, settings: Settings) -> Iterator[
     z = start + _SPREAD * (high - low) * np.random.default_rng(SEED).uniform(-1, 1, (m, len(low)))
 
     def ours(tolerance: float, z: np.ndarray) -> np.ndarray:
-        chosen = scene.changed({'step_size': horizon / 10.0, 'integrator': {
+        chosen = scene.changed({'step_size': horizon, 'integrator': {
             'kind': 'dop853', 'relative_tolerance': tolerance, 'absolute_tolerance': tolerance}})
         return _ends(simulate_many(chosen, *np.hsplit(z, 2), horizon, threads=1))
 
