@@ -3,6 +3,7 @@
 """Rigid bodies that are fitted to motions, alone and with networks beside them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 from helpers import long
 from hnn_vi_ros.effects import EFFECTS
@@ -254,6 +255,26 @@ def test_force_that_is_missing_is_named_with_what_it_goes_with():
                     [motion]).module
     said = missing_force(network, [motion], ['angle'])
     assert said.startswith('On angle a force of ') and 'goes with velocity' in said
+
+
+def test_wrong_accelerations_of_few_samples_are_no_missing_force():
+    """Of a motion that never returns to where it begins."""
+    t = np.linspace(0.0, 10.0, 1001)
+    q = np.exp(-t)[:, None]
+    motion = SimpleNamespace(t=t, q_smooth=q, v_smooth=-q, a_smooth=q, tau=0.0 * q, cutoff=5.0,
+                             spacing=0.01)
+
+    def said(force):
+        noise = 1e-3 * np.random.default_rng(0).normal(size=q.shape)
+        network = SimpleNamespace(joint_forces=lambda tau: tau + torch.tensor(noise + force),
+                                  forces=lambda q, v, a, tau: tau)
+        return missing_force(network, [motion], ['x'])
+    begin = np.zeros_like(q)
+    begin[:2] = 0.3
+    assert said(begin) == ''
+    # Of the same size along a tenth of the motion, it is a force.
+    begin[:100] = 0.3
+    assert 'goes with position' in said(begin)
 
 
 def test_filter_ends_where_the_motion_sinks_into_its_noise():

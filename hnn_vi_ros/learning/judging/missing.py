@@ -7,10 +7,13 @@ from collections.abc import Sequence
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 import numpy as np
+from scipy.stats import median_abs_deviation
 import torch
 
 # Share of the force's variance that a quantity must explain to be named.
 _SHARE = 0.15
+# Deviations from the median beyond this many standard deviations of usual ones are bounded.
+_USUAL = 5.0
 # Quantities by which the force is explained, and remedies.
 _REMEDIES = {
     'position': 'networks of V and M (residual), or another prior or other angles',
@@ -34,7 +37,8 @@ def missing_force(network: MechanicalNetwork, motions: Sequence[EvenMotion],
     with torch.no_grad():
         given = network.joint_forces(torch.tensor(tau))
         needed = network.forces(*map(torch.tensor, (q, v, a, tau)))
-    missing, size = (given - needed).numpy(), given.numpy().std(axis=0)
+    missing = (given - needed).numpy()
+    size, plain = given.numpy().std(axis=0), missing.std(axis=0)
     t = np.concatenate([(motion.t - motion.t[0])[:, None] for motion in motions])
     switch = np.tanh(v / (0.1 * v.std(axis=0) + 1e-300))
     columns = {'position': [q, q**2, q**3, np.sin(q), np.cos(q)],
@@ -42,7 +46,7 @@ def missing_force(network: MechanicalNetwork, motions: Sequence[EvenMotion],
                'time': [t, t**2]}
     lines = []
     for j, name in enumerate(names):
-        force = missing[:, j] - missing[:, j].mean()
+        force = _bounded(missing[:, j])
         found = {key: _explained(parts, force)[0] for key, parts in columns.items()}
         rest = _explained([part for parts in columns.values() for part in parts], force)[1]
         found['own past'] = _own_past(rest, motions) * float(rest.var() / force.var())
@@ -51,10 +55,17 @@ def missing_force(network: MechanicalNetwork, motions: Sequence[EvenMotion],
         if not named:
             continue
         shares = ', '.join(f'{key} ({100.0 * share:.0f} %)' for key, share in named.items())
-        whole = f', {100.0 * force.std() / size[j]:.2g} % of the measured one' if size[j] else ''
-        lines.append(f'On {name} a force of {force.std():.3g} RMS{whole} is missing, which goes '
+        whole = f', {100.0 * plain[j] / size[j]:.2g} % of the measured one' if size[j] else ''
+        lines.append(f'On {name} a force of {plain[j]:.3g} RMS{whole} is missing, which goes '
                      f'with {shares}: {_REMEDIES[next(iter(named))]}.')
     return '\n'.join(lines)
+
+
+def _bounded(force: np.ndarray) -> np.ndarray:
+    """Return a force without outliers, as those of accelerations at the ends of motions."""
+    middle, most = np.median(force), _USUAL * median_abs_deviation(force, scale='normal')
+    bounded: np.ndarray = force.clip(middle - most, middle + most) if most else force
+    return bounded - bounded.mean()
 
 
 def _explained(parts: Sequence[np.ndarray], force: np.ndarray) -> tuple[float, np.ndarray]:
