@@ -204,6 +204,8 @@ def test_double_well_is_chosen_as_a_rigid_body_with_a_spring_and_no_delay():
     """Late forces of another course fitted better than without a spring."""
     chosen, card = selected(sliding(), [double_well()])
     assert card.chosen == RIGID and not chosen.data.delay and chosen.family.springs == 5
+    # What is missing goes with the position, so springs are tried before other forces.
+    assert [one.name for one in card.candidates] == [RIGID, f'{RIGID} without springs']
 
 
 @pytest.mark.parametrize('magnet', [0.0, 12.0])

@@ -3,6 +3,7 @@
 """The force that a model lacks along measured motions, and what it depends on."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
@@ -23,10 +24,43 @@ _REMEDIES = {
     'own past': 'a state that is not measured, or a delay (data.delay: estimate)'}
 
 
+class MissingForce(NamedTuple):
+    """
+    The force on a coordinate that a model lacks.
+
+    Parameters
+    ----------
+    size : float
+        Standard deviation of the force [N or N m].
+    share : float
+        Size relative to that of the measured force; 0 without one.
+    causes : dict of str to float
+        Shares of the force's variance that quantities explain, the largest first.
+
+    """
+
+    size: float
+    share: float
+    causes: dict[str, float]
+
+
 def missing_force(network: MechanicalNetwork, motions: Sequence[EvenMotion],
                   names: Sequence[str]) -> str:
+    """Return one sentence for each coordinate on the force that a model lacks, if one is plain."""
+    lines = []
+    for name, (size, share, causes) in zip(names, missing_forces(network, motions), strict=True):
+        if causes:
+            shares = ', '.join(f'{key} ({100.0 * part:.0f} %)' for key, part in causes.items())
+            whole = f', {100.0 * share:.2g} % of the measured one' if share else ''
+            lines.append(f'On {name} a force of {size:.3g} RMS{whole} is missing, which goes '
+                         f'with {shares}: {_REMEDIES[next(iter(causes))]}.')
+    return '\n'.join(lines)
+
+
+def missing_forces(network: MechanicalNetwork, motions: Sequence[EvenMotion]
+                   ) -> list[MissingForce]:
     """
-    Return one sentence for each coordinate on the force that a model lacks; '' if none is plain.
+    Return the force that a model lacks of each coordinate, and what explains it.
 
     The force needed for the smoothed accelerations, less that of the model, is regressed on
     functions of each quantity alone. Its own past is that of the rest which no quantity explains,
@@ -37,28 +71,22 @@ def missing_force(network: MechanicalNetwork, motions: Sequence[EvenMotion],
     with torch.no_grad():
         given = network.joint_forces(torch.tensor(tau))
         needed = network.forces(*map(torch.tensor, (q, v, a, tau)))
-    missing = (given - needed).numpy()
-    size, plain = given.numpy().std(axis=0), missing.std(axis=0)
+    missing, measured = (given - needed).numpy(), given.numpy().std(axis=0)
     t = np.concatenate([(motion.t - motion.t[0])[:, None] for motion in motions])
     switch = np.tanh(v / (0.1 * v.std(axis=0) + 1e-300))
     columns = {'position': [q, q**2, q**3, np.sin(q), np.cos(q)],
                'velocity': [v, v * np.abs(v), switch], 'input': [tau, np.abs(tau)],
                'time': [t, t**2]}
-    lines = []
-    for j, name in enumerate(names):
-        force = _bounded(missing[:, j])
+    lacking = []
+    for one, whole in zip(missing.T, measured, strict=True):
+        force, size = _bounded(one), float(one.std())
         found = {key: _explained(parts, force)[0] for key, parts in columns.items()}
         rest = _explained([part for parts in columns.values() for part in parts], force)[1]
         found['own past'] = _own_past(rest, motions) * float(rest.var() / force.var())
-        named = {key: share for key, share in sorted(found.items(), key=lambda one: -one[1])
-                 if share > _SHARE}
-        if not named:
-            continue
-        shares = ', '.join(f'{key} ({100.0 * share:.0f} %)' for key, share in named.items())
-        whole = f', {100.0 * plain[j] / size[j]:.2g} % of the measured one' if size[j] else ''
-        lines.append(f'On {name} a force of {plain[j]:.3g} RMS{whole} is missing, which goes '
-                     f'with {shares}: {_REMEDIES[next(iter(named))]}.')
-    return '\n'.join(lines)
+        lacking.append(MissingForce(size, size / whole if whole else 0.0, {
+            key: share for key, share in sorted(found.items(), key=lambda one: -one[1])
+            if share > _SHARE}))
+    return lacking
 
 
 def _bounded(force: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from hnn_vi_ros.learning.fit.loop import Fitted
 from hnn_vi_ros.learning.fit.machine import Network, slowness
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine, MOST_DELAY
 from hnn_vi_ros.learning.judging.evaluation import finite, samples_in, score
-from hnn_vi_ros.learning.judging.missing import missing_force
+from hnn_vi_ros.learning.judging.missing import missing_force, missing_forces
 from hnn_vi_ros.learning.judging.predictors import predicted_by
 from hnn_vi_ros.learning.judging.residuals import (
     is_noise, is_off, judged_along, noise_text, ONLY_NOISE, Residuals)
@@ -298,9 +298,12 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
     """Return a rigid body with other forces and springs if it needs them, then those before."""
     if first.rigid is None:
         return [first]
-    best, *others = _with_forces(first)
+    may_have_springs = not getattr(first.config.family, 'springs', True)
+    # A delay of the forces would mimic a spring in vain.
+    springs_first = may_have_springs and _lacks_springs(first)
+    best, *others = [first] if springs_first else _with_forces(first)
     best = best._replace(explained=_is_explained(best))
-    if best.explained or getattr(best.config.family, 'springs', True):
+    if best.explained or not may_have_springs:
         return [best, *others]
     alone = positions_alone(first.trials.motions)
     kinds = [coordinate.kind for coordinate in first.config.coordinates]
@@ -318,7 +321,17 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
             'springs': 1, 'spring_knots': [float(f'{knot:.4g}') for knot in np.quantile(
                 q, np.linspace(0.0, 1.0, _KNOTS + 2)[1:-1])]})
         others = [*more, *others]
+    if springs_first and best.rigid is first.rigid:
+        best, *more = _with_forces(best)
+        others = [*more, *others]
     return [best, *others]
+
+
+def _lacks_springs(candidate: Candidate) -> bool:
+    """Return True if most of a force that a rigid body lacks goes with the position."""
+    assert candidate.rigid is not None, 'it is a rigid body'
+    return any(force.causes.get('position', 0.0) > 0.5 for force in missing_forces(
+        candidate.rigid.module, candidate.trials.kept))
 
 
 def _is_explained(candidate: Candidate) -> bool:
