@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 from functools import cache
+import re
 
 from helpers import alarm_of
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
@@ -226,6 +227,24 @@ def test_rigid_body_is_enough_unless_accelerations_show_a_force(magnet: float, c
     # The force of the magnet depends on the position alone, and a spline fits it.
     assert 'nothing more is tried' in said
     assert ('with a spring of straight pieces' in said) is (magnet != 0.0)
+
+
+def test_runs_of_two_machines_are_named_and_end_the_search(capsys):
+    t = 0.01 * np.arange(1200)
+
+    def run(name: str, gravity: float) -> EvenMotion:
+        q = solve_ivp(lambda _, z: [z[1], -gravity * np.sin(z[0]) - 0.05 * z[1]], (0.0, t[-1]),
+                      [1.2, 0.0], t_eval=t, rtol=1e-8, atol=1e-8).y[0][:, None]
+        q += 2e-3 * np.random.default_rng(1).normal(size=q.shape)
+        return smoothed(name, t, q, None, 0.0 * q, 5.0)
+    config = machine_config('a', 'revolute', prior=AUTO)
+    _, card = selected(config, [run('long', 12.0), run('short', 20.0)])
+    said = capsys.readouterr().out
+    (found,) = re.findall(r'explains each run alone, but not together: gravity1 is (.*) in long '
+                          'and (.*) in short;', said)
+    # Within a percent, which is many times their intervals.
+    assert [*map(float, found)] == pytest.approx([12.0, 20.0], rel=0.01)
+    assert found[0] in card.held_out and 'nothing more is tried' in said and 'network' not in said
 
 
 def test_velocities_that_a_filter_delays_are_left_out():

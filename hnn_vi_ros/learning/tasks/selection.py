@@ -24,6 +24,7 @@ from hnn_vi_ros.learning.judging.missing import missing_force, missing_forces
 from hnn_vi_ros.learning.judging.predictors import predicted_by
 from hnn_vi_ros.learning.judging.residuals import (
     is_noise, is_off, judged_along, noise_text, ONLY_NOISE, Residuals)
+from hnn_vi_ros.learning.tasks.differing_runs import differing_runs
 from hnn_vi_ros.models import (
     CandidateCard, chain_angles, Errors, HIGHEST_POWER, PLANAR_CHAIN, SelectionCard)
 import numpy as np
@@ -105,7 +106,7 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion]
     best, tried = _candidates(config, trials)
     if best.fitted is None:
         raise DataError(f'{AUTO}: {tried[-1].card.failed}')
-    config, text = best.config, trials.text
+    config, text = best.config, '; '.join(filter(None, (trials.text, best.remark)))
     if config.family.friction != family.friction:
         terms = ', '.join(term for term in _TERMS if getattr(config.family.friction, term))
         text += f'; friction with {terms}, selected on the same motions'
@@ -136,6 +137,8 @@ class Candidate(NamedTuple):
         Its errors, or the reason of the failure.
     explained : bool
         True if it leaves nothing but noise.
+    remark : str
+        See ``differing_runs``: if it is given, no model of (q, p) is of all runs.
 
     """
 
@@ -144,6 +147,7 @@ class Candidate(NamedTuple):
     fitted: Fitted | None
     card: CandidateCard
     explained: bool = False
+    remark: str = ''
 
     @property
     def error(self) -> float:
@@ -254,6 +258,9 @@ def _candidates(config: MachineConfig, trials: _Trials) -> tuple[Candidate, list
             print(f'{RIGID}: {noise_text(rigid.card.residuals)}; nothing more is tried',
                   flush=True)
             return rigid, [rigid, *tried]
+        if rigid.remark:
+            print(f'warning: {rigid.remark}; nothing more is tried', flush=True)
+            return rigid, [rigid, *tried]
         if 'friction' not in config.family.model_fields_set:
             rigid, *more = _with_friction(rigid)
             tried = [*more, *tried]
@@ -303,7 +310,10 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
     springs_first = may_have_springs and _lacks_springs(first)
     best, *others = [first] if springs_first else _with_forces(first)
     best = best._replace(explained=_is_explained(best))
-    if best.explained or not may_have_springs:
+    if not best.explained:
+        motions = best.trials.motions
+        best = best._replace(remark=differing_runs(_short(best.config, motions), motions))
+    if best.explained or best.remark or not may_have_springs:
         return [best, *others]
     alone = positions_alone(first.trials.motions)
     kinds = [coordinate.kind for coordinate in first.config.coordinates]
