@@ -13,7 +13,7 @@ from hnn_vi_ros.files import write_text
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.identify import arguments as command_lines
 from hnn_vi_ros.identify.commanded import (
-    delays_of, forces_needed, rated_efforts, regression, robot_of, SPEED)
+    columns_of, delays_of, forces_needed, rated_efforts, robot_of, SPEED)
 from hnn_vi_ros.identify.identify import source_by_format
 from hnn_vi_ros.learning import (
     ANGLE, configuration_of, even_motions, EvenMotion, LogWarning, low_pass, Motion, read_header,
@@ -187,7 +187,7 @@ def _of_errors(tree: RigidBodyTree, motions: Sequence[EvenMotion], delay: float
     """
     parts = []
     for motion in motions:
-        columns, needed = regression([(tree, 1.0)], [motion], delay)
+        columns, needed = columns_of(motion, 1.0, delay), forces_needed(tree, motion)
         table = np.concatenate([needed[..., None], -columns[..., 1:], columns[..., :1]], axis=-1)
         on = columns[..., 4] != 0.0
         # The equations hold for filtered motions as well, with less noise of accelerations.

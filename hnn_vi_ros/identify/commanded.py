@@ -4,17 +4,22 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+import math
 from pathlib import Path
 
-from hnn_vi_ros.effects import LARGEST
+from hnn_vi_ros.effects import LARGEST, OFF
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files import write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum, read_urdf, RigidBodyTree
+from hnn_vi_ros.identify.free_numbers import FreeScene
 from hnn_vi_ros.identify.intervals import Estimate, Estimates
-from hnn_vi_ros.learning import commands_and_off, EvenMotion
+from hnn_vi_ros.learning import (
+    commands_and_off, EvenMotion, EVIDENCE, evidence_of, first_length, fit_numbers,
+    MeasuredColumns, ramps)
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import minimum_filter1d
 from scipy.optimize import nnls
 from yaml import safe_dump
 
@@ -22,6 +27,14 @@ from yaml import safe_dump
 SPEED = 0.05
 # Longest delay that is tried for the initial guess [s], and largest step size [s].
 _LATEST, _LARGEST_STEP = 0.15, 0.01
+# Share of the squared residuals beyond noise that ramps may leave, and tolerance of the fits that
+# tell it.
+_LEFT, _ROUGH = 0.25, 1e-4
+# Name of the rate of ramps.
+RATE = 'servo.rate_limit'
+# Rates of ramps that are tried for the initial guess, relative to the largest speed that is kept
+# for this time [s].
+_RATES, _SUSTAINED = (1.2, 1.0, 0.85, 0.7, 0.5), 0.05
 
 
 def robot_of(urdf: Path) -> RigidBodyTree:
@@ -40,6 +53,7 @@ def first_scene(robot: Path, folder: Path) -> Scene:
 def _scene(robot: Path, folder: Path, effects: Sequence[Mapping[str, object]],
            more: Mapping[str, object], step_size: float = _LARGEST_STEP) -> Scene:
     path, rest = folder / f'{robot.stem}.yaml', [0.0] * robot_of(robot).dimension
+    folder.mkdir(exist_ok=True)
     write_text(path, safe_dump({
         'hamiltonian': {'kind': 'urdf', 'file': str(robot.resolve()), **more},
         'integrator': {'kind': 'implicit_midpoint'}, 'step_size': step_size,
@@ -48,8 +62,8 @@ def _scene(robot: Path, folder: Path, effects: Sequence[Mapping[str, object]],
 
 
 def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonian, float]],
-                    motions: Sequence[EvenMotion], known: Mapping[str, float]
-                    ) -> tuple[Scene, list[str]]:
+                    motions: Sequence[EvenMotion], known: Mapping[str, float],
+                    limited: bool = False) -> tuple[Scene, list[str]]:
     """
     Return the scene of a robot with servos and friction, near a log of commanded positions.
 
@@ -66,6 +80,8 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
         Motions of all d coordinates, with commanded positions.
     known : mapping of str to float
         Known numbers by name, such as ``servo.stiffness.0``.
+    limited : bool
+        True for servos that make ramps of commands.
 
     Returns
     -------
@@ -80,28 +96,28 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
     if all((np.abs(motion.tau) > LARGEST).all() for motion in motions):
         raise DataError(f'{motions[0].where}: the motors are off in all samples, which tells '
                         'nothing of servos; give a log in which they are on')
-    spacing = motions[0].spacing
-    fits = [(*_guess(robots, motions, delay), delay) for delay in delays_of(motions)]
-    _, numbers, delay = min(fits, key=lambda fit: fit[0])
-    places = {'servo.delay': None} | {
+    spacing, places = motions[0].spacing, {'servo.delay': None, RATE: None} | {
         f'{key}.{name}': (k, column) for column, key in enumerate((
             'servo.stiffness', 'servo.damping', 'joint_friction.friction', 'rotor_inertia',
             'servo.offset')) for k, name in enumerate(
                 range(len(names)) if key.startswith('servo') else names)}
-    for name, value in known.items():
+    for name in known:
         if name not in places:
             raise ParameterError(f'--known {name}: not among the numbers of the servos: '
                                  f'{", ".join(places)}')
-        if places[name] is None:
-            delay = value
-        else:
+    rates = [known[RATE]] if RATE in known else [
+        share * _sustained_speed(motions) for share in _RATES] if limited else [math.inf]
+    numbers, delay, rate = _guess(robots, motions, rates)
+    for name, value in known.items():
+        if places[name] is not None:
             numbers[places[name]] = value
     stiffness, damping, friction, rotor, offset = numbers.T.tolist()
     limits = _effort_limits(robot, robots, motions)
     off = any((np.abs(motion.tau) > LARGEST).any() for motion in motions)
     effects = [
         {'kind': 'servo', 'coordinates': names, 'stiffness': stiffness, 'damping': damping,
-         'offset': offset, 'delay': delay,
+         'offset': offset, 'delay': known.get('servo.delay', delay),
+         **({'rate_limit': rate} if rate < math.inf else {}),
          **({'effort_limit': limits.tolist()} if (limits < LARGEST).any() else {})},
         {'kind': 'joint_friction', 'friction': dict(zip(names, friction, strict=True)),
          'speed': SPEED, **({'damping': {name: 0.1 * b for name, b in zip(
@@ -111,7 +127,34 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
                    min(spacing, _LARGEST_STEP))
     free = [*places, 'joint_friction.speed',
             *(f'joint_friction.damping.{name}' for name in names if off)]
-    return scene, [name for name in free if name not in known]
+    return scene, [name for name in free if name not in known and (
+        rate < math.inf or name != RATE)]
+
+
+def _sustained_speed(motions: Sequence[EvenMotion]) -> float:
+    """Return the largest speed that a joint keeps for a while with its motor on."""
+    count = max(1, round(_SUSTAINED / motions[0].spacing))
+    return max(float(minimum_filter1d(np.where(
+        np.abs(motion.tau) > LARGEST, 0.0, np.abs(motion.v_smooth)), count, axis=0).max())
+        for motion in motions)
+
+
+def better_servos(free: FreeScene, limited: FreeScene, motions: Sequence[EvenMotion],
+                  seen: MeasuredColumns) -> FreeScene:
+    """
+    Return a scene of servos, or another one whose servos make ramps of commands.
+
+    It is that with ramps if these take most of what is not noise from the residuals in short
+    windows: what only resembles ramps, such as a limit of the effort, takes less.
+    """
+    found, other = (fit_numbers([one], motions, first_length(motions), False, seen, _ROUGH)
+                    for one in (free, limited))
+    noise = float(np.exp(np.log(other.noise).mean()))
+    left, before = (one.size**2 - noise**2 for one in (other, found))
+    better = left < _LEFT * before and evidence_of(
+        found.solution.freedom, other.size / found.size) > EVIDENCE
+    return limited.starting_at(other.solution.values) if better else free.starting_at(
+        found.solution.values)
 
 
 def rated_efforts(robot: Path, names: Sequence[str]) -> np.ndarray:
@@ -147,41 +190,42 @@ def forces_needed(hamiltonian: Hamiltonian, motion: EvenMotion) -> np.ndarray:
     return CubicSpline(t, p)(t, 1) + hamiltonian.gradient(q, p)[0]
 
 
-def regression(robots: Sequence[tuple[Hamiltonian, float]], motions: Sequence[EvenMotion],
-               delay: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns of k, c, F, J, k o, shape (N, d, 5), and the forces needed, (N, d)."""
-    rows, forces = [], []
-    for (hamiltonian, gain), motion in zip(robots, motions, strict=True):
-        t, q, v = motion.t, motion.q_smooth, motion.v_smooth
-        at = np.clip(np.floor((t - t[0] - delay) / motion.spacing + 1e-6).astype(int), 0, None)
-        commands, off = commands_and_off(motion)
-        command, on = commands[at], ~off
-        rows.append(np.stack([
-            np.where(on, gain * (command - q), 0.0), -v, -np.tanh(v / SPEED), -motion.a_smooth,
-            -gain * on], axis=-1))
-        forces.append(forces_needed(hamiltonian, motion))
-    return np.concatenate(rows), np.concatenate(forces)
+def columns_of(motion: EvenMotion, gain: float, delay: float) -> np.ndarray:
+    """Return the columns of k, c, F, J, k o of the forces of servos, shape (N, d, 5)."""
+    t, q, v = motion.t, motion.q_smooth, motion.v_smooth
+    at = np.clip(np.floor((t - t[0] - delay) / motion.spacing + 1e-6).astype(int), 0, None)
+    commands, off = commands_and_off(motion)
+    return np.stack([np.where(off, 0.0, gain * (commands[at] - q)), -v, -np.tanh(v / SPEED),
+                     -motion.a_smooth, -gain * ~off], axis=-1)
 
 
 def _guess(robots: Sequence[tuple[Hamiltonian, float]], motions: Sequence[EvenMotion],
-           delay: float) -> tuple[float, np.ndarray]:
-    """Return the relative squared residuals, and k, c, F, J, o of each joint, shape (d, 5)."""
-    columns, needed = regression(robots, motions, delay)
-    # The offset may have either sign.
-    columns = np.concatenate([columns, -columns[..., 4:]], axis=-1)
-    hamiltonian, share = robots[0][0], 0.0
-    d = hamiltonian.dimension
-    found = np.empty((d, 5))
-    for k in range(d):
-        own, rest = nnls(columns[:, k], needed[:, k])
-        share += rest**2 / float((needed[:, k]**2).sum() or 1.0)
-        size = float(np.abs(hamiltonian.hessian_vector(
-            np.zeros(d), np.zeros(d), np.zeros(d), np.eye(d)[k])[1][k]))
+           rates: Sequence[float]) -> tuple[np.ndarray, float, float]:
+    """Return k, c, F, J, o of each joint, (d, 5), and the delay and the rate that fit best."""
+    needed = np.concatenate([forces_needed(hamiltonian, motion) for (hamiltonian, _), motion in
+                             zip(robots, motions, strict=True)])
+    fits = []
+    for rate in rates:
+        limited = [replace(motion, tau=np.where(off, OFF, ramps(motion, on, rate)))
+                   for motion in motions for on, off in [commands_and_off(motion)]]
+        for delay in delays_of(motions):
+            columns = np.concatenate([columns_of(motion, gain, delay) for (_, gain), motion in
+                                      zip(robots, limited, strict=True)])
+            # The offset may have either sign.
+            columns = np.concatenate([columns, -columns[..., 4:]], axis=-1)
+            own = [nnls(columns[:, k], needed[:, k]) for k in range(needed.shape[1])]
+            fits.append((sum(rest**2 / float((needed[:, k]**2).sum() or 1.0)
+                             for k, (_, rest) in enumerate(own)), own, delay, rate))
+    _, best, delay, rate = min(fits, key=lambda fit: fit[0])
+    hamiltonian, d = robots[0][0], len(best)
+    found, zero = np.empty((d, 5)), np.zeros(d)
+    for k, (own, _) in enumerate(best):
+        size = float(np.abs(hamiltonian.hessian_vector(zero, zero, zero, np.eye(d)[k])[1][k]))
         # Numbers that this leaves at zero start small, not at the end of their range.
         stiffness = max(own[0], 10.0 / size)
         found[k] = (stiffness, max(own[1], 1e-2 * stiffness), max(own[2], 1e-4 * stiffness),
                     max(own[3], 1e-2 / size), (own[4] - own[5]) / stiffness)
-    return share, found
+    return found, delay, rate
 
 
 def as_ratios(estimates: Estimates, hamiltonian: Hamiltonian, q: np.ndarray) -> Estimates:

@@ -5,6 +5,7 @@
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 import json
 import math
 import os
@@ -18,7 +19,8 @@ from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, Unsuppo
 from hnn_vi_ros.files import elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.identify import arguments as command_lines
-from hnn_vi_ros.identify.commanded import as_ratios, commanded_scene, first_scene
+from hnn_vi_ros.identify.commanded import (
+    as_ratios, better_servos, commanded_scene, first_scene, RATE)
 from hnn_vi_ros.identify.free_numbers import free_scene, FreeScene, STATES, write_fitted
 from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
@@ -182,9 +184,10 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
             raise DataError(f'{options.data[0]}: no commanded positions; name their columns after '
                             'the joints, such as elbow_command, or fit '
                             'measured forces with hnn train and the family rigid_body')
-        scene, wanted = commanded_scene(
-            options.robot, folder, _loaded(scene, loads, motions), motions, _known(options.known))
-        options.free = [*wanted, *options.free]
+        servos = partial(commanded_scene, options.robot, robots=_loaded(scene, loads, motions),
+                         motions=motions, known=_known(options.known))
+        scene, wanted = servos(folder)
+        given, options.free = options.free, [*wanted, *options.free]
         parts = resolve(scene)
         _, hamiltonian, _, effects = parts
         notes = _of_commands(options, wanted)
@@ -205,7 +208,12 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
             if name not in wanted:
                 raise ParameterError(f'--{option} {name}: not among the free numbers '
                                      f'({", ".join(wanted)})')
-    fitted, said = _fit(free, motions, options, _seen(scene, hamiltonian, log.names, motions))
+    seen = _seen(scene, hamiltonian, log.names, motions)
+    if options.robot and RATE not in _known(options.known):
+        limited, wanted = servos(folder / 'ramps', limited=True)
+        free = better_servos(free, free_scene(
+            resolve(limited), [*wanted, *given], bounds, folder, False, loads), motions, seen)
+    fitted, said = _fit(free, motions, options, seen)
     notes += [*said, *(one.text for one in warnings_of(motions, log.names))]
     fitted, free, estimates, note = _finer_steps(fitted, free, lambda one, own: estimates_of(
         one.solution, one.problem, own, hamiltonian.coordinates, STATES in options.free))

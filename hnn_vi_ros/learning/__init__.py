@@ -27,13 +27,14 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.fit.excitation import ExcitationData
     from hnn_vi_ros.learning.fit.following import LogSimulation
     from hnn_vi_ros.learning.fit.growing import (
-        fit_numbers, FittedNumbers, judged, refitted)
-    from hnn_vi_ros.learning.fit.input_courses import EVIDENCE, input_courses, InputCourses
+        first_length, fit_numbers, FittedNumbers, judged, refitted)
+    from hnn_vi_ros.learning.fit.input_courses import (
+        EVIDENCE, evidence_of, input_courses, InputCourses)
     from hnn_vi_ros.learning.fit.noise import covariances, Process, processes
     from hnn_vi_ros.learning.fit.prediction import predicted_by, Prediction
     from hnn_vi_ros.learning.fit.shooting import (
         column_norms, FitProblem, least_squares_factors, projected, search, Solution, units_of)
-    from hnn_vi_ros.learning.fit.step_forces import commands_and_off
+    from hnn_vi_ros.learning.fit.step_forces import commands_and_off, ramps
     from hnn_vi_ros.learning.fit.windows import (
         check_times, DELAY, MeasuredColumns, ModelParts, Number, Windows)
 

@@ -76,7 +76,7 @@ def commands(joints: int, count: int, random: np.random.Generator) -> np.ndarray
 
 def write_log(folder: Path, joints: int, seed: int, duration: float = 6.0, scale: float = 1.0,
               limit: float | None = None, payload: dict[str, object] | None = None,
-              name: str = 'log', gain: float = 1.0) -> dict[str, float]:
+              name: str = 'log', gain: float = 1.0, **servo: float) -> dict[str, float]:
     """Write arm.urdf and NAME.csv of an arm with all masses and torques times a factor."""
     random, names = np.random.default_rng(seed), list(JOINTS[:joints])
     truth = numbers(joints, random)
@@ -95,7 +95,7 @@ def write_log(folder: Path, joints: int, seed: int, duration: float = 6.0, scale
             {'kind': 'servo', 'coordinates': names,
              'stiffness': of('servo.stiffness', scale * gain), 'damping': of('servo.damping'),
              'offset': of('servo.offset', 1.0), 'delay': truth['servo.delay'],
-             **({'effort_limit': limit} if limit else {})},
+             **({'effort_limit': limit} if limit else {}), **servo},
             {'kind': 'joint_friction', 'speed': truth['joint_friction.speed'],
              'friction': dict(zip(names, of('joint_friction.friction'), strict=True))}]}))
     # Each log has its own commands and noise.
@@ -164,6 +164,25 @@ def test_numbers_of_a_servo_are_found_by_the_columns_of_a_log(tmp_path, capsys):
     twin.advance(1000)
     # The servo sags by gravity and sticks: it holds within m g c + F over k.
     assert twin.q[0] == pytest.approx(0.4, abs=0.2) and twin.q[0] != 0.4
+
+
+def test_rate_of_ramps_of_commands_is_found(tmp_path):
+    truth = write_log(tmp_path, 1, 0, name='m', rate_limit=3.0) | {'servo.rate_limit': 3.0}
+    (tmp_path / 'm.csv').rename(tmp_path / 'log.csv')
+    found = fitted(tmp_path)
+    assert found.keys() == truth.keys()
+    for name, one in found.items():
+        # Within three half-widths, of which one misses in 1 of 20: once in 3e8.
+        width = 3.0 * (one['high'] - one['low']) / 2.0
+        assert one['value'] == pytest.approx(truth[name], abs=width), name
+    rate = found['servo.rate_limit']
+    assert rate['high'] - rate['low'] < 0.1
+
+
+@pytest.mark.parametrize('servo', [{'load': 0.3}, {'punch': 0.3}, {'effort_limit': 3.0}])
+def test_servos_without_ramps_whose_models_lack_something_get_none(servo, tmp_path):
+    write_log(tmp_path, 1, 4, **servo)
+    assert 'servo.rate_limit' not in fitted(tmp_path)
 
 
 def test_without_known_masses_forces_are_relative_to_inertias(tmp_path, capsys):

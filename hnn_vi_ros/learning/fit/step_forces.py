@@ -76,18 +76,24 @@ def commands_and_off(motion: EvenMotion) -> tuple[np.ndarray, np.ndarray]:
     return on, off
 
 
-def _limited(motion: EvenMotion, positions: np.ndarray, times: np.ndarray, rate: float
-             ) -> np.ndarray:
+def ramps(motion: EvenMotion, positions: np.ndarray, rate: float) -> np.ndarray:
     """
-    Return the integral to given times of a reference that follows positions at a rate.
+    Return a reference, at the samples, that follows positions at a rate, shape (N, m).
 
     It begins at the measured position if each joint has a command, else at the first command.
     """
-    spacing, r = motion.spacing, positions.copy()
-    if motion.q.shape == r.shape:
+    r, most = positions.copy(), rate * motion.spacing
+    if motion.q.shape == r.shape and rate < math.inf:
         r[0] = motion.q[0]
     for before, now, position in zip(r, r[1:], positions, strict=False):
-        now[:] = before + np.clip(position - before, -rate * spacing, rate * spacing)
+        now[:] = before + np.clip(position - before, -most, most)
+    return r
+
+
+def _limited(motion: EvenMotion, positions: np.ndarray, times: np.ndarray, rate: float
+             ) -> np.ndarray:
+    """Return the integral to given times of such a reference."""
+    spacing, r = motion.spacing, ramps(motion, positions, rate)
 
     def integral(change: np.ndarray, x: np.ndarray) -> np.ndarray:
         ramp = np.minimum(np.abs(change) / rate, x)
