@@ -221,10 +221,11 @@ def _guess(robots: Sequence[tuple[Hamiltonian, float]], motions: Sequence[EvenMo
     found, zero = np.empty((d, 5)), np.zeros(d)
     for k, (own, _) in enumerate(best):
         size = float(np.abs(hamiltonian.hessian_vector(zero, zero, zero, np.eye(d)[k])[1][k]))
-        # Numbers that this leaves at zero start small, not at the end of their range.
+        # Numbers that this leaves at zero start small, not at the end of their range; rotors do
+        # not, because dry friction on little inertia is too fast for the steps.
         stiffness = max(own[0], 10.0 / size)
         found[k] = (stiffness, max(own[1], 1e-2 * stiffness), max(own[2], 1e-4 * stiffness),
-                    max(own[3], 1e-2 / size), (own[4] - own[5]) / stiffness)
+                    max(own[3], 0.3 / size), (own[4] - own[5]) / stiffness)
     return found, delay, rate
 
 
