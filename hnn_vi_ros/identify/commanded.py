@@ -14,8 +14,8 @@ from hnn_vi_ros.hamiltonians import Hamiltonian, momentum, read_urdf, RigidBodyT
 from hnn_vi_ros.identify.free_numbers import FreeScene
 from hnn_vi_ros.identify.intervals import Estimate, Estimates
 from hnn_vi_ros.learning import (
-    commands_and_off, EvenMotion, EVIDENCE, evidence_of, first_length, fit_numbers,
-    MeasuredColumns, ramps)
+    CannotFollow, commands_and_off, EvenMotion, EVIDENCE, evidence_of, first_length,
+    fit_numbers, MeasuredColumns, ramps)
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -29,7 +29,7 @@ SPEED = 0.05
 _LATEST, _LARGEST_STEP = 0.15, 0.01
 # Share of the squared residuals beyond noise that ramps may leave, and tolerance of the fits that
 # tell it.
-_LEFT, _ROUGH = 0.25, 1e-4
+_LEFT, _ROUGH = 0.5, 1e-4
 # Name of the rate of ramps.
 RATE = 'servo.rate_limit'
 # Rates of ramps that are tried for the initial guess, relative to the largest speed that is kept
@@ -144,17 +144,21 @@ def better_servos(free: FreeScene, limited: FreeScene, motions: Sequence[EvenMot
     """
     Return a scene of servos, or another one whose servos make ramps of commands.
 
-    It is that with ramps if these take most of what is not noise from the residuals in short
-    windows: what only resembles ramps, such as a limit of the effort, takes less.
+    It is that with ramps if these take half of what is not noise from the squared residuals in
+    short windows, and certainly: what only resembles ramps, such as a limit of the effort, takes
+    less.
     """
-    found, other = (fit_numbers([one], motions, first_length(motions), False, seen, _ROUGH)
-                    for one in (free, limited))
+    try:
+        found, other = (fit_numbers([one], motions, first_length(motions), False, seen, _ROUGH)
+                        for one in (free, limited))
+    except CannotFollow:
+        return free
     noise = float(np.exp(np.log(other.noise).mean()))
     left, before = (one.size**2 - noise**2 for one in (other, found))
-    better = left < _LEFT * before and evidence_of(
-        found.solution.freedom, other.size / found.size) > EVIDENCE
-    return limited.starting_at(other.solution.values) if better else free.starting_at(
-        found.solution.values)
+    if left > _LEFT * before or evidence_of(
+            found.solution.freedom, other.size / found.size) < EVIDENCE:
+        return free.starting_at(found.solution.values)
+    return limited.starting_at(other.solution.values)
 
 
 def rated_efforts(robot: Path, names: Sequence[str]) -> np.ndarray:

@@ -36,6 +36,6 @@ if TYPE_CHECKING:
         column_norms, FitProblem, least_squares_factors, projected, search, Solution, units_of)
     from hnn_vi_ros.learning.fit.step_forces import commands_and_off, ramps
     from hnn_vi_ros.learning.fit.windows import (
-        check_times, DELAY, MeasuredColumns, ModelParts, Number, Windows)
+        CannotFollow, check_times, DELAY, MeasuredColumns, ModelParts, Number, Windows)
 
 __getattr__, __dir__ = lazy_exports(__name__)
