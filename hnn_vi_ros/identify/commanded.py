@@ -4,6 +4,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 import math
 from pathlib import Path
 
@@ -23,13 +24,14 @@ from scipy.ndimage import minimum_filter1d
 from scipy.optimize import nnls
 from yaml import safe_dump
 
-# Speed at which dry friction is nearly full [rad/s], [m/s].
-SPEED = 0.05
+# Speed at which dry friction is nearly full [rad/s], [m/s], and the bounds within which it is
+# fitted: steps do not resolve lower ones, and beyond the higher one it is viscous friction.
+SPEED, SPEEDS, SPEED_NAME = 0.05, (0.02, 1.0), 'joint_friction.speed'
 # Longest delay that is tried for the initial guess [s], and largest step size [s].
 _LATEST, _LARGEST_STEP = 0.15, 0.01
-# Share of the squared residuals beyond noise that ramps may leave, and tolerance of the fits that
-# tell it.
-_LEFT, _ROUGH = 0.5, 1e-4
+# Residuals in units of the noise that leave nothing to explain, share of the squared residuals
+# beyond noise that ramps may leave, and tolerance of the fits that tell it.
+_NOISE_ALONE, _LEFT, _ROUGH = 1.1, 0.5, 1e-4
 # Name of the rate of ramps.
 RATE = 'servo.rate_limit'
 # Rates of ramps that are tried for the initial guess, relative to the largest speed that is kept
@@ -125,7 +127,7 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
     scene = _scene(robot, folder, effects,
                    {'rotor_inertia': dict(zip(names, rotor, strict=True))},
                    min(spacing, _LARGEST_STEP))
-    free = [*places, 'joint_friction.speed',
+    free = [*places, SPEED_NAME,
             *(f'joint_friction.damping.{name}' for name in names if off)]
     return scene, [name for name in free if name not in known and (
         rate < math.inf or name != RATE)]
@@ -148,17 +150,21 @@ def better_servos(free: FreeScene, limited: FreeScene, motions: Sequence[EvenMot
     short windows, and certainly: what only resembles ramps, such as a limit of the effort, takes
     less.
     """
+    shortly = partial(fit_numbers, motions=motions, horizon=first_length(motions), robust=False,
+                      seen=seen, tolerance=_ROUGH)
+    found = shortly([free])
+    plain = free.starting_at(found.solution.values)
+    if found.stages[-1][1] < _NOISE_ALONE:
+        return plain
     try:
-        found, other = (fit_numbers([one], motions, first_length(motions), False, seen, _ROUGH)
-                        for one in (free, limited))
+        other = shortly([limited])
     except CannotFollow:
-        return free
+        return plain
     noise = float(np.exp(np.log(other.noise).mean()))
     left, before = (one.size**2 - noise**2 for one in (other, found))
-    if left > _LEFT * before or evidence_of(
-            found.solution.freedom, other.size / found.size) < EVIDENCE:
-        return free.starting_at(found.solution.values)
-    return limited.starting_at(other.solution.values)
+    certain = evidence_of(found.solution.freedom, other.size / found.size) > EVIDENCE
+    return limited.starting_at(other.solution.values) if (
+        certain and left < _LEFT * before) else plain
 
 
 def rated_efforts(robot: Path, names: Sequence[str]) -> np.ndarray:

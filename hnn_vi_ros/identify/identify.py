@@ -20,7 +20,7 @@ from hnn_vi_ros.files import elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.identify import arguments as command_lines
 from hnn_vi_ros.identify.commanded import (
-    as_ratios, better_servos, commanded_scene, first_scene, RATE)
+    as_ratios, better_servos, commanded_scene, first_scene, RATE, SPEED_NAME, SPEEDS)
 from hnn_vi_ros.identify.free_numbers import free_scene, FreeScene, STATES, write_fitted
 from hnn_vi_ros.identify.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile, response)
@@ -200,7 +200,8 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
                         'effect external_force; add it for the driven coordinates')
     spacing = motions[0].spacing
     check_times(effects, motions, spacing / steps_between(spacing, scene.known_step_size))
-    wanted, bounds = [name for name in options.free if name != STATES], _bounds(options.bounds)
+    wanted, bounds = [name for name in options.free if name != STATES], (
+        {SPEED_NAME: SPEEDS} if options.robot else {}) | _bounds(options.bounds)
     free = free_scene(parts, wanted, bounds, folder, driven and not commanded, loads)
     wanted = [number.name for number in free.numbers]
     for option, given in (('bounds', bounds), ('profile', options.profile)):
