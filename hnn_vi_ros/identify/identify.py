@@ -187,7 +187,8 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
         servos = partial(commanded_scene, options.robot, robots=_loaded(scene, loads, motions),
                          motions=motions, known=_known(options.known))
         scene, wanted = servos(folder)
-        given, options.free = options.free, [*wanted, *options.free]
+        more = [name for name in options.free if name != STATES]
+        options.free = [*wanted, *options.free]
         parts = resolve(scene)
         _, hamiltonian, _, effects = parts
         notes = _of_commands(options, wanted)
@@ -213,7 +214,7 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
     if options.robot and RATE not in _known(options.known):
         limited, wanted = servos(folder / 'ramps', limited=True)
         free = better_servos(free, free_scene(
-            resolve(limited), [*wanted, *given], bounds, folder, False, loads), motions, seen)
+            resolve(limited), [*wanted, *more], bounds, folder, False, loads), motions, seen)
     fitted, said = _fit(free, motions, options, seen)
     notes += [*said, *(one.text for one in warnings_of(motions, log.names))]
     fitted, free, estimates, note = _finer_steps(fitted, free, lambda one, own: estimates_of(
