@@ -10,7 +10,7 @@ from functools import cached_property, reduce
 import math
 from operator import add
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self
+from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
 from hnn_vi_ros.control.balance import Balance, weights_of
 from hnn_vi_ros.control.batch_step import BatchStep
@@ -27,7 +27,7 @@ from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import choose, System
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 Name = Annotated[str, Field(min_length=1, max_length=256)]
 Place = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -368,15 +368,13 @@ class Task(StrictModel):
     controller: LqrChoice | EnergyShapingChoice | HoverChoice | IlqrChoice | MppiChoice = Field(
         discriminator='kind', description='algorithm that computes the commands')
 
-    @model_validator(mode='after')
-    def _check_times(self) -> Self:
+    def _check(self) -> None:
         if self.plan_time > self.period:
             raise ValueError(f'plan_time: {self.plan_time:g} s is longer than the period, '
                              f'{self.period:g} s')
         if self.delay > 100.0 * self.period:
             raise ValueError(f'delay: {self.delay:g} s is longer than 100 periods of '
                              f'{self.period:g} s')
-        return self
 
 
 class Assignment(NamedTuple):

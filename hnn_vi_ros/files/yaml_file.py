@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 import json
 from pathlib import Path
 import re
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, offered
 from hnn_vi_ros.files.named_code import trust_context
 from hnn_vi_ros.files.regular_file import read_limited
 from hnn_vi_ros.files.yaml_text import KeyPlaces, MAX_YAML_BYTES, one_line, parse_mapping
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, model_validator, ValidationError
 from pydantic.json_schema import GenerateJsonSchema
 
 
@@ -71,6 +71,14 @@ class StrictModel(BaseModel):
     """A schema that rejects unknown keys, strings in place of numbers, NaN and infinity."""
 
     model_config = ConfigDict(extra='forbid', strict=True, allow_inf_nan=False, frozen=True)
+
+    @model_validator(mode='after')
+    def _checked(self) -> Self:
+        self._check()
+        return self
+
+    def _check(self) -> None:
+        """Raise ValueError if keys do not fit each other."""
 
 
 def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError],

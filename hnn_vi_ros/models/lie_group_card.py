@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.models.families import NetworkShape
-from pydantic import Field, model_validator
+from pydantic import Field
 
 PoseInput = Literal['position', 'attitude']
 Positive = Annotated[float, Field(gt=0.0)]
@@ -31,8 +31,7 @@ class LieGroupCard(StrictModel):
     input_map_depends_on: list[PoseInput] | None = Field(None, max_length=2, description=(
         'inputs of B of the force B u; none for a constant B, null for no input map'))
 
-    @model_validator(mode='after')
-    def _check(self) -> 'LieGroupCard':
+    def _check(self) -> None:
         if len(self.mass_scale) != self.size:
             raise ValueError(f'mass_scale has {len(self.mass_scale)} entries, expected '
                              f'{self.size}')
@@ -44,7 +43,6 @@ class LieGroupCard(StrictModel):
                 raise ValueError(f'{name}_depends_on lists an input twice')
             if self.kind == 'rotation' and 'position' in seen:
                 raise ValueError(f'{name}_depends_on: a rotation has no position')
-        return self
 
     @property
     def size(self) -> int:

@@ -17,7 +17,7 @@ from hnn_vi_ros.models.planar_chain import (
 from hnn_vi_ros.models.rigid_body_card import (
     bodies_of, check_values, EACH, Identification, RIGID_BODY, TreeCard)
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -67,8 +67,7 @@ class FrictionCard(StrictModel):
     coulomb: list[CoulombTerm] = Field([], max_length=8 * MOST_MEMBERS)
     stribeck: list[StribeckTerm] = Field([], max_length=8 * MOST_MEMBERS)
 
-    @model_validator(mode='after')
-    def _check(self) -> 'FrictionCard':
+    def _check(self) -> None:
         own = {name: getattr(self, name) for name in (
             'viscous_back', 'switch', 'offset', 'load')}
         for part in (own, *(dict(term) for term in (*self.coulomb, *self.stribeck))):
@@ -79,7 +78,6 @@ class FrictionCard(StrictModel):
         if self.switch is None and any(back is not None for back in (
                 self.load, self.viscous_back, *(term.back for term in self.coulomb))):
             raise ValueError('friction: values for v < 0, and load, need switch')
-        return self
 
 
 class Quantity(StrictModel):
@@ -113,8 +111,7 @@ class PriorCard(StrictModel):
         'parameters, friction and motors of links fitted to positions; friction that is not among '
         'them is not in the data'))
 
-    @model_validator(mode='after')
-    def _check(self) -> 'PriorCard':
+    def _check(self) -> None:
         if (self.kind == RIGID_BODY) != (self.tree is not None):
             raise ValueError(f'prior: give tree for {RIGID_BODY} only')
         if (self.kind == PLANAR_CHAIN) != (self.angles is not None):
@@ -122,11 +119,10 @@ class PriorCard(StrictModel):
         if self.tree is None:
             if self.identification is not None:
                 raise ValueError(f'prior: give identification for {RIGID_BODY} only')
-            return self
+            return
         if self.parameters.keys() != self.tree.units.keys():
             raise ValueError('prior: parameters must be those of the bodies of its tree')
         check_values(self.tree, self.table)
-        return self
 
     @property
     def values(self) -> dict[str, float]:
@@ -215,8 +211,7 @@ class MechanicalCard(StrictModel):
     step_size: Positive | None = Field(None, description=(
         'step size with which sharp friction was fitted [s]; null: that of the data'))
 
-    @model_validator(mode='after')
-    def _check(self) -> 'MechanicalCard':
+    def _check(self) -> None:
         d = len(self.kinds)
         lengths = {'mass_scale': len(self.mass_scale), 'friction': len(self.friction.viscous)}
         for name in _FEATURES:
@@ -237,7 +232,6 @@ class MechanicalCard(StrictModel):
                                  f'1 to {d} columns, one for each motor')
         if self.fade is not None and len(self.fade) != len((self.input_map or [[]])[0]):
             raise ValueError('fade must have an entry for each motor of an input_map')
-        return self
 
     def _check_prior(self, prior: PriorCard | None) -> None:
         if prior is None:

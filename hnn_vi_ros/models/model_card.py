@@ -33,15 +33,13 @@ class Box(StrictModel):
     p: list[Interval] = Field(min_length=1)
     t: list[Interval] | None = Field(None, min_length=1, max_length=1)
 
-    @model_validator(mode='after')
-    def _check(self) -> 'Box':
+    def _check(self) -> None:
         if len(self.q) != len(self.p):
             raise ValueError(f'{len(self.q)} intervals of q but {len(self.p)} of p')
         for low, high in (*self.q, *self.p, *(self.t or ())):
             if not 0.0 < high - low < np.inf:
                 raise ValueError(
                     f'[{low:g}, {high:g}] is not an interval of positive, finite size')
-        return self
 
     @classmethod
     def of(cls, q: np.ndarray, p: np.ndarray) -> 'Box':
@@ -145,8 +143,7 @@ class ModelCard(StrictModel):
         (first, *_) = FAMILIES[self.family].networks
         return {first: self.widths}
 
-    @model_validator(mode='after')
-    def _check(self) -> 'ModelCard':
+    def _check(self) -> None:
         d = len(self.coordinates)
         if len({coordinate.name for coordinate in self.coordinates}) != d:
             raise ValueError('two coordinates have the same name')
@@ -157,7 +154,6 @@ class ModelCard(StrictModel):
         self._check_networks(d)
         if self.ensemble is not None:
             self._check_ensemble(self.ensemble)
-        return self
 
     def _check_ensemble(self, ensemble: 'EnsembleCard') -> None:
         if not FAMILIES[self.family].averaged:

@@ -16,7 +16,7 @@ from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.hamiltonians import (
     Bodies, frame_of, Joint, JointUnits, MOST_JOINTS, SLIDING, TURNING)
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 RIGID_BODY = 'rigid_body'
 _INERTIAL = ('mass', 'first_x', 'first_y', 'first_z', 'inertia_xx', 'inertia_xy', 'inertia_yy',
@@ -43,14 +43,12 @@ class BodyCard(StrictModel):
         'rotation of the frame of the link in that of its parent where the coordinate is zero'))
     origin: Vector = Field(description='origin of the link in the frame of its parent there [m]')
 
-    @model_validator(mode='after')
-    def _check(self) -> 'BodyCard':
+    def _check(self) -> None:
         turn = np.array(self.rotation)
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or not np.linalg.det(turn) > 0.0:
             raise ValueError(f'rotation of {self.link} is not a rotation matrix')
         if abs(float(np.linalg.norm(self.axis)) - 1.0) > 1e-6:
             raise ValueError(f'axis of {self.joint} is not a unit vector')
-        return self
 
 
 class TreeCard(StrictModel):
@@ -60,14 +58,12 @@ class TreeCard(StrictModel):
     bodies: list[BodyCard] = Field(min_length=1, max_length=MOST_JOINTS)
     gravity: Vector = Field(description='gravity in the frame of the base [m/s2]')
 
-    @model_validator(mode='after')
-    def _check(self) -> 'TreeCard':
+    def _check(self) -> None:
         for row, body in enumerate(self.bodies):
             if body.parent > row:
                 raise ValueError(f'{body.link} has parent {body.parent}, which must precede it')
         if sorted(body.coordinate for body in self.bodies) != [*range(len(self.bodies))]:
             raise ValueError('each joint must have its own coordinate')
-        return self
 
     @property
     def units(self) -> dict[str, str]:

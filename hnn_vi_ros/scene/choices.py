@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import (
     BaseModel, BeforeValidator, ConfigDict, create_model, Field, field_validator,
-    model_serializer, model_validator, SerializerFunctionWrapHandler, StringConstraints)
+    model_serializer, SerializerFunctionWrapHandler, StringConstraints)
 
 
 class InvariantChoice(StrictModel):
@@ -220,11 +220,9 @@ class InitialState(StrictModel):
         "velocities q' in place of p, which solves H_p(q, p) = v; of a rotation the angular "
         'velocity in the body frame [rad/s]'))
 
-    @model_validator(mode='after')
-    def _check_one(self) -> 'InitialState':
+    def _check(self) -> None:
         if bool(self.p) == bool(self.v):
             raise ValueError('expected q and either momenta p or velocities v')
-        return self
 
     @model_serializer(mode='wrap')
     def _given(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -353,11 +351,9 @@ class AutoChoice(StrictModel):
         'checked after every step, or at some hundred times'))
     horizon: float = Field(gt=0.0, le=1e9, description='time until which the error is limited [s]')
 
-    @model_validator(mode='after')
-    def _check_errors(self) -> 'AutoChoice':
+    def _check(self) -> None:
         if (self.energy_error is None) == (self.path_error is None):
             raise ValueError('give either energy_error or path_error')
-        return self
 
 
 class PartChoice(StrictModel):

@@ -26,7 +26,7 @@ from hnn_vi_ros.scene.choices import (
     LearnedChoice, MeasurementsChoice, PythonChoice, UncertaintyChoice)
 from hnn_vi_ros.scene.origin import Origin
 import numpy as np
-from pydantic import BaseModel, Field, model_validator, PrivateAttr
+from pydantic import BaseModel, Field, PrivateAttr
 
 # A part of a scene that is selected by its kind.
 Choice = str | Mapping[str, Any] | BaseModel
@@ -82,11 +82,9 @@ class Scene(StrictModel):
     mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]
         None, description='mechanism to draw; without it only states are shown')
 
-    @model_validator(mode='after')
-    def _check_step_size(self) -> 'Scene':
+    def _check(self) -> None:
         if self.step_size is None and not isinstance(self.integrator, AutoChoice):
             raise ValueError('step_size: required: h [s]')
-        return self
 
     _origin: Origin = PrivateAttr(default_factory=Origin)
 

@@ -4,11 +4,11 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files import find_yaml, KeyPlaces, NAMES_CODE, read_yaml, StrictModel, validate
-from pydantic import Field, model_validator
+from pydantic import Field
 
 # Maximum size of an axis and of a sweep: the length of a Sobol sequence without repeated points.
 # Maximum number of values of an axis, and of trajectories.
@@ -36,8 +36,7 @@ class _Ranges(StrictModel):
     low: Numbers = Field(description='lower bound of each key')
     high: Numbers = Field(description='upper bound of each key')
 
-    @model_validator(mode='after')
-    def _check_bounds(self) -> Self:
+    def _check(self) -> None:
         for name in ('low', 'high', 'counts'):
             if (count := len(getattr(self, name, self.keys))) != len(self.keys):
                 raise ValueError(f'{name} has {count} values, expected '
@@ -45,7 +44,6 @@ class _Ranges(StrictModel):
         for key, low, high in zip(self.keys, self.low, self.high, strict=True):
             if not low <= high:
                 raise ValueError(f'{key}: low = {low:g} is above high = {high:g}')
-        return self
 
 
 class GridChoice(_Ranges):
@@ -144,8 +142,7 @@ class Sweep(StrictModel):
     shard_size: int | None = Field(None, ge=1, le=2**20, description=(
         'trajectories per file, rounded up to whole blocks; by default about 10^7 steps'))
 
-    @model_validator(mode='after')
-    def _check_samples(self) -> Self:
+    def _check(self) -> None:
         seen = [name for name in self.statistics if name in ('energy_band', 'out_of_box_time')]
         needing = ['keep: samples'] * (self.keep == 'samples') + seen
         if needing and self.every is None:
@@ -153,7 +150,6 @@ class Sweep(StrictModel):
                              'samples')
         if len(set(self.statistics)) < len(self.statistics):
             raise ValueError('statistics: each may occur once')
-        return self
 
 
 def load_sweep(sweep: str | Path | Mapping[str, Any]) -> tuple[Sweep, KeyPlaces, Path]:

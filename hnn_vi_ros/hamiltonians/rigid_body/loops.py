@@ -10,7 +10,7 @@ from hnn_vi_ros.files import in_plain_words, StrictModel
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, fill_frames, Following, TreeWork
 from hnn_vi_ros.kernels import inlined
 import numpy as np
-from pydantic import Field, model_validator, ValidationError
+from pydantic import Field, ValidationError
 
 _Point = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Frame = Annotated[list[float], Field(min_length=6, max_length=6)]
@@ -31,14 +31,12 @@ class ClosingJoint(StrictModel):
         'for hinge and weld: a frame of each link, in its frame: x, y, z [m], roll, pitch, yaw '
         '[rad]'))
 
-    @model_validator(mode='after')
-    def _check_ends(self) -> 'ClosingJoint':
+    def _check(self) -> None:
         wanted = 'points' if self.joint == 'point' else 'frames'
         for name in ('points', 'frames'):
             if (getattr(self, name) is None) == (name == wanted):
                 raise ValueError(f'the joint {self.joint} of {self.links[0]} and {self.links[1]} '
                                  f'requires {wanted}, and only these')
-        return self
 
 
 class LoopRows(NamedTuple):

@@ -16,7 +16,7 @@ from hnn_vi_ros.learning.data.motions import GAP, Motion, MotionData, NONE, Reco
 from hnn_vi_ros.learning.data.sampling import cubic, increasing_samples, unwrap_turns
 from hnn_vi_ros.recording import MOMENTUM, RATE
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 # Default window and degree of data.derivatives.
 _WINDOW, _DEGREE = 9, 4
@@ -75,8 +75,7 @@ class BagData(BagOptions, StateOptions):
     commands: Topic | None = Field(None, description=(
         'topic of commands; each is held until the next, and all are 0 before the first'))
 
-    @model_validator(mode='after')
-    def _check(self) -> 'BagData':
+    def _check(self) -> None:
         d = len(self.joints)
         if len(set(self.joints)) != d:
             raise ValueError('two joints have the same name')
@@ -88,7 +87,6 @@ class BagData(BagOptions, StateOptions):
         if self.velocity is not None and self.estimate_velocity:
             raise ValueError('velocity and estimate_velocity are mutually exclusive')
         mass_matrix(self.mass, d)
-        return self
 
     @property
     def forces(self) -> str | None:

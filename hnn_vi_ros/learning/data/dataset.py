@@ -16,7 +16,7 @@ from hnn_vi_ros.learning.data.motions import (
 from hnn_vi_ros.learning.data.sampling import cubic
 from hnn_vi_ros.models import Box, Interval
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field
 from scipy.integrate import solve_ivp
 from scipy.interpolate import make_smoothing_spline
 from scipy.signal import savgol_filter
@@ -383,8 +383,7 @@ class ExactHamiltonian(StrictModel):
 
     kind: Literal[tuple(HAMILTONIANS)]  # type: ignore[valid-type]
 
-    @model_validator(mode='after')
-    def _check(self) -> 'ExactHamiltonian':
+    def _check(self) -> None:
         valid = list(signature(HAMILTONIANS[self.kind]).parameters)
         unknown = sorted(set(self.__pydantic_extra__) - set(valid))
         if unknown:
@@ -392,7 +391,6 @@ class ExactHamiltonian(StrictModel):
         if self.create().rotations:
             raise ValueError(f'{self.kind} has rotations, which exact data do not support; use '
                              'another system')
-        return self
 
     def create(self) -> Hamiltonian:
         """Return the Hamiltonian."""
@@ -405,12 +403,10 @@ class EvenTimes(StrictModel):
     duration: float = Field(gt=0.0, description='duration of each motion [s]')
     spacing: float = Field(gt=0.0, description='interval between states [s]')
 
-    @model_validator(mode='after')
-    def _check(self) -> 'EvenTimes':
+    def _check(self) -> None:
         if not 1.0 <= self.duration / self.spacing < MAX_STATES:
             raise ValueError(f'spacing = {self.spacing:g} must be between duration / {MAX_STATES} '
                              f'and the duration, {self.duration:g}')
-        return self
 
     @property
     def times(self) -> np.ndarray:
@@ -431,11 +427,9 @@ class Commands(StrictModel):
         """Return the input matrix B, shape (d, m)."""
         return np.array(self.input_map)
 
-    @model_validator(mode='after')
-    def _check(self) -> 'Commands':
+    def _check(self) -> None:
         if len({len(row) for row in self.input_map}) > 1:
             raise ValueError('input_map has rows of different lengths')
-        return self
 
 
 class ExactData(StrictModel):
@@ -463,8 +457,7 @@ class ExactData(StrictModel):
     noise: float = Field(0.0, ge=0.0, description=(
         'standard deviation of the noise of each coordinate and momentum; rates are exact'))
 
-    @model_validator(mode='after')
-    def _check(self) -> 'ExactData':
+    def _check(self) -> None:
         for name in ('radius', 'energy'):
             bounds = getattr(self, name)
             if bounds is not None and not bounds[0] < bounds[1]:
@@ -477,7 +470,6 @@ class ExactData(StrictModel):
             if states > MAX_STATES:
                 raise ValueError(f'{states} states exceed the limit of {MAX_STATES}; reduce '
                                  'samples or increase trajectory.spacing')
-        return self
 
 
 def sample_exact(data: ExactData, seed: int) -> Dataset:

@@ -24,7 +24,7 @@ from hnn_vi_ros.learning.data.motions import (
 from hnn_vi_ros.learning.data.tables import table_text
 from hnn_vi_ros.learning.data.units import conversion, parse_unit, split_unit
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 MAX_BYTES = 256 << 20
 # Maximum number of columns, and length of a line with quoted fields.
@@ -131,8 +131,7 @@ class MeasuredData(LogColumns, StateOptions):
     dq_dt: Names | None = Field(None, description='columns of dq/dt, if the log has them')
     dp_dt: Names | None = Field(None, description='columns of dp/dt, if the log has them')
 
-    @model_validator(mode='after')
-    def _check(self) -> 'MeasuredData':
+    def _check(self) -> None:
         groups = {'q': self.q, 'p': self.p, 'dq_dt': self.dq_dt, 'dp_dt': self.dp_dt}
         for key, group in groups.items():
             if group is not None and len(group) != len(self.q):
@@ -144,7 +143,6 @@ class MeasuredData(LogColumns, StateOptions):
             raise ValueError('derivatives is missing but required, since the log lacks p, dq_dt '
                              'or dp_dt; for example derivatives: {kind: savitzky_golay, '
                              'window: 0.3}')
-        return self
 
     @property
     def least(self) -> int:
@@ -180,8 +178,7 @@ class LogMotions(LogColumns, MotionData):
     enabled: Names | None = Field(None, description=(
         'columns that are 0 while the motors are off, one for all or one for each command'))
 
-    @model_validator(mode='after')
-    def _check(self) -> 'LogMotions':
+    def _check(self) -> None:
         for key in ('v', 'a', 'tau', 'command', 'enabled'):
             group = getattr(self, key)
             # There may be fewer motors than joints.
@@ -189,7 +186,6 @@ class LogMotions(LogColumns, MotionData):
                     key in ('v', 'a') and len(group) < len(self.q))):
                 raise ValueError(f'{key} has {len(group)} columns, q has {len(self.q)}')
         self.check_columns()
-        return self
 
 
 def read_text(path: Path, data: LogColumns, units: Sequence[str] = ()) -> Recording:

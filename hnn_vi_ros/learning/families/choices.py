@@ -16,7 +16,7 @@ from hnn_vi_ros.models import (
     chain_angles, CHAINS, check_prior, check_row, exact_systems, FAMILIES, HIGHEST_POWER,
     is_periodic, Kind, PLANAR_CHAIN, RIGID_BODY, Scheme, tree_card, TreeCard, values_of)
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 import torch
 
 
@@ -419,15 +419,13 @@ class RigidBodyChoice(FamilyChoice):
     def _listed(cls, value: object) -> object:
         return [value] if isinstance(value, str) and value != AUTO else value
 
-    @model_validator(mode='after')
-    def _check(self) -> 'RigidBodyChoice':
+    def _check(self) -> None:
         if self.friction.network or self.friction.network_depends_on is not None:
             raise ValueError('friction.network: use residual: friction, which adds a network to '
                              'the friction of joints')
         if self.friction.offset or self.friction.fade:
             raise ValueError('friction: a rigid_body has its own offsets, and no fade; use '
                              'offsets: true, or the family mechanical')
-        return self
 
     def robot(self, joints: Sequence[str]) -> RigidBodyTree:
         """Return the robot with these joints, or all movable ones; raise if that fails."""

@@ -12,7 +12,7 @@ from hnn_vi_ros.learning.families.base import keep, newton, Perceptron
 from hnn_vi_ros.learning.families.choices import FamilyChoice, ON_THE_CPU
 from hnn_vi_ros.models import Checkpoint, group_of, Layers, LieGroupCard, PoseInput
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 import torch
 
 # Initial diagonals of the root of D, and of M, for which log(1 + exp(0.54)) is 1.
@@ -44,12 +44,10 @@ class LieGroupChoice(FamilyChoice):
     input_map_depends_on: list[PoseInput] = Field([], max_length=2, description=(
         'inputs of the learned map'))
 
-    @model_validator(mode='after')
-    def _check(self) -> 'LieGroupChoice':
+    def _check(self) -> None:
         if not self.structured and self.mass_depends_on:
             raise ValueError('mass_depends_on: M is constant with structured: false; remove this '
                              'key')
-        return self
 
     def card(self, kind: str, mass_scale: list[float], driven: bool) -> LieGroupCard:
         """Return the network inputs; raise ValueError for one that this body does not have."""

@@ -29,7 +29,7 @@ from hnn_vi_ros.learning.families.lie_group import (
 from hnn_vi_ros.learning.fit.excitation import ExcitationData, excited_motions
 from hnn_vi_ros.models import CoordinateCard, FAMILIES, Kind, RIGID_BODY
 from hnn_vi_ros.phase_space import IN_DEGREES
-from pydantic import Field, field_validator, model_validator, ValidationError
+from pydantic import Field, field_validator, ValidationError
 
 _OF_FIELDS: list[Any] = [row.trainer.schema for row in FAMILIES.values()
                          if row.trained and issubclass(row.trainer, Trainable)]
@@ -102,8 +102,7 @@ class FieldConfig(TrainingConfig):
     confine: bool = Field(False, description=(
         'confine states near the box of the data by default in scenes'))
 
-    @model_validator(mode='after')
-    def _check(self) -> 'FieldConfig':
+    def _check(self) -> None:
         d = len(self.coordinates)
         lengths = {'data': dimension(self.data) or d}
         if self.reference is not None:
@@ -121,7 +120,6 @@ class FieldConfig(TrainingConfig):
         if self.confine and not FAMILIES[self.family.kind].canonical:
             raise ValueError('confine: requires canonical momenta, which the family '
                              f'{self.family.kind} does not have; remove this key')
-        return self
 
 
 class MachineCoordinate(CoordinateCard):
@@ -150,8 +148,7 @@ class MachineConfig(TrainingConfig):
         'learning rate of Adam on accelerations; windows without their own rate use a fifth of '
         'it'))
 
-    @model_validator(mode='after')
-    def _check(self) -> 'MachineConfig':
+    def _check(self) -> None:
         family, loss = self.family, self.loss
         if loss is not None:
             self.check_loss(family, loss.kind)
@@ -159,7 +156,7 @@ class MachineConfig(TrainingConfig):
             raise ValueError('loss.records: requires a prior of the family mechanical; remove '
                              'this key')
         if isinstance(family, RigidBodyChoice):
-            return self
+            return
         if isinstance(self.data, ExcitationData):
             raise ValueError('data: excitation computes motions of a rigid_body; use arrays, bag '
                              'or log')
@@ -176,7 +173,6 @@ class MachineConfig(TrainingConfig):
             raise ValueError('input_map: the loss inverse could be reduced with a small input '
                              'map, since it compares forces; use forward, discrete or trajectory')
         self.structure()
-        return self
 
     @property
     def windows(self) -> TrajectoryLoss:
@@ -254,10 +250,8 @@ class BodyConfig(TrainingConfig):
     seed: Seed = 0
     learning_rate: Rate = Field(0.005, description='learning rate of Adam')
 
-    @model_validator(mode='after')
-    def _check(self) -> 'BodyConfig':
+    def _check(self) -> None:
         self.family.card(self.kind, [1.0] * (3 if self.kind == 'rotation' else 6), True)
-        return self
 
     @property
     def kind(self) -> Literal['rotation', 'pose']:
