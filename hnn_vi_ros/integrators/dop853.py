@@ -536,5 +536,4 @@ def path_in_legendre(path: np.ndarray, begin: float, end: float) -> np.ndarray:
     basis = legendre.legvander(nodes, len(path) - 1) * (np.arange(len(path)) + 0.5)
     shares = begin + 0.5 * (nodes[:, None] + 1.0) * (end - begin)
     values: Any = dense_value(path, shares, slice(None))  # type: ignore[arg-type]  # vectorised
-    found: np.ndarray = np.einsum('j,jk,jn->kn', weights, basis, values)
-    return found
+    return np.einsum('j,jk,jn->kn', weights, basis, values)

@@ -263,8 +263,7 @@ def _serialized(path: Path, checkpoint: Checkpoint) -> bytes:
         from hnn_vi_ros.models.graphs.graph import graph_data
         graph, tensors = graph_data(*checkpoint.graph)
         metadata['graph'] = json.dumps(graph, separators=(',', ':'))
-    raw: bytes = safetensors.numpy.save(tensors, metadata)
-    return raw
+    return safetensors.numpy.save(tensors, metadata)
 
 
 def _tensors(path: Path, checkpoint: Checkpoint, prefix: str) -> dict[str, np.ndarray]:

@@ -90,8 +90,7 @@ def load_member(checkpoint: Checkpoint, member: int | None) -> LearnedHamiltonia
     checkpoint = checkpoint.member(member)
     family = FAMILIES[checkpoint.card.family]
     kind = family.mean if checkpoint.members else family.hamiltonian
-    hamiltonian: LearnedHamiltonian = kind(checkpoint)
-    return hamiltonian
+    return kind(checkpoint)
 
 
 def _energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:

@@ -55,8 +55,7 @@ def create(kind: str, parameters: dict[str, float]) -> Hamiltonian:
     if sorted(parameters) != sorted(names):
         raise ValueError(f'prior: parameters {listed(parameters) or "none"}, expected '
                          f'{", ".join(names) or "none"}')
-    found: Hamiltonian = HAMILTONIANS[kind](**parameters)
-    return found
+    return HAMILTONIANS[kind](**parameters)
 
 
 def parameters_of(kind: str) -> dict[str, float]:

@@ -112,8 +112,7 @@ def rounding(function: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.
     ahead = z + e
     # 2 z - ahead is exact: the three states are evenly spaced.
     bend = function(ahead) - 2.0 * function(z) + function(2.0 * z - ahead)
-    found: np.ndarray = 2.0 / _EPS * np.abs(bend).max(axis=0)
-    return found
+    return 2.0 / _EPS * np.abs(bend).max(axis=0)
 
 
 def _flat(z: np.ndarray) -> list[np.ndarray]:

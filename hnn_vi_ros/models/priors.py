@@ -87,8 +87,7 @@ def prior_kernel(prior: PriorCard, angles: Sequence[Sequence[float]]) -> Kernel:
 
 @part(forceinline=True)
 def _load(priors: Priors, k: int) -> Prior:
-    found: Prior = load(address_of(priors.words) + 8 + k * _BYTES, _PRIOR)
-    return found
+    return load(address_of(priors.words) + 8 + k * _BYTES, _PRIOR)
 
 
 @part(error_model='numpy')

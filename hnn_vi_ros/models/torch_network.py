@@ -41,5 +41,4 @@ class Network(torch.nn.Module):
         *hidden, last = self.children()
         for linear in hidden:
             x = self._activation(linear(x))
-        outputs: torch.Tensor = last(x)
-        return outputs
+        return last(x)

@@ -180,8 +180,7 @@ class Unknowns(RigidUnknowns):
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Return the Jacobian of ``linear`` with respect to x."""
-        found: np.ndarray = torch.func.jacfwd(self.linear)(torch.tensor(x)).numpy()
-        return found
+        return torch.func.jacfwd(self.linear)(torch.tensor(x)).numpy()
 
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return log-Cholesky parameters, rotors and offsets, as in RigidUnknowns."""
@@ -482,16 +481,14 @@ def _sandwich(gram: np.ndarray, scores: np.ndarray, blocks: np.ndarray) -> np.nd
     inverse = np.linalg.pinv(gram, hermitian=True)
     left = max(len(names) - k, 1)
     share = len(names) / left * (student_t.ppf(0.975, left) / norm.ppf(0.975))**2
-    found: np.ndarray = share * inverse @ (sums.T @ sums) @ inverse
-    return found
+    return share * inverse @ (sums.T @ sums) @ inverse
 
 
 def _base_errors(unknowns: Unknowns, known: Information, covariance: np.ndarray, x: np.ndarray
                  ) -> np.ndarray:
     """Return the standard errors of the base parameters, shape (s,)."""
     base = known.base @ unknowns.slopes(x)
-    errors: np.ndarray = np.sqrt(np.maximum(np.diag(base @ covariance @ base.T), 0.0))
-    return errors
+    return np.sqrt(np.maximum(np.diag(base @ covariance @ base.T), 0.0))
 
 
 def _summary(unknowns: Unknowns, known: Information, weak: np.ndarray, covariance: np.ndarray,

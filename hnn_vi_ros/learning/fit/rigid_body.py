@@ -361,8 +361,7 @@ def whole(network: MechanicalNetwork, motion: EvenMotion) -> np.ndarray:
     windows = cut_windows([motion], len(motion.t) * motion.spacing)
     log = LogSimulation(parts, windows)
     states = log.states(log.starts(*windows.start.swapaxes(0, 1))[:, None])
-    found: np.ndarray = states[0, 0, :, :network.d]
-    return found
+    return states[0, 0, :, :network.d]
 
 
 def best_rigid_body(loss: TrajectoryLoss, motions: Sequence[EvenMotion],

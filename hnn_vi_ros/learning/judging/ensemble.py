@@ -196,8 +196,7 @@ def conformal_factors(scores: np.ndarray, level: float) -> list[float]:
             (0.0 < ordered[rank - 1]) & (ordered[rank - 1] < np.inf)).all():
         raise DataError('the spread of the ensemble cannot be calibrated: too few held-out '
                         'motions in the training domain, or identical members')
-    found: list[float] = ordered[rank - 1].tolist()
-    return found
+    return ordered[rank - 1].tolist()
 
 
 def ensemble_text(card: ModelCard) -> str:

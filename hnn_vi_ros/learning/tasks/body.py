@@ -133,8 +133,7 @@ def _bounds(values: torch.Tensor) -> list[list[float]]:
     low, high = values.min(dim=0).values, values.max(dim=0).values
     # A constant still gets an interval of positive length.
     least = 1e-6 * (1.0 + torch.maximum(low.abs(), high.abs()))
-    found: list[list[float]] = torch.stack([low - least, high + least], dim=1).tolist()
-    return found
+    return torch.stack([low - least, high + least], dim=1).tolist()
 
 
 def evaluate(arguments: Namespace) -> None:

@@ -317,8 +317,7 @@ class Builder:
             case 'matmul':
                 return self.matmul(at[0], at[1], *map(bool, options))
             case 'sum' | 'amax' | 'reshape':
-                found: int = getattr(self, op)(at[0], options)
-                return found
+                return getattr(self, op)(at[0], options)
             case 'concatenate':
                 return self.concatenate(at)
             case 'where':

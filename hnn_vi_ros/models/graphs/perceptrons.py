@@ -194,8 +194,7 @@ def _applied(b: Builder, node: GraphNode, rows: np.ndarray) -> np.ndarray:
             constant = np.swapaxes(constant, -1, -2) if other else constant
             return rows @ constant if first else constant @ rows
         case 'sum':
-            found: np.ndarray = rows.sum(axis=tuple(k + 1 for k in node.options))
-            return found
+            return rows.sum(axis=tuple(k + 1 for k in node.options))
         case 'reshape':
             return rows.reshape(len(rows), *node.shape)
         case 'take':

@@ -274,9 +274,8 @@ def scale_tangent(network: PackedPerceptron, s: int, layer: int, first: int, las
 def _typed(kind: type) -> Any:
     @_inlined
     def typed(network: Mapping) -> PackedPerceptron:
-        found: PackedPerceptron = kind(
+        return kind(
             network.sizes, network.rows, network.tiles, network.nodes, network.node_tiles)
-        return found
     return typed
 
 

@@ -74,8 +74,7 @@ def _to_body(quaternion: Sequence[float], vector: Sequence[float]) -> list[float
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
         [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)],
         [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)]])
-    components: list[float] = (turn @ np.array(vector)).tolist()
-    return components
+    return (turn @ np.array(vector)).tolist()
 
 
 # Wall time between two messages [s].

@@ -135,8 +135,7 @@ def ensemble_card(parts: Parts) -> EnsembleCard:
         raise SceneError(f'{scene.place("hamiltonian")}: is not the mean of an ensemble, whose '
                          'members could diverge; name the file of an ensemble, from train '
                          '--ensemble N, without member')
-    found: EnsembleCard = card.ensemble
-    return found
+    return card.ensemble
 
 
 def member_scenes(scene: Scene, count: int) -> list[Scene]:

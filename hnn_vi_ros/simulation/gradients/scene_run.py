@@ -178,8 +178,7 @@ def model_of(parts: Parts) -> Checkpoint:
     if checkpoint is None or checkpoint.card.mechanical is None or checkpoint.members:
         raise ValueError(f'{_MODEL}... are parameters of one model of the family mechanical '
                          f'or rigid_body, but H of {parts.scene.name} is not such a model')
-    found: Checkpoint = checkpoint
-    return found
+    return checkpoint
 
 
 def numbers_of_model(model: Checkpoint) -> dict[str, float]:

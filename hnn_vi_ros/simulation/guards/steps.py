@@ -190,8 +190,7 @@ class CountGuard(LimitGuard):
 
     def value(self, sample: Observed) -> float:
         """Return the count."""
-        count: int = getattr(self._simulation, self.counted)
-        return count
+        return getattr(self._simulation, self.counted)
 
     def step(self, sample: Observed) -> int:
         """Return the newest step: the alarms of a finished path report the counts at its end."""
