@@ -255,7 +255,6 @@ def _with_output(name: str, status: int | str | None) -> int | str | None:
         return status
     if isinstance(problem, BrokenPipeError) and matters:
         return status or 128 + signal.SIGPIPE
-    print(f'{name}: standard output: {problem.strerror}: the output is lost',
-          file=sys.stderr)
+    print(f'{name}: standard output: {problem.strerror}: the output is lost', file=sys.stderr)
     # Different from all statuses with which executables report findings.
     return status or os.EX_IOERR if matters else status

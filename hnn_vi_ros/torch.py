@@ -328,8 +328,7 @@ class _Tangent(_Derivative):
                        for name, change in zip(call.names, others, strict=True)
                        if change is not None and change.any()]
             first = np.zeros(recorded.z.shape) if z0 is None else z0
-            return torch.from_numpy(
-                held.run.push_forward([Change(first, changes, commands)])[0])
+            return torch.from_numpy(held.run.push_forward([Change(first, changes, commands)])[0])
 
 
 def _array(tensor: torch.Tensor) -> np.ndarray:

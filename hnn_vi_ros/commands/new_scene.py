@@ -396,8 +396,7 @@ def formula_text(text: str, schema: str) -> str:
         # p_x belongs to x, and p1 to q1.
         owners = {name: f'q{name[1:]}' if f'q{name[1:]}' in names or name[1:].isdecimal() else
                   name[2:] for name in names if re.match(r'p(_\w|\d+$|$)', name)}
-        parameters = dict.fromkeys(
-            names.keys() - owners.keys() - {*owners.values()} - TIMES, 1.0)
+        parameters = dict.fromkeys(names.keys() - owners.keys() - {*owners.values()} - TIMES, 1.0)
         if not owners:
             raise ValueError('no momentum: write p_x for the momentum of the coordinate x')
         hamiltonian, d = Formula([*owners.values()], text, parameters), len(owners)

@@ -129,8 +129,7 @@ def _scaled(steps: BatchStep, x: np.ndarray, begin: np.ndarray
     # Terms of each force: due to each coordinate at its scale, to H alone, and to commands.
     terms = np.abs(matrix[d:]) * np.r_[columns[:d], np.abs(x[d:])]
     alone = getattr(steps.hamiltonian, 'base', steps.hamiltonian).gradient(z[:d], z[d:])[0]
-    rows[d:] = _inverse(_inverse(np.maximum.reduce([
-        *terms.T, np.abs(field[d:]), np.abs(alone)])))
+    rows[d:] = _inverse(_inverse(np.maximum.reduce([*terms.T, np.abs(field[d:]), np.abs(alone)])))
     columns[2 * d:] = _inverse((np.abs(matrix[:, 2 * d:]) / rows[:, None]).max(axis=0))
     return field / rows, matrix * columns / rows[:, None], rows, columns
 

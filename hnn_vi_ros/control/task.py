@@ -438,8 +438,7 @@ class CommandPrediction:
         """Queue the command, shape (c,), computed from the state at a time [s]."""
         self._sent.append((t + self.delay, u))
 
-    def __call__(self, t: float, q: np.ndarray, v: np.ndarray
-                 ) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return q and v, shape (d,) each, at the time the command for a state at t [s] acts."""
         if self._steps is None or not self._count:
             return q, v
@@ -479,8 +478,7 @@ def load_task(task: str | Path) -> tuple[Task, KeyPlaces, Path]:
     return loaded, places, path.parent
 
 
-def assign(task: str | Path, scene: str | Path | Scene = '', lockstep: bool = False
-           ) -> Assignment:
+def assign(task: str | Path, scene: str | Path | Scene = '', lockstep: bool = False) -> Assignment:
     """
     Return a task with its controller, which is compiled on its first call.
 

@@ -246,8 +246,7 @@ def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.n
                              f'observed joints: {listed(names)}')
     rows = [given.index(name) for name in names]
     position, velocity = command.position[rows], command.velocity[rows]
-    if not (np.abs(position) <= _MAX_OBSERVED).all() \
-            or (np.abs(velocity) > _MAX_OBSERVED).any():
+    if not (np.abs(position) <= _MAX_OBSERVED).all() or (np.abs(velocity) > _MAX_OBSERVED).any():
         raise ValueError('positions and known velocities must be finite and at most '
                          f'{_MAX_OBSERVED:g}')
     return position, velocity

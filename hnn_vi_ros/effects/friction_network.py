@@ -9,8 +9,7 @@ from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.body_forces import add_body_drag, add_drag, body_network, BodyNetwork
 from hnn_vi_ros.effects.input_map import InputMatrix, motors_of
 from hnn_vi_ros.kernels import kept, name_stably
-from hnn_vi_ros.models import (
-    Checkpoint, fill_friction, GraphParameters, pack_friction)
+from hnn_vi_ros.models import Checkpoint, fill_friction, GraphParameters, pack_friction
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 

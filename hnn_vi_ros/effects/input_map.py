@@ -175,8 +175,7 @@ def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordina
         if count >= state.command.size:
             raise ValueError(f'the model has {count} inputs; H supports at most '
                              f'{state.command.size - 1}')
-        return InputParameters(
-            state.command, state.clock, np.arange(count), add_body_map, own_map)
+        return InputParameters(state.command, state.clock, np.arange(count), add_body_map, own_map)
     if rotations(coordinates):
         raise ValueError('the input map of the model needs scalar coordinates, but H has others; '
                          'give coordinates')
@@ -186,8 +185,7 @@ def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordina
         if rows != d:
             raise ValueError(f'the model maps {count} inputs to {rows} coordinates; H has {d} '
                              'coordinates')
-        return InputParameters(
-            state.command, state.clock, np.arange(count), add_by_matrix, motors)
+        return InputParameters(state.command, state.clock, np.arange(count), add_by_matrix, motors)
     inputs, *_, entries = model.card.layout['input_map']
     if inputs != d or entries > d * d:
         raise ValueError(f'the model maps {entries // inputs} inputs to {inputs} coordinates; '

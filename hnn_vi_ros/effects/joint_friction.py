@@ -85,8 +85,7 @@ class JointFriction(Force):
                 (lambda joint: joint.damping, self.damping),
                 (lambda joint: joint.friction, self.friction), (lambda joint: None, self.load)))
         if not (damping.any() or friction.any() or load.any()):
-            raise ValueError(
-                'no joint has damping or friction; give them, or remove the effect')
+            raise ValueError('no joint has damping or friction; give them, or remove the effect')
         motors = np.arange(load.size)
         for name in self.load or ():
             motors[coordinate_index(coordinates, name)] = motor_index(coordinates, name)

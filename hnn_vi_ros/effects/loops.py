@@ -79,8 +79,7 @@ class LoopManifold:
     def __init__(self, loops: Loops, rows: LoopRows, kernel: Kernel, effects: int):
         self._loops, self._rows, self._kernel, self._index = loops, rows, kernel, effects - 1
         self._d = kernel.dimension - kernel.channels
-        self.constraints = Constraints.of(
-            (), loops._replace(rows=rows), kernel.dimension, effects)
+        self.constraints = Constraints.of((), loops._replace(rows=rows), kernel.dimension, effects)
         self.report = ''
 
     @property

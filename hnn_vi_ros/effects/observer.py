@@ -127,8 +127,7 @@ class Observer(StepEffect, Commanded):
                 f'{self.timeout:g} s; use simulated time, or zero for the current time')
         # A present observation replaces one with a time stamp in the future.
         if row[0] > 0.0 and row[1] <= now and seen < row[1] - _MIN_INTERVAL:
-            raise ValueError(
-                f'the observation is {row[1] - seen:.3g} s older than the last one')
+            raise ValueError(f'the observation is {row[1] - seen:.3g} s older than the last one')
         _check_reached(position, velocity, seen, parameters, self.names, self.timeout, q)
 
         def put() -> None:

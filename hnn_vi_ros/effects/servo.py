@@ -260,8 +260,7 @@ def _segment_at(reference: Reference, t: float) -> int:
 
 
 @inlined
-def _target_at(own: ServoParameters, k: int, segment: int, t: float
-               ) -> tuple[float, float, float]:
+def _target_at(own: ServoParameters, k: int, segment: int, t: float) -> tuple[float, float, float]:
     """Return the target position, velocity and acceleration of joint k; NaN for none."""
     reference, i = own.reference, own.columns[k]
     if own.clock[0] < own.command[own.command.size - 1]:
@@ -392,8 +391,7 @@ def _waiting(own: ServoParameters) -> tuple[np.ndarray, int]:
     if not np.isnan(bends).all():
         # A quintic ends with an acceleration, whatever follows.
         end = begin.copy()
-        end[2 * d + columns] = np.where(
-            np.isnan(bends), bends, _target(own, (), at).targets[2])
+        end[2 * d + columns] = np.where(np.isnan(bends), bends, _target(own, (), at).targets[2])
         rows.insert(last + 1 - active, end)
     return np.array(rows), len(rows) - len(knots[last + 1:]) - 1
 

@@ -532,8 +532,7 @@ def _is_short(speed: float, pull: float, left: float, h: float, rounding: float)
     if not pull > 0.0:
         return False
     flight = 2.0 * speed / pull
-    return 0.25 * speed * flight <= rounding or (
-        flight <= _SHORTEST_FLIGHT * h and flight <= left)
+    return 0.25 * speed * flight <= rounding or (flight <= _SHORTEST_FLIGHT * h and flight <= left)
 
 
 @called

@@ -39,7 +39,6 @@ class TimeDrive(Force):
         """Return True: methods that do not support it refuse H; see ``Requirements.refusal``."""
         return True
 
-    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
-                ) -> tuple[np.ndarray]:
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> tuple[np.ndarray]:
         """Return the memory of the time and of H_t."""
         return (self.time,)

@@ -153,8 +153,7 @@ def write_new_scene(path: Path, text: str, force: bool = False) -> None:
         else:
             write_new(path, text.encode())
     except FileExistsError as problem:
-        raise SceneError(f'{path}: exists already; name another file, or add --force'
-                         ) from problem
+        raise SceneError(f'{path}: exists already; name another file, or add --force') from problem
     except OSError as problem:
         raise SceneError(f'{path}: cannot be written ({problem.strerror}); name another file'
                          ) from problem

@@ -204,8 +204,7 @@ def _wrong_value(problems: Sequence[Any], units: Sequence[str]) -> str:
     """Describe the expected value, as far as the error types tell, and the given one."""
     if any(p['type'] in ('value_error', 'assertion_error') for p in problems):
         # The message of a validator in this package, which includes the value if useful.
-        return ' or '.join(dict.fromkeys(p['msg'].removeprefix('Value error, ')
-                                         for p in problems))
+        return ' or '.join(dict.fromkeys(p['msg'].removeprefix('Value error, ') for p in problems))
     shown = _quoted(problems[0]['input'])
     if {p['type'] for p in problems} <= {'float_type', 'float_parsing'}:
         what = 'number of seconds, e.g. 0.001' if [*units] == ['s'] else \

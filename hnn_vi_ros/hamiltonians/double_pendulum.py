@@ -52,8 +52,7 @@ class DoublePendulum(AnalyticHamiltonian):
 
     def __init__(self, mass1: float = 1.0, mass2: float = 1.0, length1: float = 1.0,
                  length2: float = 1.0, gravity: float = 9.81):
-        check_positive(mass1=mass1, mass2=mass2, length1=length1, length2=length2,
-                       gravity=gravity)
+        check_positive(mass1=mass1, mass2=mass2, length1=length1, length2=length2, gravity=gravity)
         self.mass1, self.mass2 = float(mass1), float(mass2)
         self.length1, self.length2 = float(length1), float(length2)
         self.gravity = float(gravity)

@@ -366,8 +366,7 @@ class Graph:
         # The lengths of H are unknown: lines of many.
         rng = np.random.default_rng(0)
         scales = 10.0**rng.uniform(-4.0, 4.0, (_LINES, 1))
-        return is_continuous(values, len(roots), scales * rng.normal(
-            size=(2, _LINES, len(names))))
+        return is_continuous(values, len(roots), scales * rng.normal(size=(2, _LINES, len(names))))
 
     def values(self, roots: Sequence[int], known: Mapping[str, Any]) -> dict[int, Any]:
         """Return the value of each node that the roots depend on, given the values of names."""

@@ -263,8 +263,7 @@ def trace(function: Callable[..., Any], q: Any) -> tuple[list[str], str]:
     single, (order, timed, remark) = np.ndim(q) == 0, call_order(function)
     graph, ends = Graph(), [''] if single else range(1, len(q) + 1)
     halves = [[Symbol(graph, graph.name(f'{half}{end}')) for end in ends] for half in 'qp']
-    given = [own[0] if single else np.array(own, dtype=object).view(_Symbols)
-             for own in halves]
+    given = [own[0] if single else np.array(own, dtype=object).view(_Symbols) for own in halves]
     try:
         with _symbolic_numpy():
             made = np.asarray(function(*given[::order or 1], *[

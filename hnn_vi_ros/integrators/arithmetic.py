@@ -56,8 +56,7 @@ def all_finite(x: np.ndarray) -> bool:
 @inlined
 def is_finite(z: PhasePoint) -> bool:
     """Return True if a state and its gradient are finite."""
-    return (all_finite(z.q) and all_finite(z.p)
-            and all_finite(z.dH_dq) and all_finite(z.dH_dp))
+    return all_finite(z.q) and all_finite(z.p) and all_finite(z.dH_dq) and all_finite(z.dH_dp)
 
 
 @inlined

@@ -118,8 +118,7 @@ class DenseOutput:
         share = np.asarray(theta, dtype=np.float64)
         part: int | np.ndarray = 0
         if self.ends is not WHOLE:
-            part = np.clip(np.searchsorted(self.ends, share, 'right') - 1, 0,
-                           self.ends.size - 2)
+            part = np.clip(np.searchsorted(self.ends, share, 'right') - 1, 0, self.ends.size - 2)
             share = (share - self.ends[part]) / (self.ends[part + 1] - self.ends[part])
         share, coefficients = share[..., None], self._coefficients[:, part]
         z: np.ndarray = (legendre.legval(2.0 * share - 1.0, coefficients, tensor=False)

@@ -120,8 +120,7 @@ class DiscreteEulerLagrange(Integrator):
             size = np.maximum(scale, np.abs(mixed) @ np.abs(q1))
             residual = np.abs(np.divide(defect, size, where=size > 0.0,
                                         out=np.zeros_like(defect))).max()
-            if residual <= _EPS or (residual >= previous
-                                    and residual <= max(8, q1.size) * _EPS):
+            if residual <= _EPS or (residual >= previous and residual <= max(8, q1.size) * _EPS):
                 z1.q[:], z1.p[:] = q1, d2
                 return OK, residual, iteration
             previous = residual

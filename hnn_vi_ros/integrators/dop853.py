@@ -282,8 +282,7 @@ def _to_clock(kernel: Kernel, h: float, options: PairOptions, work: PairWork) ->
                 kept.clock[a, 0], kept.clock[a, 1] = until, 0.0
             else:
                 control[0], control[1] = size * factor, max(error, _LEAST_ERROR)
-                kept.clock[a, 0], kept.clock[a, 1] = plus(
-                    kept.clock[a, 0], kept.clock[a, 1], size)
+                kept.clock[a, 0], kept.clock[a, 1] = plus(kept.clock[a, 0], kept.clock[a, 1], size)
             kept.clock[a, 2], trial[2] = size, 0.0
             trial[3] = 1.0 if kept.clock[a, 0] > h else 0.0
             active[accepted] = a

@@ -99,8 +99,7 @@ class ImplicitMidpoint(ImplicitIntegrator):
 @inlined
 def _equation(problem: _MidpointEquation, x: np.ndarray, value: np.ndarray) -> None:
     z, n = problem.z, problem.z.q.size
-    problem.kernel.gradient(problem.kernel.parameters, x[:n], x[n:],
-                            problem.dH_dq, problem.dH_dp)
+    problem.kernel.gradient(problem.kernel.parameters, x[:n], x[n:], problem.dH_dq, problem.dH_dp)
     for i in range(n):
         value[i] = z.q[i] + (z.q_carry[i] + problem.half * problem.dH_dp[i])
         value[n + i] = z.p[i] + (z.p_carry[i] - problem.half * problem.dH_dq[i])

@@ -311,8 +311,7 @@ class TimeTransformed(Integrator):
         check_between(0, 4, exponent=exponent)
         self.base, self._force, self._exponent = bases[base](), float(force), float(exponent)
         self._control, self.order = control, self.base.order
-        self.requirements = replace(
-            self.requirements, separable=self.base.requirements.separable)
+        self.requirements = replace(self.requirements, separable=self.base.requirements.separable)
         around = _transform if control == 'hamiltonian' else clock_step
         self.step = around(self.base.step)
 

@@ -44,8 +44,7 @@ def _equation(problem: EndProblem, x: np.ndarray, value: np.ndarray) -> None:
         covector = value[2 * a:2 * b]
         # Accessed through its package, which is already loaded, since H comes from it. An import
         # in this file would load the compiler even to read a scene.
-        models.symplectic_form.slope(
-            kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
+        models.symplectic_form.slope(kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
         factor = discrete_factor(problem, x, a, covector[:d], covector[d:])
         for i in range(d):
             covector[i] += factor * (x[a + i] - z.q[a + i])

@@ -155,8 +155,7 @@ def flat(value: object) -> list[int]:
 @intrinsic
 def load(_context: Any, block: Any, kind: Any) -> Any:
     """Return the value at an address, with arrays that have no owner; see bare."""
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
-                 ) -> ir.Value:
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> ir.Value:
         model = context.data_model_manager[signature.return_type]
         pointer = builder.inttoptr(arguments[0], model.get_data_type().as_pointer())
         value = model.load_from_data_pointer(builder, pointer)
@@ -171,8 +170,7 @@ def array_at(address: int, shape: Any) -> np.ndarray:
 
 @intrinsic
 def _pointer(_context: Any, address: Any) -> Any:
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
-                 ) -> ir.Value:
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> ir.Value:
         return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
     return types.CPointer(types.float64)(address), generate
 
@@ -183,8 +181,7 @@ def address_of(_context: Any, array: Any) -> Any:
     if array.ndim != 1 or array.dtype not in (types.float64, types.int64):
         raise numba.TypingError(f'{array} by address, expected float64 and shape (n,)')
 
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
-                 ) -> ir.Value:
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> ir.Value:
         part = context.make_array(signature.args[0])(context, builder, arguments[0])
         if signature.args[0].layout != 'C':  # numba does not know a row is contiguous
             step = builder.extract_value(part.strides, 0)
@@ -199,8 +196,7 @@ def address_of(_context: Any, array: Any) -> Any:
 @intrinsic
 def clear(_context: Any, address: Any) -> Any:
     """Write a zero of 64 bits to an address."""
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
-                 ) -> ir.Value:
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> ir.Value:
         word = context.get_value_type(types.int64)
         builder.store(ir.Constant(word, 0), builder.inttoptr(arguments[0], word.as_pointer()))
         return context.get_dummy_value()

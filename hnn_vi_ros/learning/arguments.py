@@ -70,8 +70,7 @@ def train() -> Parser:
         '(cross-validation)'))
     parser.add_argument('--device', choices=('cpu', 'cuda'), default='cpu',
                         help='train on this device (default: cpu)')
-    parser.add_argument('--resume', action='store_true',
-                        help='resume an interrupted training')
+    parser.add_argument('--resume', action='store_true', help='resume an interrupted training')
     return parser
 
 

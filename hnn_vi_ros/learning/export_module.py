@@ -239,8 +239,7 @@ def _function(rows: Callable[[torch.Tensor], torch.Tensor], module: torch.nn.Mod
         if not isinstance(value, torch.Tensor) or value.numel() != 1:
             shape = f'shape {(*value.shape,)}' if isinstance(value, torch.Tensor) else type(
                 value).__name__
-            inner = listed(
-                name for name, _ in module.named_children() if not name.isdecimal())
+            inner = listed(name for name, _ in module.named_children() if not name.isdecimal())
             raise ModelError(
                 f'returns {shape} for an input of shape {(1, len(z))}, expected one number H a '
                 "row: of a module that returns the vector field (q', p') give the network inside "

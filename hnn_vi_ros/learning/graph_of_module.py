@@ -163,8 +163,7 @@ def _translated(traced: torch.fx.GraphModule) -> tuple[Builder, int]:
                                      'throughout, without numpy, detach() and float()')
                 return b, b.reshape(result.node, ())
             case _:
-                args, kwargs = torch.fx.node.map_arg(
-                    (node.args, node.kwargs), lambda n: found[n])
+                args, kwargs = torch.fx.node.map_arg((node.args, node.kwargs), lambda n: found[n])
                 found[node] = translator.translated(node.target, args, kwargs)
     raise AssertionError('every graph has an output')
 
@@ -219,8 +218,7 @@ class _Translator:
         way = getattr(self, f'_{name.strip("_")}', None)
         if way is not None:
             found = way(*args, **kwargs)
-            return tuple(map(_Dependent, found)) if isinstance(found, tuple) else \
-                _Dependent(found)
+            return tuple(map(_Dependent, found)) if isinstance(found, tuple) else _Dependent(found)
         if name in _UNARY and len(args) == 1 and not kwargs:
             return _Dependent(self.b.unary(_UNARY[name], self._node(args[0])))
         if name in _BINARY and not kwargs:
@@ -420,8 +418,7 @@ class _Translator:
         if power == 0.0:
             return self._sum(_Dependent(self._nonzero(node)), axes, keepdim)
         if power == 2.0:
-            return self._root_of_squares(
-                self._sum(_Dependent(b.mul(node, node)), axes, keepdim))
+            return self._root_of_squares(self._sum(_Dependent(b.mul(node, node)), axes, keepdim))
         total = self._sum(_Dependent(b.binary('pow', size.node, b.full(node, power))), axes,
                           keepdim)
         return b.binary('pow', total, b.full(total, 1.0 / power))
@@ -663,8 +660,7 @@ class _Translator:
             return self._node(value.t()), True
         node = self._node(value)
         row, shape = self.b.nodes[node], self.b.shape(node)
-        if row.op == 'take' and np.prod(
-                self.b.shape(row.inputs[0])) == np.prod(shape):
+        if row.op == 'take' and np.prod(self.b.shape(row.inputs[0])) == np.prod(shape):
             turned = (*shape[:-2], shape[-1], shape[-2])
             numbers = np.arange(int(np.prod(shape))).reshape(turned)
             if np.array_equal(self.b.tensors[row.tensor], np.swapaxes(numbers, -1, -2)):
@@ -683,8 +679,7 @@ def _check_type(dtype: torch.dtype | None) -> None:
 
 
 def _depends(values: Any) -> bool:
-    return any(isinstance(leaf, _Dependent)
-               for leaf in torch.utils._pytree.tree_leaves(values))
+    return any(isinstance(leaf, _Dependent) for leaf in torch.utils._pytree.tree_leaves(values))
 
 
 def _refuse(target: Any) -> NoReturn:

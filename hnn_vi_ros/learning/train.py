@@ -59,8 +59,7 @@ def main(argv: Sequence[str]) -> None:
     _check_options(source, config.family, arguments)
     if arguments.seed is not None:
         config = config.model_copy(update={'seed': arguments.seed})
-    command = shlex.join(['hnn', 'train', *(
-        part for part in argv if part != '--resume')])
+    command = shlex.join(['hnn', 'train', *(part for part in argv if part != '--resume')])
     _train(source, config, arguments, command)
 
 
@@ -239,8 +238,7 @@ def _check_options(source: Path, family: FamilyChoice, arguments: Namespace) -> 
             raise ParameterError(f'{source}: --{option}: the family {family.kind} '
                                  f'{refuses[option]}; remove the option')
     if arguments.seed is not None and not 0 <= arguments.seed < 2**63:
-        raise ParameterError(
-            f'--seed {arguments.seed}: expected an integer from 0 to 2^63 - 1')
+        raise ParameterError(f'--seed {arguments.seed}: expected an integer from 0 to 2^63 - 1')
     if arguments.device == 'cuda' and not torch.cuda.is_available():
         raise ParameterError('--device cuda: torch finds no CUDA device here; use --device cpu')
     if arguments.ensemble is not None:

@@ -37,8 +37,7 @@ class ModuleChoice(FamilyChoice):
     module: str
     loss: str = ''
     code: str
-    refuses: ClassVar[Mapping[str, str]] = {
-        'ensemble': 'has one module in a model file'}
+    refuses: ClassVar[Mapping[str, str]] = {'ensemble': 'has one module in a model file'}
     _module: torch.nn.Module = PrivateAttr()
     _loss: Loss | None = PrivateAttr()
 

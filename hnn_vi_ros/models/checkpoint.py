@@ -334,8 +334,7 @@ def _tensor(path: str | Path, name: str, shape: tuple[int, ...], found: dict[str
     return _values(path, name, found)
 
 
-def _values(path: str | Path, name: str, found: dict[str, Any], graph: bool = False
-            ) -> np.ndarray:
+def _values(path: str | Path, name: str, found: dict[str, Any], graph: bool = False) -> np.ndarray:
     """Return a tensor of a file as float64; of a graph also indices, as int64, and any value."""
     if graph and found['dtype'] == 'I64':
         return np.frombuffer(found['data'], '<i8').astype(np.int64).reshape(found['shape'])

@@ -98,8 +98,7 @@ class Domain:
         # The revolution of an angle that is least outside.
         turns = self._turns
         middle = 0.5 * (low + high)[turns]
-        x[..., turns] = middle + np.remainder(
-            x[..., turns] - middle + np.pi, 2.0 * np.pi) - np.pi
+        x[..., turns] = middle + np.remainder(x[..., turns] - middle + np.pi, 2.0 * np.pi) - np.pi
         return np.maximum(np.maximum(low - x, x - high), 0.0) / half
 
     def beyond(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> list[str]:

@@ -71,8 +71,7 @@ class EnsembleHamiltonian(LearnedHamiltonian):
         return other
 
     def _kernel(self) -> Kernel:
-        first, *others = (
-            Target(*by_address(member.kernel).parameters) for member in self.members)
+        first, *others = (Target(*by_address(member.kernel).parameters) for member in self.members)
         return self._kernel_of(_energy, _gradient, _hessian_vector, MeanParameters(
             first, tuple(others), *np.zeros((2, self.dimension))))
 

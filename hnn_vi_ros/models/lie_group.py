@@ -122,8 +122,7 @@ def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
             for i in range(3):
                 product_p[a + i] = 0.0
                 for j in range(3):
-                    product_p[a + i] += (z_v[3 + 3 * i + j] * v[j]
-                                         + z[3 + 3 * i + j] * v_v[j])
+                    product_p[a + i] += z_v[3 + 3 * i + j] * v[j] + z[3 + 3 * i + j] * v_v[j]
 
 
 @part(error_model='numpy')

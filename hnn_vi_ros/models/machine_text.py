@@ -119,8 +119,7 @@ def _forces(mechanical: MechanicalCard, names: list[str], driven: bool) -> Itera
     motors = [f'u{k + 1}' + (f' / (1 + {g:.4g} abs(u{k + 1}))' if g else '')
               for k, g in enumerate(fade)]
     for i, name in enumerate(names):
-        force = {motor: float(x) for motor, x in zip(motors, rows[i], strict=True)
-                 if driven and x}
+        force = {motor: float(x) for motor, x in zip(motors, rows[i], strict=True) if driven and x}
         terms, back = force | _friction(mechanical.friction, i, False), ''
         if mechanical.friction.switch is not None:
             back = f' where v > 0, {sum_text(force | _friction(mechanical.friction, i, True))}' \

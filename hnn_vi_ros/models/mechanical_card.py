@@ -68,8 +68,7 @@ class FrictionCard(StrictModel):
     stribeck: list[StribeckTerm] = Field([], max_length=8 * MOST_MEMBERS)
 
     def _check(self) -> None:
-        own = {name: getattr(self, name) for name in (
-            'viscous_back', 'switch', 'offset', 'load')}
+        own = {name: getattr(self, name) for name in ('viscous_back', 'switch', 'offset', 'load')}
         for part in (own, *(dict(term) for term in (*self.coulomb, *self.stribeck))):
             for name, values in part.items():
                 if values is not None and len(values) != len(self.viscous):
@@ -104,8 +103,7 @@ class PriorCard(StrictModel):
         'angles of the links of a planar_chain from the vertical, as rows of combinations of the '
         'coordinates; zeros for a cart'))
     tree: TreeCard | None = Field(None, description='tree of a rigid_body')
-    alone: bool = Field(False, description=(
-        'whether it is all of M and V, without networks'))
+    alone: bool = Field(False, description='whether it is all of M and V, without networks')
     identification: Identification | None = Field(None, description='fit of a rigid_body')
     estimates: dict[str, FittedNumber] = Field({}, description=(
         'parameters, friction and motors of links fitted to positions; friction that is not among '
@@ -267,8 +265,7 @@ class MechanicalCard(StrictModel):
     def networks(self) -> dict[str, NetworkShape]:
         """Return inputs and outputs of each network."""
         mass = NetworkShape(self.input_count(self.mass_features), lambda d, _: len(self.entries))
-        found = {'mass': mass,
-                 'potential': NetworkShape(self.input_count(self.features))}
+        found = {'mass': mass, 'potential': NetworkShape(self.input_count(self.features))}
         if self.friction_features is not None:
             k = len(self.kinds)
             found['friction'] = NetworkShape(

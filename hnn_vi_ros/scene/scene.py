@@ -14,8 +14,7 @@ from typing import Any, Literal, NamedTuple
 from hnn_vi_ros.effects import Effect, EffectError, EFFECTS, gear_effects
 from hnn_vi_ros.errors import (
     CalibrationError, listed, ModelError, offered, SceneError, UnsupportedSystem)
-from hnn_vi_ros.files import (
-    dump_yaml, find_yaml, KeyPlaces, read_yaml, StrictModel, validate)
+from hnn_vi_ros.files import dump_yaml, find_yaml, KeyPlaces, read_yaml, StrictModel, validate
 from hnn_vi_ros.hamiltonians import (
     COORDINATES, DESCRIBED, Hamiltonian, HAMILTONIANS, MECHANISMS, ROTATING, trace)
 from hnn_vi_ros.integrators import Integrator, INTEGRATORS, ON_FAILURE

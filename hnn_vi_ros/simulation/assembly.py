@@ -51,8 +51,7 @@ def compile_discard(memory: Any) -> Callable[[Any], None]:
 
 def _counts(workspace: types.Type) -> bool:
     fields = getattr(workspace, 'fields', ())
-    return 'kept' in fields and 'count' in getattr(
-        workspace[fields.index('kept')], 'fields', ())
+    return 'kept' in fields and 'count' in getattr(workspace[fields.index('kept')], 'fields', ())
 
 
 overload(discard_history, jit_options={'forceinline': True, **LINK_ONLY})(compile_discard)
@@ -197,8 +196,7 @@ def _memory_of(method: Integrator, memory: tuple[Any, ...]) -> tuple[Any, ...]:
     return memory_by_address(_memory_of(method.inner, memory[:-1])), memory[-1]
 
 
-def _layer(kernel: Kernel, method: Wrapped, options: Parameters
-           ) -> tuple[Step, Parameters, str]:
+def _layer(kernel: Kernel, method: Wrapped, options: Parameters) -> tuple[Step, Parameters, str]:
     """Return the step of an effect around steps by address, its options, and its name."""
     inner_options, *settings = options
     inside = _inside(kernel, method.inner, inner_options, method.inner_steps)

@@ -169,8 +169,7 @@ class DenseStep:
         time = theta * simulation.step_size
         if not self._takes_state or (self._pair and not self._series):
             return simulation.clock_trial(self._before, time)
-        if self._series or (
-                self._plain and self.polynomial.order >= simulation.integrator.order):
+        if self._series or (self._plain and self.polynomial.order >= simulation.integrator.order):
             q, p = self.polynomial(theta)
             return q.reshape(simulation.q.shape), p.reshape(simulation.p.shape)
         q, p = simulation.trial(self._before, time)

@@ -134,8 +134,7 @@ class Rescue:
             if ok:
                 # Earlier solutions do not fit the next initial guess.
                 discard_history(memory)
-                return solved._replace(
-                    ok=True, rescued=True, gradients=solved.gradients + spent)
+                return solved._replace(ok=True, rescued=True, gradients=solved.gradients + spent)
             if spent > most:
                 return solved._replace(gradients=solved.gradients + spent, given_up=most)
         return solved._replace(gradients=solved.gradients + spent)
@@ -176,8 +175,7 @@ class Rescue:
         """Return the cached loop of a method or of its fallback."""
         key = loop, active, attempt
         if key not in self._loops:
-            self._loops[key] = Loop(
-                loop, self._system.kernel, method, attempt, apart=True)
+            self._loops[key] = Loop(loop, self._system.kernel, method, attempt, apart=True)
         return self._loops[key]
 
     def _fallbacks(self, active: int, n: int) -> list[tuple[Integrator, int, int]]:

@@ -232,8 +232,7 @@ class Simulation:
             raise StateError(
                 f'payload of {payload.mass:g} kg at {payload.centre}: no momenta keep the '
                 'velocities; give a smaller mass, centre or inertia') from problem
-        self.system.effect_state.work[self.system.labels.index(PAYLOAD), 0] += \
-            self.energy - before
+        self.system.effect_state.work[self.system.labels.index(PAYLOAD), 0] += self.energy - before
         for memory in self._memories:
             discard_history(memory)
 

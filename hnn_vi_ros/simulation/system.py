@@ -229,8 +229,7 @@ class JoinedHamiltonian(Hamiltonian):
         self.box, self.time = base.box, base.time
         self.smooth = base.smooth and all(effect.smooth for effect, _ in joined)
         self.provenance, self.scheme = base.provenance, base.scheme
-        self.separable = base.separable and all(
-            effect.keeps_separable for effect, _ in joined)
+        self.separable = base.separable and all(effect.keeps_separable for effect, _ in joined)
 
     # Delegated to the base, since a scene may set them later.
     invariants = property(attrgetter('base.invariants'))
@@ -356,8 +355,7 @@ class System:
                 stacklevel=3)
         self._assemble(integrator)
 
-    def with_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]
-                     ) -> 'System | None':
+    def with_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> 'System | None':
         """
         Return a system with other numbers, in the memory of this one, which it replaces.
 

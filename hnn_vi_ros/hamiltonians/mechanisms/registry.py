@@ -87,8 +87,7 @@ def cartesian_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
     }
 
 
-def _swinging(angles: np.ndarray, rods: tuple[str, ...], bobs: tuple[str, ...]
-              ) -> dict[str, Part]:
+def _swinging(angles: np.ndarray, rods: tuple[str, ...], bobs: tuple[str, ...]) -> dict[str, Part]:
     """Return rods of 1 m, each from the previous bob, with angles of shape (..., rods)."""
     steps = place(np.sin(angles), 0.0, -np.cos(angles))
     joints = np.concatenate([np.zeros_like(steps[..., :1, :]), np.cumsum(steps, axis=-2)], axis=-2)
@@ -351,8 +350,7 @@ def turning_body(q: np.ndarray, reach: float) -> dict[str, Part]:
     """
     q = np.asarray(q, dtype=np.float64)
     from scipy.spatial.transform import Rotation  # slow to import, and only bodies need it
-    turns = Rotation.from_quat(q[..., -4:].reshape(-1, 4)).as_matrix().reshape(
-        *q.shape[:-1], 3, 3)
+    turns = Rotation.from_quat(q[..., -4:].reshape(-1, 4)).as_matrix().reshape(*q.shape[:-1], 3, 3)
     flies = q.shape[-1] == 7
     center = q[..., :3] if flies else np.zeros_like(q[..., :3])
     length = (0.2 if flies else 0.8) * reach

@@ -20,8 +20,7 @@ def tree_kernel(bodies: Bodies, following: Following | None = None, fixed: bool 
     reach = np.zeros(d + 1)
     for i in range(1, d + 1):
         reach[i] = reach[bodies.parent[i]] + np.linalg.norm(bodies.placement[i, 9:])
-    weights = (bodies.inertia[1:, 0] * reach[1:]
-               + np.linalg.norm(bodies.inertia[1:, 1:4], axis=1))
+    weights = (bodies.inertia[1:, 0] * reach[1:] + np.linalg.norm(bodies.inertia[1:, 1:4], axis=1))
     scale = float(np.linalg.norm(bodies.gravity) * weights.sum())
     if fixed and d <= MOST_STRAIGHT:
         kernel = small_tree_kernel(bodies, following)

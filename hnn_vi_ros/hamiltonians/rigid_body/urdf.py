@@ -151,8 +151,7 @@ def _read(path: Path) -> bytes:
                          'package://PACKAGE/PATH') from problem
 
 
-def _foreign(element: Element, where: str, version: str, label: str = 'robot'
-             ) -> Iterator[str]:
+def _foreign(element: Element, where: str, version: str, label: str = 'robot') -> Iterator[str]:
     """
     Yield the attributes of other tools.
 

@@ -281,8 +281,7 @@ def _equation(problem: _LieStageEquation, x: np.ndarray, value: np.ndarray) -> N
             change, momentum = 0.0, 0.0
             for k in range(s):
                 change += problem.matrix[j, k] * slopes[k * n + i]
-                momentum += ((problem.weights[k] - problem.matrix[j, k])
-                             * slopes[(s + k) * n + i])
+                momentum += (problem.weights[k] - problem.matrix[j, k]) * slopes[(s + k) * n + i]
             value[j * n + i] = h * change
             value[(s + j) * n + i] = work.momenta[i] - h * momentum
 

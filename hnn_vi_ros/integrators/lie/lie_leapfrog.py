@@ -48,8 +48,7 @@ class LieVariationalEuler(LieIntegrator):
         move(kernel, options.retraction, z, work.x, z1)
         work.change[:] = 0.0
         add_bend(kernel, options.retraction, work.x, z.p, -1.0, work.change)
-        outcome, residual, gradients = solve_momenta_inside(
-            kernel, h, options, z1.q, z, z1, work)
+        outcome, residual, gradients = solve_momenta_inside(kernel, h, options, z1.q, z, z1, work)
         for i in range(z.p.size):
             work.change[i] -= h * work.slope[i]
             work.ahead[i] = 0.0
@@ -81,8 +80,7 @@ class LieSymplecticEuler(LieIntegrator):
         """Take one step; see Integrator."""
         work = memory[0]
         work.change[:] = 0.0
-        outcome, residual, gradients = solve_momenta_inside(
-            kernel, h, options, z.q, z, z1, work)
+        outcome, residual, gradients = solve_momenta_inside(kernel, h, options, z.q, z, z1, work)
         move(kernel, options.retraction, z, work.x, z1)
         transport(kernel, h, z, work, z1)
         outcome = check_turns(kernel, options.retraction, work.x, outcome)
@@ -135,8 +133,7 @@ class LieLeapfrog(LieIntegrator):
              memory: tuple) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         middle = memory[2].point
-        outcome, residual, gradients = _first_step(
-            kernel, 0.5 * h, options, z, middle, memory[:1])
+        outcome, residual, gradients = _first_step(kernel, 0.5 * h, options, z, middle, memory[:1])
         if outcome != OK:
             return outcome, residual, gradients
         outcome, residual_turn, more = _second_step(

@@ -169,8 +169,7 @@ class Archive:
 
     def runs(self, key: str, wanted: Sequence[str] = ()) -> list[str]:
         """Return ``wanted``, or the names of all runs that have a key; '' is the unnamed run."""
-        found = [name.rpartition('/')[0] for name in self.arrays
-                 if name.rpartition('/')[2] == key]
+        found = [name.rpartition('/')[0] for name in self.arrays if name.rpartition('/')[2] == key]
         for run in wanted:
             if run not in found:
                 raise DataError(f'{self.path}: no run {run!r} with a key {key}; its runs: '
@@ -268,8 +267,7 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()) 
         q = archive.array(name + data.q, len(t), [d])
         v, a = (None if key is None else archive.array(name + key, len(t), [d])
                 for key in (archive.velocities(name, data.v), data.a))
-        tau = None if data.tau is None else archive.array(
-            name + data.tau, len(t), [d], fewer=True)
+        tau = None if data.tau is None else archive.array(name + data.tau, len(t), [d], fewer=True)
         command = None if data.command is None else archive.array(
             name + data.command, len(t), [d], fewer=True)
         enabled = None if data.enabled is None else np.atleast_1d(
@@ -343,8 +341,7 @@ def _of_run(archive: Archive, data: BodyArrays, places: int, run: str) -> BodyMo
     t = archive.array(run + data.time).ravel()
     q = archive.array(run + data.q, t.size, [4 + places, 9 + places])
     v = archive.array(run + data.v, t.size, [3 + places])
-    u = np.empty((t.size, 0)) if data.tau is None else archive.array(
-        run + data.tau, t.size)
+    u = np.empty((t.size, 0)) if data.tau is None else archive.array(run + data.tau, t.size)
     steps = np.diff(t)
     if t.size < 2 or not np.ptp(steps) <= 0.01 * steps.mean():
         raise DataError(f'{archive.path}: {run}{data.time} is not evenly spaced; interpolate the '

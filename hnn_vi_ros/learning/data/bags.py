@@ -191,8 +191,7 @@ def _motion(name: str, reader: SignalReader, data: BagData | BagMotions, joints:
     """Return the motion in a bag."""
     topics = data.topics(reader)
     _choose_stamps(reader, topics, data)
-    t, values = reader.read(
-        topics.q, '', JOINT_STATE if isinstance(data, BagMotions) else STATES)
+    t, values = reader.read(topics.q, '', JOINT_STATE if isinstance(data, BagMotions) else STATES)
 
     def channel(topic: str, of: int, prefix: str = '', expected: str = STATES
                 ) -> np.ndarray | None:
@@ -296,8 +295,7 @@ def _positions_commanded(reader: SignalReader, data: BagMotions, t: np.ndarray, 
 def _commands_at(reader: SignalReader, forces: str, t: np.ndarray,
                  data: BagData | BagMotions) -> tuple[np.ndarray, list[str]]:
     """Return the command at each time, shape (N, m), and notes about it."""
-    stamps, values = reader.forces(
-        forces, data.columns if isinstance(data, BagMotions) else ())
+    stamps, values = reader.forces(forces, data.columns if isinstance(data, BagMotions) else ())
     motors = np.isfinite(values).any(axis=0)
     if not motors.any():
         raise DataError(f'{reader.path}: {forces} has no efforts of the joints and no other '

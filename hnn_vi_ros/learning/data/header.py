@@ -170,8 +170,7 @@ class Reading:
         if self.trial is not None:
             section['trial'] = self.trial.name
         section['time'] = self.time.name
-        return section | {key: names for key, names in groups.items() if names} | {
-            **self.settings}
+        return section | {key: names for key, names in groups.items() if names} | {**self.settings}
 
     @property
     def commanded(self) -> dict[str, Any]:
@@ -474,8 +473,7 @@ def _joint(one: Column) -> tuple[str, str]:
 def _with_kind(path: Path, one: Column, count: int, others: Sequence[Column],
                doubts: list[str]) -> Column:
     """Return a coordinate with its kind, by its name, velocity or force."""
-    kinds = {other.kind for other in others
-             if other.kind and (count == 1 or other.key == one.key)}
+    kinds = {other.kind for other in others if other.kind and (count == 1 or other.key == one.key)}
     if one.unit and not one.kind:
         raise DataError(f'{path}: {one.name!r} is in {one.unit}, which is no unit of angles or '
                         f'lengths; convert it, or write a configuration with q_unit: {one.unit}')

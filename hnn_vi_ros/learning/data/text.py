@@ -164,14 +164,11 @@ class MeasuredData(LogColumns, StateOptions):
 class LogMotions(LogColumns, MotionData):
     """Motions of a log with one run, or several numbered by a column."""
 
-    keys = {'q': 'q', 'v': 'v', 'a': 'a', 'tau': 'tau', 'command': 'command',
-            'enabled': 'enabled'}
+    keys = {'q': 'q', 'v': 'v', 'a': 'a', 'tau': 'tau', 'command': 'command', 'enabled': 'enabled'}
 
     kind: Literal['log'] = 'log'
-    v: Names | None = Field(None, description=(
-        'columns of dq/dt; none: estimated from q'))
-    a: Names | None = Field(None, description=(
-        'columns of the accelerations; none: estimated'))
+    v: Names | None = Field(None, description='columns of dq/dt; none: estimated from q')
+    a: Names | None = Field(None, description='columns of the accelerations; none: estimated')
     tau: Names | None = Field(None, description='columns of the motor forces; none: no forces')
     command: Names | None = Field(None, description=(
         'columns of positions commanded to servos, for identify; none: no commands'))
@@ -405,8 +402,7 @@ def _read_rows(path: Path, data: LogFormat, layout: Layout) -> Table:
         known = rest[np.isfinite(rest)]
         if known.size and ((known % 86400.0 == 0.0) if size == 1.0 else np.abs(known) < 1.0).all():
             table[:, names.index(whole)] += rest
-    return Table(table, np.array(lines), sha256_of(path, MAX_BYTES), names,
-                 layout.above, notes)
+    return Table(table, np.array(lines), sha256_of(path, MAX_BYTES), names, layout.above, notes)
 
 
 def _stamps(names: Sequence[str]) -> dict[str, tuple[str, float]]:

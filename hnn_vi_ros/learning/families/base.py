@@ -361,8 +361,7 @@ class EnergyFamily(Trainable):
         """Return (H_q, H_p), shape (N, 2 d), by automatic differentiation."""
         return gradient(self.energy, z)
 
-    def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
-                     ) -> torch.Tensor:
+    def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None) -> torch.Tensor:
         """
         Return (dq/dt, dp/dt), shape (N, 2 d): (H_p, -H_q) plus terms of the family.
 

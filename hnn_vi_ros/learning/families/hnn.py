@@ -146,8 +146,7 @@ class DissipativeHNN(_OneNetwork):
 
     schema = DissipativeHNNChoice
 
-    def __init__(self, choice: DissipativeHNNChoice, hidden: list[int], scales: Scales,
-                 seed: int):
+    def __init__(self, choice: DissipativeHNNChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__(choice, hidden, scales, seed)
         # D_p has the order of magnitude of dp/dt.
         power = np.mean(np.concatenate(
@@ -156,8 +155,7 @@ class DissipativeHNN(_OneNetwork):
             hidden, scales.centre, scales.half, np.array([power]), seed + 1)
         keep(self, rates=np.concatenate([scales.q_rate, scales.p_rate]))
 
-    def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
-                     ) -> torch.Tensor:
+    def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None) -> torch.Tensor:
         """Return (H_p + D_q, -H_q + D_p), as in EnergyFamily."""
         return super().vector_field(z) + gradient(self.dissipation, z)
 
@@ -216,8 +214,7 @@ class DGNet(_OneNetwork):
         """Return gamma, shape (d,) [1/s]."""
         return self.unit * self.root.square()
 
-    def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
-                     ) -> torch.Tensor:
+    def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None) -> torch.Tensor:
         """Return (H_p, -H_q - gamma p), as in EnergyFamily."""
         q, p = z.chunk(2, dim=1)
         return super().vector_field(z) - torch.cat([torch.zeros_like(q), self.friction * p], dim=1)
@@ -307,8 +304,7 @@ class ControlAffine(EnergyFamily):
         speed = (root * p[:, :, None]).sum(dim=1)
         return 0.5 * speed.square().sum(dim=1) + self.potential(q)[:, 0]
 
-    def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
-                     ) -> torch.Tensor:
+    def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None) -> torch.Tensor:
         """Return (H_p, -H_q + g(q) u), as in EnergyFamily."""
         field = super().vector_field(z)
         if commands is None:

@@ -51,8 +51,7 @@ class JointFrictionModule(torch.nn.Module):
         force = scales.inertia * scales.a
         keep(self, viscous_unit=force / scales.v, force_unit=force, speed_unit=scales.v)
         # log(1 + exp(-3)) is 0.05: the initial friction is small.
-        self.raw_viscous = torch.nn.Parameter(
-            torch.full((sides, d), -3.0, dtype=torch.float64))
+        self.raw_viscous = torch.nn.Parameter(torch.full((sides, d), -3.0, dtype=torch.float64))
         self.raw_force = torch.nn.Parameter(
             torch.full((self.choice.coulomb * sides + self.choice.stribeck + self.choice.load, d),
                        -3.0, dtype=torch.float64))

@@ -268,8 +268,7 @@ class SymplecticForm(Trainable):
 
     schema = SymplecticFormChoice
 
-    def __init__(self, choice: SymplecticFormChoice, hidden: list[int], scales: Scales,
-                 seed: int):
+    def __init__(self, choice: SymplecticFormChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__()
         # Masses for which all pairs of coordinates have equal actions.
         mass = choice.mass * (scales.p_half[0] * scales.q_half[0]
@@ -296,11 +295,9 @@ class SymplecticForm(Trainable):
         slope = slope + canonical
         return slope.transpose(1, 2) - slope
 
-    def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
-                     ) -> torch.Tensor:
+    def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None) -> torch.Tensor:
         """Return u' = W^-1 H', shape (N, 2 d), at states of shape (N, 2 d)."""
-        return torch.linalg.solve(
-            self.two_form(z), gradient(self.energy, z)[:, :, None])[:, :, 0]
+        return torch.linalg.solve(self.two_form(z), gradient(self.energy, z)[:, :, None])[:, :, 0]
 
     def preference(self, z: torch.Tensor, *others: torch.Tensor) -> torch.Tensor | None:
         """Return a small penalty on the variation of W in one degree of freedom; see Trainable."""

@@ -303,8 +303,7 @@ def _stages(config: BodyConfig, stage: BodyStage, motions: Sequence[BodyMotions]
         return lambda: body_loss(network, config, whole.of(torch.randint(
             count, (config.batch,), generator=generator)))
 
-    def subset(network: LieGroupNetwork, generator: torch.Generator
-               ) -> Callable[[], torch.Tensor]:
+    def subset(network: LieGroupNetwork, generator: torch.Generator) -> Callable[[], torch.Tensor]:
         rows = torch.randperm(count, generator=generator)
         chosen = whole.of(rows[:stage.lbfgs_windows])
         return lambda: body_loss(network, config, chosen)

@@ -16,8 +16,7 @@ from hnn_vi_ros.hamiltonians import MOST_JOINTS
 from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import EvenMotion, Motion
-from hnn_vi_ros.learning.data.sources import (
-    configuration_of, dimension, read_motions, Source)
+from hnn_vi_ros.learning.data.sources import configuration_of, dimension, read_motions, Source
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.base import Trainable
 from hnn_vi_ros.learning.families.choices import (
@@ -106,8 +105,7 @@ class FieldConfig(TrainingConfig):
         d = len(self.coordinates)
         lengths = {'data': dimension(self.data) or d}
         if self.reference is not None:
-            lengths |= {'reference.q': len(self.reference.q),
-                        'reference.p': len(self.reference.p)}
+            lengths |= {'reference.q': len(self.reference.q), 'reference.p': len(self.reference.p)}
         for key, length in lengths.items():
             if length != d:
                 raise ValueError(f'{key} has {length} coordinates, but coordinates names {d}')
@@ -289,16 +287,14 @@ def find_config(config: str) -> Path:
     return find_yaml('training', config, DataError)
 
 
-def guess_config(given: Sequence[str], counts: float | None = None
-                 ) -> tuple[MachineConfig, str]:
+def guess_config(given: Sequence[str], counts: float | None = None) -> tuple[MachineConfig, str]:
     """Return a configuration for the only reading of some data, also as YAML, or DataError."""
     text = dump_yaml(configuration_of(given, counts))
     data, places = parse_mapping(text, given[0], DataError)
     return validate(data, places, MachineConfig, DataError), text
 
 
-def guess_states(given: Sequence[str], counts: float | None = None
-                 ) -> tuple[FieldConfig, str]:
+def guess_states(given: Sequence[str], counts: float | None = None) -> tuple[FieldConfig, str]:
     """Return the same for H(q, p), with velocities as momenta."""
     machine = configuration_of(given, counts)
     text = dump_yaml({'coordinates': [

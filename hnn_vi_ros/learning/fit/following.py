@@ -10,8 +10,7 @@ from hnn_vi_ros.effects import ExternalForce, PeriodicDrive, Place, Servo
 from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
 from hnn_vi_ros.learning.data.sampling import steps_between
-from hnn_vi_ros.learning.fit.step_forces import (
-    command_names, constant_commands, constant_forces)
+from hnn_vi_ros.learning.fit.step_forces import command_names, constant_commands, constant_forces
 from hnn_vi_ros.learning.fit.windows import FOREVER, ModelParts, Windows
 from hnn_vi_ros.simulation import Simulation, System
 import numpy as np

@@ -187,8 +187,7 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
                     math.inf if before is None or horizon is not None else
                     _GROWTH * before.problem.misfit(before.solution)), before))
             except CannotFollow:
-                if not found and model is alive[-1][0] and (
-                        before is None or horizon is not None):
+                if not found and model is alive[-1][0] and (before is None or horizon is not None):
                     raise
         if not found and (before := alive[0][1]) is not None:
             return refitted(before, before.problem.model, before.solution.values, tolerance)
@@ -207,8 +206,7 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
         # Starts that lead to the same optimum have the same misfit.
         kept = [best, *(
             judged(one) for one, _ in found if _SAME < one.size / best.size < _AS_GOOD)]
-        alive = [(one.problem.model, one) for one in (
-            kept if finer is None else map(finer, kept))]
+        alive = [(one.problem.model, one) for one in (kept if finer is None else map(finer, kept))]
         length = min(_LONGER * length, wanted)
 
 
@@ -349,8 +347,7 @@ def fit_longer_windows(model: ParametricModel, motions: Sequence[EvenMotion], le
         before.solution.values
     windows = cut_windows(motions, length, seen)
     starts = _starts(model, values, windows, before)
-    if before is None and seen is not None and np.delete(
-            seen.spread, seen.columns).any():
+    if before is None and seen is not None and np.delete(seen.spread, seen.columns).any():
         values, starts = _searched(model, windows, noise, starts, values, seen, length)
     solution, problem = fit_with_noise(
         model, windows, noise if before is None else before.solution.noise, starts, values,
@@ -423,8 +420,7 @@ def noise_of(solution: Solution, robust: bool) -> np.ndarray:
     own = solution.residuals[there]
     measured = own.size
     share = math.sqrt(measured / solution.freedom)
-    spread = 1.4826 * np.median(np.abs(own), axis=0) if robust else \
-        np.sqrt((own**2).mean(axis=0))
+    spread = 1.4826 * np.median(np.abs(own), axis=0) if robust else np.sqrt((own**2).mean(axis=0))
     least = least_noise(solution.windows.measured[there])
     return np.maximum(share * spread * solution.noise, least)
 

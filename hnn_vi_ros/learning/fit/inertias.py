@@ -371,8 +371,7 @@ def _information(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Inf
     inertial = unknowns.free[unknowns.free < unknowns.sizes[0]]
     G = slopes[:values][:, inertial]
     # QR puts friction first; the trailing block is what friction cannot explain.
-    whole = np.asarray(np.linalg.qr(
-        np.hstack([rows[:, values:], rows[:, :values]]), mode='r'))
+    whole = np.asarray(np.linalg.qr(np.hstack([rows[:, values:], rows[:, :values]]), mode='r'))
     R = whole[k - values:, k - values:]
     _, sizes, V = np.linalg.svd(R @ G)
     felt = int(np.sum(sizes > _ROUNDING * sizes[0]))

@@ -380,8 +380,7 @@ class TrainingRun:
             lbfgs.step(closure)
             self._taken += steps
             after = float(self._loss().detach())
-            if self._note(stage, after, True) or not (
-                    self._before - after >= LEAST_GAIN * after):
+            if self._note(stage, after, True) or not (self._before - after >= LEAST_GAIN * after):
                 break
             self._before = after
         self._end(stage, self.history.train[-1])

@@ -106,8 +106,7 @@ def mean_forces(motion: EvenMotion, every: int) -> np.ndarray:
     return np.where(ends[:, None] > starts[:, None], means, tau)
 
 
-def acceleration_loss(network: Network, samples: Samples, rows: torch.Tensor
-                      ) -> torch.Tensor:
+def acceleration_loss(network: Network, samples: Samples, rows: torch.Tensor) -> torch.Tensor:
     """Return the soft loss of acceleration errors relative to their usual size."""
     return _soft(acceleration_errors(network, samples, rows))
 

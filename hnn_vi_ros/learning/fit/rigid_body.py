@@ -448,8 +448,7 @@ def _regression(physical: PriorUnknowns, samples: Samples) -> np.ndarray:
         found = lsq_linear(matrix, right, (least, np.inf)).x
     else:
         # Without forces, parameters are known up to a common factor: set the first inertia to one.
-        found = np.append(1.0, lsq_linear(
-            matrix[:, 1:], -matrix[:, 0], (least[1:], np.inf)).x)
+        found = np.append(1.0, lsq_linear(matrix[:, 1:], -matrix[:, 0], (least[1:], np.inf)).x)
     n = physical.sizes[0]
     values = physical.prior.possible(torch.tensor(found[:n])).numpy()
     end = n + sum(physical.sizes[1:4])
@@ -513,8 +512,7 @@ def fit_errors(network: MechanicalNetwork,
         at, solutions = torch.tensor(x), Solutions()
         with torch.no_grad():
             residuals(at, solutions)
-            return torch.func.jacfwd(
-                lambda x: residuals(x, solutions.again()))(at).numpy()
+            return torch.func.jacfwd(lambda x: residuals(x, solutions.again()))(at).numpy()
     start = np.maximum(start, least + ABOVE)
     if not np.isfinite(values(start)).all():
         return None

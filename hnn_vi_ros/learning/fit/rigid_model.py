@@ -137,8 +137,7 @@ class RigidModel:
         if not all(bool(part.isfinite().all()) for part in raw.values()):
             raise ModelError('the mass matrix is not positive definite')
         # Copies of a network take longer than a simulation.
-        return parts_of_card(
-            self._own.take_parameters(raw).card(), self.step_size, self._driven)
+        return parts_of_card(self._own.take_parameters(raw).card(), self.step_size, self._driven)
 
     def _parameters(self, values: np.ndarray) -> np.ndarray:
         """Return all parameters at values of the numbers."""

@@ -158,8 +158,7 @@ class FitProblem:
             change[good] = np.linalg.solve(
                 unit[good], (downhill / scale)[good, :, None])[..., 0] / scale[good]
             gain = (change * downhill).sum(axis=1)
-            open_ = good & (gain > _GAIN * self.tolerance * np.maximum(
-                cost, 1e-12))
+            open_ = good & (gain > _GAIN * self.tolerance * np.maximum(cost, 1e-12))
             if not open_.any():
                 break
             tried = starts + np.einsum('kwi,wk->wi', prediction.directions(starts), np.where(
@@ -228,8 +227,7 @@ class _Residuals:
             if np.isfinite(self._at).all():
                 starts = starts + self._slope @ (values - self._at)
             try:
-                self._prediction = predicted_by(
-                    self._problem.model, values, self._problem.windows)
+                self._prediction = predicted_by(self._problem.model, values, self._problem.windows)
                 *best, slopes = self._problem.descend(self._prediction, starts)
                 self._best = *best, np.nan_to_num(slopes)
             except HnnViRosError:
@@ -321,8 +319,7 @@ def least_squares_factors(slopes: np.ndarray, scale: np.ndarray | None = None
     if scale is None:
         scale = column_norms(slopes)
     sizes, rows, told = identifiable_directions(slopes / scale)
-    factors = np.where(told[:, None], rows, 0.0) / (
-        np.where(told, sizes, 1.0)[:, None] * scale)
+    factors = np.where(told[:, None], rows, 0.0) / (np.where(told, sizes, 1.0)[:, None] * scale)
     return slopes @ factors.T, factors, rows[~told].T / scale[:, None]
 
 

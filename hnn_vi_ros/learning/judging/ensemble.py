@@ -192,8 +192,7 @@ def conformal_factors(scores: np.ndarray, level: float) -> list[float]:
     """
     ordered = np.sort(scores, axis=0)
     rank = int(np.ceil((len(ordered) + 1) * level))
-    if rank > len(ordered) or not (
-            (0.0 < ordered[rank - 1]) & (ordered[rank - 1] < np.inf)).all():
+    if rank > len(ordered) or not ((0.0 < ordered[rank - 1]) & (ordered[rank - 1] < np.inf)).all():
         raise DataError('the spread of the ensemble cannot be calibrated: too few held-out '
                         'motions in the training domain, or identical members')
     return ordered[rank - 1].tolist()
@@ -303,8 +302,7 @@ def horizon(dataset: Dataset) -> float:
     return float(2.0 * np.pi * (half / rates).max())
 
 
-def held_exact(checkpoint: Checkpoint, config: FieldConfig, count: int, seed: int
-               ) -> Held | None:
+def held_exact(checkpoint: Checkpoint, config: FieldConfig, count: int, seed: int) -> Held | None:
     """Return motions of an exact system from new states of the box; None if it is driven."""
     data = config.data
     assert isinstance(data, ExactData), 'asked of such data alone'

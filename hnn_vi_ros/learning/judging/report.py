@@ -145,8 +145,7 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
         plot_residuals(judged.residuals, card, outputs.residuals)
         pictures += [f'![Residuals]({outputs.residuals.name})']
     if judged.scene is not None:
-        write_text(outputs.scene, judged.scene(
-            outputs.model.name, outputs.scene).to_yaml())
+        write_text(outputs.scene, judged.scene(outputs.model.name, outputs.scene).to_yaml())
     if history.train:
         plot_history(history, card.name, outputs.losses)
         write_text(outputs.table, losses_text(history))
@@ -372,8 +371,7 @@ def draw_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
     predicted = [(t, q) for t, q in run.predicted if t[0] >= window[0] and t[-1] <= window[1]]
     d = len(coordinates)
     figure = Figure(figsize=(11.0, 1.2 + max(2.6, 6.0 / d) * d), layout='constrained')
-    figure.suptitle(f'{name}: predictions of {length:.3g} s over run {run.name}',
-                    parse_math=False)
+    figure.suptitle(f'{name}: predictions of {length:.3g} s over run {run.name}', parse_math=False)
     grid = figure.subplots(2 * d, 1, sharex=True, height_ratios=[3, 1] * d)
     for i, coordinate in enumerate(coordinates):
         axes, lower = grid[2 * i:2 * i + 2]

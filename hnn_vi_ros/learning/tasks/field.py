@@ -84,8 +84,7 @@ def read(source: Path, config: FieldConfig, given: Sequence[str], ensemble: bool
         ensemble)
 
 
-def fit(data: FieldData, config: FieldConfig, device: str, train: Train = trained
-        ) -> FittedField:
+def fit(data: FieldData, config: FieldConfig, device: str, train: Train = trained) -> FittedField:
     """Fit a model."""
     return fit_field(config, bootstrapped(data.known, config.seed) if data.ensemble else
                      data.known, device, train)

@@ -42,8 +42,7 @@ def mechanism(b: Builder, checkpoint: Checkpoint, q: int) -> tuple[int, int, int
     x, places = _features(b, card, q, card.features + card.mass_features)
     rows, columns = np.array(card.entries).T
     index = np.add.outer(d * d * np.arange(len(own)), columns * d + rows).ravel()
-    y = b.put(_of_features(b, own, 'mass', card.mass_features, x, places), index,
-              (len(own), d, d))
+    y = b.put(_of_features(b, own, 'mass', card.mass_features, x, places), index, (len(own), d, d))
     scales = np.array([[_card(one).mass_scale] for one in own]) / np.sqrt(len(members))
     # Cheaper than to separate the diagonal, whose entries are positive, from the others.
     root = b.reshape(b.add(

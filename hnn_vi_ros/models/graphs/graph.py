@@ -393,8 +393,7 @@ def graph_data(b: Builder, output: int) -> tuple[dict[str, Any], dict[str, np.nd
         if node.op in ('matmul', 'sum', 'amax', 'reshape', 'put', 'input'):
             row.append([*(node.shape if node.op == 'input' else node.options)])
         rows.append(row)
-    return {'version': VERSION, 'nodes': rows}, {
-        name: b.tensors[k] for k, name in names.items()}
+    return {'version': VERSION, 'nodes': rows}, {name: b.tensors[k] for k, name in names.items()}
 
 
 def read_graph(data: Any, tensors: Mapping[str, np.ndarray], inputs: int, timed: bool = False
@@ -469,8 +468,7 @@ def _node(b: Builder, found: Sequence[int], row: Any, tensors: Mapping[str, np.n
     shapes = [b.shape(x) for x in at]
     if op in UNARY or op in BINARY or op == 'where':
         count = 1 if op in UNARY else 2 if op in BINARY else 3
-        _expect(len(at) == count and tensor is None and not options,
-                f'{op} takes {count} inputs')
+        _expect(len(at) == count and tensor is None and not options, f'{op} takes {count} inputs')
         _expect(len(set(shapes)) == 1, f'{op} of shapes {shapes}')
         return b.operation(op, at)
     _expect(op in STRUCTURAL, f'unknown operation {op[:40]!r}')

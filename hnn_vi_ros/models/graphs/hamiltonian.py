@@ -7,8 +7,7 @@ from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.graphs.derivatives import dependence, gradient, tangent
 from hnn_vi_ros.models.graphs.family_graphs import family_graph
-from hnn_vi_ros.models.graphs.graph import (
-    Builder, graph_data, GraphNetwork, read_graph, varied)
+from hnn_vi_ros.models.graphs.graph import Builder, graph_data, GraphNetwork, read_graph, varied
 from hnn_vi_ros.models.graphs.operations import SWITCHES
 from hnn_vi_ros.models.graphs.perceptrons import fused, whole_perceptron
 from hnn_vi_ros.models.graphs.tape import Assembler, Tape

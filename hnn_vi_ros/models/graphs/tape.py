@@ -164,8 +164,7 @@ class Assembler:
 
     def _instructions(self, node: GraphNode, out: int, at: Sequence[int]) -> list[list[int]]:
         """Return the instructions of a node, given the places of its inputs."""
-        b, size, shapes = self.b, math.prod(node.shape), [*map(
-            self.b.shape, node.inputs)]
+        b, size, shapes = self.b, math.prod(node.shape), [*map(self.b.shape, node.inputs)]
         rows: list[list[int]]
         match node.op:
             case 'matmul':

@@ -35,8 +35,7 @@ _EXP = (
 
 
 # Only contraction to fused multiply-add is allowed: reassociation would cancel _ROUNDING.
-_PRECISE: dict[str, Any] = {
-    'fastmath': {'contract'}, 'error_model': 'numpy', 'forceinline': True}
+_PRECISE: dict[str, Any] = {'fastmath': {'contract'}, 'error_model': 'numpy', 'forceinline': True}
 
 
 @part(**_PRECISE)
@@ -274,8 +273,7 @@ def scale_tangent(network: PackedPerceptron, s: int, layer: int, first: int, las
 def _typed(kind: type) -> Any:
     @_inlined
     def typed(network: Mapping) -> PackedPerceptron:
-        return kind(
-            network.sizes, network.rows, network.tiles, network.nodes, network.node_tiles)
+        return kind(network.sizes, network.rows, network.tiles, network.nodes, network.node_tiles)
     return typed
 
 

@@ -348,8 +348,7 @@ class McapSink:
         if self._path.exists():
             kept = ('earlier messages are kept: free some space, then repair the bag with: '
                     f'hnn recover_bag {shlex.quote(str(self._path.parent))}')
-        return RecordingError(
-            f'{self._path}: the recording stopped ({_reason(problem)}); {kept}')
+        return RecordingError(f'{self._path}: the recording stopped ({_reason(problem)}); {kept}')
 
 
 def _write_all(stream: BinaryIO | None, data: bytes) -> None:

@@ -52,8 +52,7 @@ class IgnoredErrors:
         # Time of the next permitted log line, by name [s].
         self._due: dict[str, float] = {}
 
-    def ignore(self, name: str, problem: Exception, what: str = 'message ignored'
-               ) -> str:
+    def ignore(self, name: str, problem: Exception, what: str = 'message ignored') -> str:
         """Count an error and log it, at most once a second for each name; return the reason."""
         known = isinstance(problem, HnnViRosError | ValueError | RuntimeError)
         text = f'{"" if known else f"{type(problem).__name__}: "}{problem}'

@@ -188,8 +188,7 @@ class StampGap(NamedTuple):
     count: int  # type: ignore[assignment]  # not tuple.count
 
 
-def stamp_gaps(stamps: Sequence[int] | np.ndarray, spacing: int | None = None
-               ) -> list[StampGap]:
+def stamp_gaps(stamps: Sequence[int] | np.ndarray, spacing: int | None = None) -> list[StampGap]:
     """
     Return the gaps in a grid; the default spacing is the most frequent difference.
 

@@ -114,8 +114,7 @@ class Run:
 
     def _make_monitor(self) -> Monitor:
         sampler, settings = self.sampler, self._settings
-        facts = RunFacts(
-            self.simulation, settings.energy_band_limit, settings.energy_change_limit)
+        facts = RunFacts(self.simulation, settings.energy_band_limit, settings.energy_change_limit)
         guards = [*make_guards(facts)]
         if settings.real_time_factor:
             guards.append(OverrunGuard(self.pacer, self.recording.slow_disk))

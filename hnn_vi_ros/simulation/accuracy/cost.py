@@ -183,8 +183,7 @@ class CostStudy:
         """Return the error beyond which a run counts as diverged."""
         if self.tolerance is not None:
             return _LOST_MULTIPLE * self.tolerance.error
-        return _LOST_SHARE * (
-            1.0 if self.no_path else float(np.abs(self.reference.states).max()))
+        return _LOST_SHARE * (1.0 if self.no_path else float(np.abs(self.reference.states).max()))
 
     def error(self, cost: MethodCost) -> float:
         """Return the path error, or the energy error if there is no reference path."""
@@ -567,8 +566,7 @@ def _judged(study: CostStudy, tolerance: Tolerance, method: Method, simulation: 
     error = carried(seen, t, tolerance.horizon, 1.0 if by_path else 0.0)
     gradients = simulation.gradients
     if by_path and not failure and error <= tolerance.error and spent / t < bound:
-        error = max(error, error_between(study, simulation) * max(1.0, error / max(
-            *seen, 1e-300)))
+        error = max(error, error_between(study, simulation) * max(1.0, error / max(*seen, 1e-300)))
     return MethodCost(method, simulation.step_size, error if by_path else math.nan,
                       math.nan if by_path else error, math.nan, gradients / t, failure,
                       spent / t, t)

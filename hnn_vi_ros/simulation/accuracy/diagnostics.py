@@ -158,8 +158,7 @@ class EnergyScale:
         zero = np.zeros_like(q)
         return np.abs(self._slope(q, p, x, zero)), np.abs(self._slope(q, p, zero, p))
 
-    def _slope(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
-               ) -> np.ndarray:
+    def _slope(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray) -> np.ndarray:
         """Return H' (v_q, v_p) by central differences, if the kernel has no gradient of H."""
         ahead, behind = self._hamiltonian.energy(
             np.array([q + _SCALE_SPACING * v_q, q - _SCALE_SPACING * v_q]),

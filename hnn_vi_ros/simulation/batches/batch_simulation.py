@@ -11,8 +11,7 @@ from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import (
     ImplicitIntegrator, Integrator, NOT_FINITE, OK, SolverOptions, Tableau)
 from hnn_vi_ros.simulation.batches.gradient import make_gradient
-from hnn_vi_ros.simulation.batches.steps import (
-    BatchState, BatchSystem, first_state, step_of)
+from hnn_vi_ros.simulation.batches.steps import BatchState, BatchSystem, first_state, step_of
 from hnn_vi_ros.simulation.processors import check_interrupt
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System as CompiledSystem

@@ -186,8 +186,7 @@ def sum_of(kernels: Sequence[tuple[float, Kernel]], at: StateSequence) -> np.nda
     return total
 
 
-def difference(value: float, spacing: float, low: float, high: float
-               ) -> list[tuple[float, float]]:
+def difference(value: float, spacing: float, low: float, high: float) -> list[tuple[float, float]]:
     """
     Return values of a number and their weights for a difference of order 2 within its range.
 

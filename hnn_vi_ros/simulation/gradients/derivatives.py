@@ -390,8 +390,7 @@ class DifferentiableRun:
             before = local[-1]
         return sampled
 
-    def jacobians(self, states: np.ndarray, times: np.ndarray, commands: np.ndarray
-                  ) -> np.ndarray:
+    def jacobians(self, states: np.ndarray, times: np.ndarray, commands: np.ndarray) -> np.ndarray:
         """
         Return the Jacobians of the last states by the first states and by constant commands.
 

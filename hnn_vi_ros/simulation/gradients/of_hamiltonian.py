@@ -62,8 +62,7 @@ class OnHamiltonian:
         """Return the change; see Dependence."""
         if not self._kernel.channels:
             return self._own.changed(at, change)
-        by_q, by_p = self._own.changed(self._without_channels(at), change).reshape(
-            2, -1, self._d)
+        by_q, by_p = self._own.changed(self._without_channels(at), change).reshape(2, -1, self._d)
         found = np.zeros((2, len(by_q), self._kernel.dimension))
         found[..., :self._d] = np.einsum('jhni,nj->hni', self._slopes(at), by_p)
         found[0, :, :self._d] += by_q
@@ -76,10 +75,8 @@ class OnHamiltonian:
         """Return the derivatives of G with respect to each velocity, shape (d, 2, N, d)."""
         total = original(self._kernel)
         shifted = _Shifted(total.parameters[0], np.zeros(self._d))
-        base = by_address(compiled_kernel(
-            (_energy, _gradient, _hessian_vector), shifted, self._d))
-        kernel = by_address(total._replace(
-            parameters=(base.parameters, *total.parameters[1:])))
+        base = by_address(compiled_kernel((_energy, _gradient, _hessian_vector), shifted, self._d))
+        kernel = by_address(total._replace(parameters=(base.parameters, *total.parameters[1:])))
         fastest = np.abs(_cut(at.gradient(kernel), self._kernel)[1]).max(initial=0.0)
         spacing = _RELATIVE_SPACING * (float(fastest) or 1.0)
         slopes = np.zeros((self._d, 2, at.q.size // kernel.dimension, self._d))

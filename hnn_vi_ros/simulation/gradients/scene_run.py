@@ -123,8 +123,7 @@ class SceneRun:
 
 def _changed(parts: Parts, values: Mapping[str, float], model: Checkpoint | None) -> Parts:
     """Return parts with other numbers; H and effects are rebuilt only if theirs change."""
-    own = {name: value for name, value in values.items()
-           if not name.startswith((_MODEL, _URDF))}
+    own = {name: value for name, value in values.items() if not name.startswith((_MODEL, _URDF))}
     links = {name.removeprefix(_URDF): value for name, value in values.items()
              if name.startswith(_URDF)}
     scene = with_known_numbers(parts.scene, own)

@@ -7,8 +7,7 @@ import math
 
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.kernels import kept
-from hnn_vi_ros.simulation.accuracy.diagnostics import (
-    EnergyScale, follow, RECORD, rounding_walk)
+from hnn_vi_ros.simulation.accuracy.diagnostics import EnergyScale, follow, RECORD, rounding_walk
 from hnn_vi_ros.simulation.guards.samples import SampleBlock, SampleBuffer
 import numpy as np
 

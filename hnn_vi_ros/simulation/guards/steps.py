@@ -80,8 +80,7 @@ class StiffnessGuard(LimitGuard):
     @classmethod
     def of_run(cls, run: RunFacts) -> Iterator[Guard]:
         simulation = run.simulation
-        fastest = simulation.system.fastest_rate(
-            np.atleast_2d(simulation.q)[0], simulation.time)
+        fastest = simulation.system.fastest_rate(np.atleast_2d(simulation.q)[0], simulation.time)
         # Adaptive methods resolve what moves.
         if fastest and not simulation.integrator.tolerances:
             yield cls(simulation.step_size * fastest)

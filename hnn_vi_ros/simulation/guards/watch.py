@@ -9,8 +9,7 @@ from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.models import domain_of
 from hnn_vi_ros.simulation.accuracy.diagnostics import scales_along
 from hnn_vi_ros.simulation.guards.bands import EnergyGuard, InvariantGuard, plain_share
-from hnn_vi_ros.simulation.guards.base import (
-    Alarm, BlockGuard, Guard, judge_block, StateGuard)
+from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard, judge_block, StateGuard
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.facts import BAND_LIMIT, CHANGE_LIMIT, RunFacts
 from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard

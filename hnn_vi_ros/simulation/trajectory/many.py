@@ -303,8 +303,7 @@ class _Many:
         return found
 
 
-def _initial_states(q: ArrayLike, p: ArrayLike,
-                    hamiltonian: Hamiltonian) -> list[np.ndarray]:
+def _initial_states(q: ArrayLike, p: ArrayLike, hamiltonian: Hamiltonian) -> list[np.ndarray]:
     """Return q and p of initial states, shape (m, d), or raise an error if they are invalid."""
     states, d, turning = (
         (check_numbers('q', q), check_numbers('p', p)), hamiltonian.dimension,
