@@ -304,6 +304,16 @@ def pip_command(*packages: str) -> str:
 
 
 @contextmanager
+def prefixed(place: str, error: type[Exception],
+             caught: type[Exception] | tuple[type[Exception], ...] = ValueError) -> Iterator[None]:
+    """Raise errors of these classes as another one, with the place before their text."""
+    try:
+        yield
+    except caught as problem:
+        raise error(f'{place}: {problem}') from problem
+
+
+@contextmanager
 def optional(package: str, what: str) -> Iterator[None]:
     """
     Replace the error of a failed import by a one-line message on the missing package.

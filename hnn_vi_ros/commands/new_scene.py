@@ -11,7 +11,7 @@ from pathlib import Path
 import re
 import sys
 
-from hnn_vi_ros.errors import ModelError, SceneError, StepFailure
+from hnn_vi_ros.errors import ModelError, prefixed, SceneError, StepFailure
 from hnn_vi_ros.files import (
     dump_yaml, one_line, package_file, Parser, SCHEME, share_folder, write_new_scene)
 from hnn_vi_ros.hamiltonians import (
@@ -67,14 +67,12 @@ def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
 
     def built(rotors: dict[str, float]) -> RigidBodyTree:
         return RigidBodyTree(str(urdf), locked=locked, rotor_inertia=rotors)
-    try:
+    with prefixed(str(urdf), ModelError):
         tree = built({})
         # Rotors change how fast the robot falls, but not its equilibrium.
         rest = resting_state(tree)
         rotors = missing_rotors(tree, rest)
         tree = built(rotors)
-    except ValueError as problem:
-        raise ModelError(f'{urdf}: {problem}') from problem
     held = '; '.join(f'{name} at {value:g}' for name, value in tree.robot.locked.items()
                      if name not in locked)
     for title, content in (
@@ -391,7 +389,7 @@ def formula_text(text: str, schema: str) -> str:
         The formula cannot be read, has no momentum, or is not finite at the initial state.
 
     """
-    try:
+    with prefixed('--formula', SceneError):
         names = Reader(Graph(), text).names
         # p_x belongs to x, and p1 to q1.
         owners = {name: f'q{name[1:]}' if f'q{name[1:]}' in names or name[1:].isdecimal() else
@@ -402,8 +400,6 @@ def formula_text(text: str, schema: str) -> str:
         hamiltonian, d = Formula([*owners.values()], text, parameters), len(owners)
         q, p = 0.1 * np.arange(1.0, d + 1.0), np.zeros(d)
         hamiltonian.check_state(q, p)
-    except ValueError as problem:
-        raise SceneError(f'--formula: {problem}') from problem
     hessian, kernel = np.empty((2 * d, 2 * d)), hamiltonian.kernel
     for unit, row in zip(np.eye(2 * d), hessian, strict=True):
         # Run as plain Python: a few calls take less time than compilation.

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.control.batch_step import BatchStep
 from hnn_vi_ros.control.costs import weight_matrix
-from hnn_vi_ros.errors import listed, optional, StateError
+from hnn_vi_ros.errors import listed, optional, prefixed, StateError
 from hnn_vi_ros.hamiltonians import momenta
 from hnn_vi_ros.phase_space import angle_columns, columns, momentum_name
 from hnn_vi_ros.scene import Scene
@@ -237,10 +237,8 @@ def lqr(a: np.ndarray, b: np.ndarray, q: ArrayLike, r: ArrayLike, discrete: bool
     states, inputs = b.shape
     weights = weight_matrix('q', q, states), weight_matrix('r', r, inputs, positive=True)
     solve = linalg.solve_discrete_are if discrete else linalg.solve_continuous_are
-    try:
+    with prefixed('no regulator stabilises this model', ValueError, np.linalg.LinAlgError):
         cost = solve(a, b, *weights)
-    except np.linalg.LinAlgError as problem:
-        raise ValueError(f'no regulator stabilises this model: {problem}') from problem
     if discrete:
         gain = np.linalg.solve(weights[1] + b.T @ cost @ b, b.T @ cost @ a)
     else:

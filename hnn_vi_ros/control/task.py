@@ -4,8 +4,7 @@
 
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import cached_property, reduce
 import math
 from operator import add
@@ -20,7 +19,8 @@ from hnn_vi_ros.control.hover import Hover
 from hnn_vi_ros.control.ilqr import Ilqr, Regulator
 from hnn_vi_ros.control.linear import find_equilibrium, momentum, velocity
 from hnn_vi_ros.control.mppi import Mppi
-from hnn_vi_ros.errors import DataError, did_you_mean, listed, SceneError, UnsupportedSystem
+from hnn_vi_ros.errors import (
+    DataError, did_you_mean, listed, prefixed, SceneError, UnsupportedSystem)
 from hnn_vi_ros.files import find_yaml, KeyPlaces, read_yaml, StrictModel
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.phase_space import columns
@@ -513,23 +513,24 @@ def assign(task: str | Path, scene: str | Path | Scene = '', lockstep: bool = Fa
             if scene:
                 raise
             raise DataError(f'{places.place("scene")}: {problem}') from problem
-    with _place_of_errors(places, 'stepping'):
+    refusals = ValueError, SceneError, UnsupportedSystem
+    with prefixed(places.place('stepping'), DataError, refusals):
         model, _ = choose(_scene_of_task(scene, loaded))
-    with _place_of_errors(places, 'inputs'):
+    with prefixed(places.place('inputs'), DataError, refusals):
         parts = model.parts()
         System(parts.hamiltonian, parts.effects, parts.integrator)
     h = model.known_step_size
     hold = round(loaded.period / h)
-    with _place_of_errors(places, 'period'):
+    with prefixed(places.place('period'), DataError, refusals):
         if hold < 1 or abs(hold * h - loaded.period) > _HOLD_TOLERANCE * loaded.period:
             raise ValueError(f"{loaded.period:g} s must be a multiple of the model's step size, "
                              f'{h:g} s; change it in stepping')
         if hold > _MAX_STEPS:
             raise ValueError(f'{hold} model steps of {h:g} s per command, at most {_MAX_STEPS}; '
                              'set a larger step size in stepping')
-    with _place_of_errors(places, 'controller'):
+    with prefixed(places.place('controller'), DataError, refusals):
         controller = loaded.controller.make(ControlContext(loaded, model, hold))
-    with _place_of_errors(places, 'delay'):
+    with prefixed(places.place('delay'), DataError, refusals):
         delay = loaded.plan_time + loaded.delay
         prediction = CommandPrediction(BatchStep(model) if delay else None, delay)
     own = next((effect.coordinates for effect in scene.effects
@@ -546,12 +547,3 @@ def _scene_of_task(scene: Scene, task: Task) -> Scene:
     scene = scene.changed({'effects': [*others, force]})
     return scene if task.stepping is None else scene.with_overrides(
         task.stepping.step_size, task.stepping.integrator)
-
-
-@contextmanager
-def _place_of_errors(places: KeyPlaces, key: str) -> Iterator[None]:
-    """Add the place in the task to errors of one of its parts."""
-    try:
-        yield
-    except (ValueError, SceneError, UnsupportedSystem) as problem:
-        raise DataError(f'{places.place(key)}: {problem}') from problem

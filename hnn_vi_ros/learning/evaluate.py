@@ -12,7 +12,7 @@ import shlex
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects import Commanded, Effect, ExternalForce
-from hnn_vi_ros.errors import DataError, listed, ParameterError, RecordingError
+from hnn_vi_ros.errors import DataError, listed, ParameterError, prefixed, RecordingError
 from hnn_vi_ros.files import check_new, elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
@@ -221,11 +221,9 @@ def _write(arguments: Namespace, found: _Judgement, text: str) -> None:
 
 def _check_simulation(model: str, parts: ModelParts, motions: Sequence[EvenMotion]) -> None:
     """Raise DataError unless a model can be simulated with the forces of motions."""
-    try:
+    with prefixed(f'{model} cannot simulate {motions[0].name}', DataError):
         log = LogSimulation(parts, windows_at(motions[:1], [(0, 0)], 1))
         simulation = log.simulation
-    except ValueError as problem:
-        raise DataError(f'{model} cannot simulate {motions[0].name}: {problem}') from problem
     if log.driven:
         try:
             simulation.set_command(motions[0].tau[0])

@@ -8,7 +8,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import NoReturn
 
-from hnn_vi_ros.errors import listed, ModelError
+from hnn_vi_ros.errors import listed, ModelError, prefixed
 from hnn_vi_ros.files import in_plain_words, one_line
 from hnn_vi_ros.hamiltonians import call_order
 from hnn_vi_ros.learning.graph_of_module import graph_of, PivotWatch, UntranslatedModule
@@ -117,10 +117,8 @@ def graph_model(module: torch.nn.Module, card: ModelCard, kind: str
     own = _copied(module, kind)
     low, high = np.array([*card.box.q, *card.box.p, *(card.box.t or ())]).T
     z = torch.tensor(np.random.default_rng(0).uniform(low, high, (_STATES, low.size)))
-    try:
+    with prefixed(kind, ModelError):
         order, timed, remark = call_order(own.forward)
-    except ValueError as problem:
-        raise ModelError(f'{kind}: {problem}') from problem
     if timed == (card.box.t is None):
         raise ModelError(f'{kind}: ' + (
             "its argument t is the time: export it with a domain that has 't': [(low, high)]; "

@@ -7,7 +7,7 @@ import hashlib
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import ModelError, prefixed
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.kernels import (
     by_address, composed, Energy, Functions, functions_of, Gradient, HessianVector, inlined,
@@ -145,12 +145,10 @@ def _learned(model: Path, digest: str, confine: bool | None, member: int | None)
     checkpoint = load_checkpoint(model, ensembles=True)
     if checkpoint.sha256 != digest:
         raise ModelError(f'{model}: changed while it was read; try again')
-    try:
+    with prefixed(str(model), ModelError, ModelError):
         learned = load_member(checkpoint, member)
         if checkpoint.card.confine if confine is None else confine:
             return ConfinedHamiltonian(learned)
-    except ModelError as problem:
-        raise ModelError(f'{model}: {problem}') from problem
     return learned
 
 

@@ -7,7 +7,7 @@ from copy import deepcopy
 from functools import cached_property
 from typing import NoReturn, TYPE_CHECKING
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import ModelError, prefixed
 from hnn_vi_ros.hamiltonians import call_order, Hamiltonian
 from hnn_vi_ros.kernels import Kernel, Parameters
 from hnn_vi_ros.phase_space import Coordinate
@@ -44,10 +44,8 @@ class TorchHamiltonian(Hamiltonian):
     """
 
     def __init__(self, module: 'torch.nn.Module', coordinates: Sequence[Coordinate]):
-        try:
+        with prefixed(type(module).__name__, ModelError):
             _, timed, _ = call_order(module.forward)
-        except ValueError as problem:
-            raise ModelError(f'{type(module).__name__}: {problem}') from problem
         if timed:
             self.module = module
             self._refuse('takes the time, which only an exported module does: use export')

@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
+from hnn_vi_ros.errors import HnnViRosError, ParameterError, prefixed, RecordingError
 from hnn_vi_ros.files import expand_user, numbered_paths
 from hnn_vi_ros.hamiltonians import MECHANISMS, momentum
 from hnn_vi_ros.recording import decode_state, RerunSink, Sample, StateMessage, Target
@@ -246,14 +246,12 @@ class RerunBridge(RobustNode):
         picture.open(self.target, bag.resolve().name)
         self._picture = picture
         told = {number for number, name in run.names.items() if name in ('diagnostics', 'events')}
-        try:
+        with prefixed(str(bag), RecordingError):
             for message, state in run.in_order({run.channel, *told}):
                 if state is not None:
                     self._show(BridgePicture.show, state)
                 elif message.channel in told:
                     self._show(BridgePicture.tell, run.decoded(message, DiagnosticArray), run.node)
-        except ValueError as problem:
-            raise RecordingError(f'{bag}: {problem}') from problem
         if run.reader.damage:
             self.get_logger().warning(run.reader.damage)
         return picture.samples

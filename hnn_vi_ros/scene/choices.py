@@ -10,7 +10,7 @@ import math
 from typing import Annotated, Any, Literal, Union
 
 from hnn_vi_ros.effects import Effect, EFFECTS, Joined
-from hnn_vi_ros.errors import did_you_mean, HnnViRosError, listed, SceneError
+from hnn_vi_ros.errors import did_you_mean, HnnViRosError, listed, prefixed, SceneError
 from hnn_vi_ros.files import find_beside, import_named, NAMES_CODE, StrictModel
 from hnn_vi_ros.hamiltonians import (
     Code, DESCRIBED, GRAMMAR, Graph, Hamiltonian, HAMILTONIANS, momentum, Reader)
@@ -143,11 +143,9 @@ class Condition:
             raise ValueError(f'{text[:_MAX_CONDITION]!r} is not an equation of at most '
                              f'{_MAX_CONDITION} characters: expected {_VALID_CONDITION}')
         self._graph = Graph()
-        try:
+        with prefixed(repr(text), ValueError):
             left, right = (Reader(self._graph, side, start) for side, start in zip(
                 sides, (1, len(sides[0]) + 2), strict=True))
-        except ValueError as problem:
-            raise ValueError(f'{text!r}: {problem}') from problem
         self._names = left.names.keys() | right.names.keys()
         if not self._names:
             raise ValueError(f'{self.text!r} does not depend on the state: expected '

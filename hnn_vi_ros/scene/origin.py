@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.errors import ModelError, offered
+from hnn_vi_ros.errors import ModelError, offered, prefixed
 from hnn_vi_ros.files import (
     find_beside, is_path, KeyPlaces, no_file, package_file, parse_mapping, SCHEME,
     shipped_file, shipped_names)
@@ -107,10 +107,8 @@ class Origin:
         """
         place = self.place(*key, 'file')
         if name.startswith(SCHEME):
-            try:
+            with prefixed(place, ModelError):
                 file = package_file(name)
-            except ValueError as problem:
-                raise ModelError(f'{place}: {problem}') from problem
         else:
             beside = self.path.parent / name
             file = beside if os.path.exists(beside) else Path(name)
@@ -128,10 +126,8 @@ class Origin:
         place = self.place(*key)
         if file.suffix != suffix:
             raise ModelError(f'{place}: {str(file)!r} is not a {suffix} file')
-        try:
+        with prefixed(place, ModelError, ModelError):
             digest = file_digest(file)
-        except ModelError as problem:
-            raise ModelError(f'{place}: {problem}') from problem
         if digest not in self.digests:
             raise ModelError(f'{place}: {str(file)!r} is not the file that was recorded: its '
                              f'SHA-256 begins with {digest[:16]}; restore the recorded file')

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from hnn_vi_ros.effects import Effect, EffectError, EFFECTS, gear_effects
 from hnn_vi_ros.errors import (
-    CalibrationError, listed, ModelError, offered, SceneError, UnsupportedSystem)
+    CalibrationError, listed, ModelError, offered, prefixed, SceneError, UnsupportedSystem)
 from hnn_vi_ros.files import dump_yaml, find_yaml, KeyPlaces, read_yaml, StrictModel, validate
 from hnn_vi_ros.hamiltonians import (
     COORDINATES, DESCRIBED, Hamiltonian, HAMILTONIANS, MECHANISMS, ROTATING, trace)
@@ -428,10 +428,8 @@ def _traced(function: Callable[[Any, Any], Any], state: Any, name: str) -> tuple
     if not isinstance(state, Mapping) or state.keys() not in ({'q', 'p'}, {'q', 'v'}):
         raise SceneError(f'Scene.build {name}: initial_state: a function H needs q and p, or v')
     q = np.asarray(state['q'])
-    try:
+    with prefixed(f'Scene.build {name}', SceneError):
         names, text = trace(function, q)
-    except ValueError as problem:
-        raise SceneError(f'Scene.build {name}: {problem}') from problem
     return ({'kind': 'formula', 'coordinates': names, 'H': text},
             {half: np.atleast_1d(own) for half, own in state.items()})
 

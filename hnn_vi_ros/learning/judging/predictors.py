@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hnn_vi_ros.effects import (
     Damping, Effect, ExternalForce, has_map, LearnedDissipation, LearnedFriction)
-from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.errors import DataError, listed, prefixed
 from hnn_vi_ros.files import is_path
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import ImplicitMidpoint, VariationalMidpoint
@@ -98,11 +98,9 @@ def simulated(parts: ModelParts) -> Predict:
         log = LogSimulation(parts, windows)
         states = log.starts(*windows.start.swapaxes(0, 1))
         for start, state in zip(starts, states, strict=True):
-            try:
+            with prefixed(f'{motion.name}: the state at {motion.t[start]:.6g} s cannot be '
+                          'simulated', DataError):
                 log.simulation.check_state(*np.split(state, 2))
-            except ValueError as problem:
-                raise DataError(f'{motion.name}: the state at {motion.t[start]:.6g} s cannot be '
-                                f'simulated: {problem}') from problem
         found: np.ndarray = log.states(states[:, None])[:, 0, :, :motion.q.shape[1]]
         fails = ~np.isfinite(found).all(axis=2) & windows.there
         if fails.any():

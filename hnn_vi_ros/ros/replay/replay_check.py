@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hnn_vi_ros.effects import Command
-from hnn_vi_ros.errors import HnnViRosError, RecordingError, StepFailure
+from hnn_vi_ros.errors import HnnViRosError, prefixed, RecordingError, StepFailure
 from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.phase_space import columns, momentum_rates
 from hnn_vi_ros.recording import BagReader
@@ -279,11 +279,8 @@ def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
     if step < simulation.steps:
         raise RecordingError(f'{run.reader.path}: contains a message from step {step}, earlier '
                              f'than its first state, at step {simulation.steps}')
-    try:
+    with prefixed(f'{run.reader.path}: cannot be simulated again', RecordingError, StepFailure):
         simulation.advance(max(0, step - simulation.steps))
-    except StepFailure as failure:
-        raise RecordingError(f'{run.reader.path}: cannot be simulated again: {failure}'
-                             ) from failure
 
 
 def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Command) -> None:

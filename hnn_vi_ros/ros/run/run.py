@@ -9,7 +9,7 @@ import math
 import time
 from typing import Any
 
-from hnn_vi_ros.errors import ParameterError, StepFailure, StoppedByEvent
+from hnn_vi_ros.errors import ParameterError, prefixed, StepFailure, StoppedByEvent
 from hnn_vi_ros.files import dump_yaml, parse_mapping
 from hnn_vi_ros.hamiltonians import Payload, payload_of
 from hnn_vi_ros.recording import Sample
@@ -355,15 +355,13 @@ class Run:
     def payload_in(self, settings: Settings) -> Payload:
         """Return the payload of the parameters, by default that of the scene."""
         carrier, text = self.simulation.hamiltonian.carrier, settings.payload
-        try:
+        with prefixed(f'parameter payload = {text[:80]!r}', ParameterError):
             if carrier is None:
                 raise ValueError('the robot of the scene has none; add payload: {link: LINK}')
             payload = carrier.payload if not text else payload_of({
                 'link': carrier.payload.link,
                 **parse_mapping(text, 'parameter payload', ParameterError)[0]})
             carrier.numbers(payload)
-        except ValueError as problem:
-            raise ParameterError(f'parameter payload = {text[:80]!r}: {problem}') from problem
         return payload
 
     def apply(self, settings: Settings) -> None:
