@@ -39,7 +39,7 @@ from hnn_vi_ros.learning.judging.predictors import (
 from hnn_vi_ros.learning.judging.residuals import (
     errors_text, is_off, judged_along, resolving_step)
 from hnn_vi_ros.learning.tasks import body
-from hnn_vi_ros.models import domain_of, load_checkpoint
+from hnn_vi_ros.models import domain_of, load_checkpoint, ModelCard
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -94,17 +94,8 @@ def _judged(arguments: Namespace) -> _Judgement:
         arguments.model, parts.effects, motions, description))
     checkpoint = getattr(hamiltonian, 'checkpoint', None)
     card = None if checkpoint is None or checkpoint.card.mechanical is None else checkpoint.card
-    mechanical = None if card is None else card.mechanical
-    if mechanical is not None and mechanical.inputs and not (data.inputs or motions[0].held):
-        motions = [replace(motion, inputs=mechanical.inputs) for motion in motions]
-        description += (f'; forces between samples as {mechanical.inputs}, as in the data of the '
-                        'model')
-    if mechanical is not None and mechanical.delay:
-        motions = [delayed(motion, mechanical.delay / motion.spacing) for motion in motions]
-        description += (f'; forces delayed by {mechanical.delay:.3g} s, as in the data of the '
-                        'model')
-    if card is not None and card.prediction_error is not None and card.prediction_error.noise:
-        motions = of_positions(motions)
+    if card is not None:
+        motions, description = _as_in_training(card, data.inputs, motions, description)
     known: dict[str, Any] = {} if card is None else {'noise': [], 'residuals': {}}
     said, judged = '', card if positions_alone(motions) else None
     if judged is not None:
@@ -141,6 +132,24 @@ def _judged(arguments: Namespace) -> _Judgement:
         text += f'\n{beyond.text}'
         numbers['outside'] = beyond.numbers
     return _Judgement(text, numbers, fans, hamiltonian.coordinates, max(judging.horizons))
+
+
+def _as_in_training(card: ModelCard, stated: str | None, motions: list[EvenMotion],
+                    description: str) -> tuple[list[EvenMotion], str]:
+    """Return motions with the course, delay and velocities of the data of a machine's model."""
+    mechanical = card.mechanical
+    assert mechanical is not None, 'of a machine'
+    if mechanical.inputs and not (stated or motions[0].held):
+        motions = [replace(motion, inputs=mechanical.inputs) for motion in motions]
+        description += (f'; forces between samples as {mechanical.inputs}, as in the data of the '
+                        'model')
+    if mechanical.delay:
+        motions = [delayed(motion, mechanical.delay / motion.spacing) for motion in motions]
+        description += (f'; forces delayed by {mechanical.delay:.3g} s, as in the data of the '
+                        'model')
+    if card.prediction_error is not None and card.prediction_error.noise:
+        motions = of_positions(motions)
+    return motions, description
 
 
 def _effects_for(model: str, effects: Sequence[Effect], motions: Sequence[EvenMotion],

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 import re
-from typing import Any, Protocol
+from typing import Any
 from unicodedata import normalize
 
 from hnn_vi_ros.errors import DataError, listed
@@ -14,6 +14,7 @@ from hnn_vi_ros.learning.data.faults import unwrap_beside_glitches
 from hnn_vi_ros.learning.data.sampling import repeated_text
 from hnn_vi_ros.learning.data.text import COLUMN, LogFormat, read_log, without_sentinels
 from hnn_vi_ros.learning.data.units import parse_unit, split_unit
+from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 from yaml import safe_dump
 
@@ -77,18 +78,6 @@ _MOST = {ANGLE: np.pi * 1.01, LENGTH: 10.0}
 # Intervals of samples [s] from this one on may be of another unit; and the times [s] since 1970 of
 # the years 2000 to 2100, which tell theirs.
 _DOUBTFUL, _DATES = 0.5, (9.4e8, 4.2e9)
-
-
-class Named(Protocol):
-    """A coordinate with a name and a unit."""
-
-    @property
-    def name(self) -> str:
-        """Return the name."""
-
-    @property
-    def q_unit(self) -> str:
-        """Return the unit."""
 
 
 @dataclass(frozen=True)
@@ -265,7 +254,7 @@ def _kind_of(q_unit: str) -> str:
     return _by_unit(q_unit)[0] if q_unit != '1' else ''
 
 
-def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | None = None
+def read_header(path: Path, coordinates: Sequence[Coordinate] = (), counts: float | None = None
                 ) -> Reading:
     """
     Find out what the columns of a log are.
@@ -274,7 +263,7 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
     ----------
     path : Path
         Path of the log.
-    coordinates : sequence of Named
+    coordinates : sequence of Coordinate
         Coordinates of the scene or model, which the log is to have; none: as in the log.
     counts : float, optional
         Counts per turn of a coordinate; default: those in the lines above the names.
@@ -287,14 +276,7 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
 
     """
     table, doubts = read_log(path, LogFormat()), list[str]()
-    if len(table.names) < 2:
-        raise DataError(f'{path}: one column of numbers, expected times and coordinates')
-    if table.names[0] == COLUMN.format(1):
-        first = ['t [s]', *([one.name for one in coordinates] or ['angle [rad]'])][
-            :len(table.names)]
-        q = [Column(name, Q) for name in first[1:]]
-        raise _refusal(f'has no header above its {len(table.names)} columns', Reading(
-            path, first + table.names[len(first):], Column(first[0], TIME), None, q, [], [], []))
+    _check_named(path, table.names, coordinates)
     names = [COLUMN.format(k + 1) if name in table.names[:k] else name
              for k, name in enumerate(table.names)]
     doubts += [f'two columns are called {name!r}' for k, name in enumerate(table.names)
@@ -320,18 +302,9 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
         q = [_with_kind(path, one, len(q), rates + forces, doubts) for one in q]
         q.sort(key=lambda one: one.kind == ANGLE)  # carts come first in a chain
     v = _columns_of(q, rates, 'velocity', doubts)
-    tau = _columns_of(q, forces, 'force', doubts)
-    if 'torque_constant' in settings:
-        tau = [replace(one, unit='N m') if parse_unit(one.unit) in _CURRENTS else one
-               for one in tau]
+    tau = _forces_of(path, q, forces, 'torque_constant' in settings, doubts)
     doubts += [f'{one.name!r} has an unknown unit' for one in [*q, *v, *tau]
                if not one.unit and _BRACKETED.search(one.name)]
-    for one in tau:
-        # Datasheets write kg cm for kgf cm.
-        known = parse_unit(one.unit)
-        if known is not None and 'kg' in known[1] and 's' not in known[1]:
-            raise DataError(f'{path}: {one.name!r} is in {one.unit}, which is no unit of a force; '
-                            'write one in its name, such as N m, kgf or kgf cm')
     units = {time.name: _time_unit(time, t, bool(coordinates), doubts)} | {
         one.name: _unit(one, values[one.name], doubts) for one in q}
     units |= {one.name: one.unit for one in q if one.unit and not split_unit(one.name)[1]}
@@ -359,6 +332,17 @@ def read_header(path: Path, coordinates: Sequence[Named] = (), counts: float | N
     if doubts:
         raise _refusal(doubts[0], reading)
     return reading
+
+
+def _check_named(path: Path, names: list[str], coordinates: Sequence[Coordinate]) -> None:
+    """Raise DataError unless a log has a header above several columns."""
+    if len(names) < 2:
+        raise DataError(f'{path}: one column of numbers, expected times and coordinates')
+    if names[0] == COLUMN.format(1):
+        first = ['t [s]', *([one.name for one in coordinates] or ['angle [rad]'])][:len(names)]
+        q = [Column(name, Q) for name in first[1:]]
+        raise _refusal(f'has no header above its {len(names)} columns', Reading(
+            path, first + names[len(first):], Column(first[0], TIME), None, q, [], [], []))
 
 
 def _refusal(doubt: str, reading: Reading) -> DataError:
@@ -428,7 +412,7 @@ def _time_unit(time: Column, t: np.ndarray, known: bool, doubts: list[str]) -> s
     return [*dates, *short, 'ns'][0]
 
 
-def _coordinates(path: Path, columns: Sequence[Column], coordinates: Sequence[Named],
+def _coordinates(path: Path, columns: Sequence[Column], coordinates: Sequence[Coordinate],
                  still: Sequence[str], doubts: list[str]) -> list[Column]:
     """Return the columns of the coordinates, in the order of the given ones."""
     others = f' (left out, constant or without numbers: {listed(still)})' if still else ''
@@ -506,6 +490,22 @@ def _columns_of(q: Sequence[Column], found: Sequence[Column], what: str, doubts:
                       f'{" or ".join(one.name for one in found[:3])}')
         return [*found][:len(q)]
     return [taken[k] for k in sorted(taken)]
+
+
+def _forces_of(path: Path, q: Sequence[Column], found: Sequence[Column], by_current: bool,
+               doubts: list[str]) -> list[Column]:
+    """Return the forces of the coordinates; currents are torques if their constant is given."""
+    tau = _columns_of(q, found, 'force', doubts)
+    if by_current:
+        tau = [replace(one, unit='N m') if parse_unit(one.unit) in _CURRENTS else one
+               for one in tau]
+    for one in tau:
+        # Datasheets write kg cm for kgf cm.
+        known = parse_unit(one.unit)
+        if known is not None and 'kg' in known[1] and 's' not in known[1]:
+            raise DataError(f'{path}: {one.name!r} is in {one.unit}, which is no unit of a force; '
+                            'write one in its name, such as N m, kgf or kgf cm')
+    return tau
 
 
 def _unit(one: Column, x: np.ndarray, doubts: list[str]) -> str:

@@ -15,10 +15,11 @@ from hnn_vi_ros.learning.data.bag_signals import joint_names, SignalReader
 from hnn_vi_ros.learning.data.bags import BagData, BagMotions, read_bags
 from hnn_vi_ros.learning.data.dataset import (
     BLOCKS, Dataset, dataset_of, ExactData, MIN_ROWS, sample_exact)
-from hnn_vi_ros.learning.data.header import column_of, COORDINATES, Named, read_header
+from hnn_vi_ros.learning.data.header import column_of, COORDINATES, read_header
 from hnn_vi_ros.learning.data.motions import (
     even_motions, EvenMotion, Motion, MotionData, Recording)
 from hnn_vi_ros.learning.data.text import LogMotions, MeasuredData, read_text
+from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 from pydantic import Field
 
@@ -204,7 +205,7 @@ def _locate(source: Path, path: str) -> Path:
     return beside if os.path.exists(beside) else Path(path)
 
 
-def source_of(path: str, coordinates: Sequence[Named] = (), counts: float | None = None,
+def source_of(path: str, coordinates: Sequence[Coordinate] = (), counts: float | None = None,
               commanded: bool = False) -> MotionSource:
     """
     Find out how a file is read.
@@ -213,7 +214,7 @@ def source_of(path: str, coordinates: Sequence[Named] = (), counts: float | None
     ----------
     path : str
         Bag, arrays, or a text file, whose columns are found by their names.
-    coordinates : sequence of Named
+    coordinates : sequence of Coordinate
         Coordinates of the scene or model.
     counts : float, optional
         Counts per turn of a coordinate of a log; default: as in its header.
