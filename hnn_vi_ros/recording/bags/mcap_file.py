@@ -271,7 +271,7 @@ class McapFile:
         self.counted: int | None = None
         self.header: Header | None = None
         self.data_end: tuple[int, int] | None = None  # end of the data section, and its CRC
-        self._metadata: list[Metadata] = []
+        self.all_metadata: list[Metadata] = []
         self._attachments: list[tuple[int, int]] = []  # start, length
         self._chunks: set[tuple[_ChunkHead, int]] = set()
         # After the data: definitions, counts and the footer, confirmed only by its CRC.
@@ -335,13 +335,13 @@ class McapFile:
         if record is None or (isinstance(record, Header) and self.header is not None):
             return False
         if isinstance(record, Attachment | Metadata) and \
-                len(self._attachments) + len(self._metadata) == _MAX_EXTRAS:
+                len(self._attachments) + len(self.all_metadata) == _MAX_EXTRAS:
             raise RecordingError(f'{self.path}: more than {_MAX_EXTRAS} metadata records and '
                                  'attachments; give a bag with fewer')
         if isinstance(record, Attachment):
             self._attachments.append((start, length))
         elif isinstance(record, Metadata):
-            self._metadata.append(record)
+            self.all_metadata.append(record)
         elif isinstance(record, Header):
             self.header = record
         elif isinstance(record, DataEnd):
@@ -403,7 +403,7 @@ class McapFile:
         if not isinstance(footer, Footer) or self.data_end is None:
             return False
         counted = count.chunk_count, count.attachment_count, count.metadata_count
-        there = len(self._chunks), len(self._attachments), len(self._metadata)
+        there = len(self._chunks), len(self._attachments), len(self.all_metadata)
         summary = self.data_end[0] + PREFIX.size + 4
         return counted == there and _read_at(stream, end, size - end) == MAGIC \
             and footer.summary_start in (0, summary) and footer.summary_crc in (
@@ -477,14 +477,9 @@ class McapFile:
         """Return an attachment by name; None if it does not exist."""
         return next((found.data for found in self.attachments() if found.name == name), None)
 
-    @property
-    def all_metadata(self) -> list[Metadata]:
-        """Return all metadata in the order of the file."""
-        return self._metadata
-
     def metadata(self, name: str) -> dict[str, str]:
         """Return the newest metadata with a name; empty if it does not exist."""
-        found = [record.metadata for record in self._metadata if record.name == name]
+        found = [record.metadata for record in self.all_metadata if record.name == name]
         return found[-1] if found else {}
 
 
