@@ -267,9 +267,8 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()) 
         q = archive.array(name + data.q, len(t), [d])
         v, a = (None if key is None else archive.array(name + key, len(t), [d])
                 for key in (archive.velocities(name, data.v), data.a))
-        tau = None if data.tau is None else archive.array(name + data.tau, len(t), [d], fewer=True)
-        command = None if data.command is None else archive.array(
-            name + data.command, len(t), [d], fewer=True)
+        tau, command = (None if key is None else archive.array(
+            name + key, len(t), [d], fewer=True) for key in (data.tau, data.command))
         enabled = None if data.enabled is None else np.atleast_1d(
             archive.array(name + data.enabled))
         found.append(with_commands(Motion(

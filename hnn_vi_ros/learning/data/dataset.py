@@ -422,11 +422,6 @@ class Commands(StrictModel):
                                   'command')
     largest: float = Field(gt=0.0, description='bound on the magnitude of every command')
 
-    @property
-    def matrix(self) -> np.ndarray:
-        """Return the input matrix B, shape (d, m)."""
-        return np.array(self.input_map)
-
     def _check(self) -> None:
         if len({len(row) for row in self.input_map}) > 1:
             raise ValueError('input_map has rows of different lengths')
@@ -501,7 +496,7 @@ def sample_exact(data: ExactData, seed: int) -> Dataset:
     q, p = _draw_states(data, hamiltonian, rng)
     trajectory, t, commands = np.arange(data.samples), None, None
     if data.commands is not None:
-        m = data.commands.matrix.shape[1]
+        m = len(data.commands.input_map[0])
         commands = data.commands.largest * rng.uniform(-1.0, 1.0, (data.samples, m))
     if data.trajectory is not None:
         times = data.trajectory.times
@@ -527,7 +522,7 @@ def _rates(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarr
     if data.damping:
         dp_dt -= data.damping * p
     if commands is not None and data.commands is not None:
-        dp_dt += commands @ data.commands.matrix.T
+        dp_dt += commands @ np.transpose(data.commands.input_map)
     return dH_dp, dp_dt
 
 

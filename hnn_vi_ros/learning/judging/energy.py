@@ -10,6 +10,7 @@ from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.models import rows_of_each
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import nnls
 
 # Least range of H, as a share of the kinetic energy, that energy mismatches can be relative to.
@@ -182,6 +183,5 @@ def integrated(rates: np.ndarray, trajectory: np.ndarray, t: np.ndarray) -> np.n
     """Integrate (trapezoidal rule) over time, from zero in each trajectory, shape (n, k)."""
     integral = np.zeros_like(rates)
     for rows in rows_of_each(trajectory):
-        steps = 0.5 * np.diff(t[rows])[:, None] * (rates[rows[1:]] + rates[rows[:-1]])
-        integral[rows[1:]] = np.cumsum(steps, axis=0)
+        integral[rows] = cumulative_trapezoid(rates[rows], t[rows], axis=0, initial=0.0)
     return integral
