@@ -284,10 +284,6 @@ class MechanicalNetwork(torch.nn.Module):
         other.prior.identification = rigid.prior.identification
         return other
 
-    def with_parameters(self, parameters: Mapping[str, torch.Tensor]) -> 'MechanicalNetwork':
-        """Return a copy with other values of some parameters, by name."""
-        return deepcopy(self).take_parameters(parameters)
-
     def take_parameters(self, parameters: Mapping[str, torch.Tensor]) -> 'MechanicalNetwork':
         """Set values of some parameters, by name, and return this network."""
         with torch.no_grad():

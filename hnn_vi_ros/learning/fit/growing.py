@@ -164,7 +164,8 @@ def fit_numbers(models: Sequence[ParametricModel], motions: Sequence[EvenMotion]
     """
     longest = max(motion.t[-1] - motion.t[0] for motion in motions)
     wanted = longest if horizon is None else min(horizon, longest)
-    share = 1.0 if seen is None else unmeasured_ratio(seen)
+    # Coordinates per measured one.
+    share = 1.0 if seen is None else len(seen.spread) / len(seen.columns)
     # Internal variables of effects are zero at the start of a run, and unknown within it.
     whole = any(effect.internal for model in models for effect in model.parts_at(
         np.array([number.start for number in model.numbers])).effects)
@@ -230,11 +231,6 @@ def _is_false(fitted: FittedNumbers) -> bool:
     """
     (_, before), (_, now) = fitted.stages[-2:]
     return before < _NOISE_ALONE and now > _POOR
-
-
-def unmeasured_ratio(seen: MeasuredColumns) -> float:
-    """Return the number of coordinates per measured one."""
-    return len(seen.spread) / len(seen.columns)
 
 
 def _searched(model: ParametricModel, windows: Windows, noise: np.ndarray, starts: np.ndarray,

@@ -13,7 +13,7 @@ from hnn_vi_ros.learning.families.choices import (
     Discrete, Forward, Inverse, MotionScales, Structure, TrajectoryLoss, WindowMethod, WindowStage)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.fit.loop import Begin, Fitted, Stage, Train, trained, TrainingProblem
+from hnn_vi_ros.learning.fit.loop import Begin, Fitted, Stage, trained, TrainingProblem
 from hnn_vi_ros.learning.fit.steps import simulated, Solutions
 import numpy as np
 import torch
@@ -375,10 +375,9 @@ class Fading:
 Penalty = Callable[[Any, torch.Generator], torch.Tensor]
 
 
-def fit_network(network: Network, config: MachineConfig, motions: Sequence[EvenMotion],
-                train: Train = trained) -> Fitted:
+def fit_network(network: Network, config: MachineConfig, motions: Sequence[EvenMotion]) -> Fitted:
     """Fit a network to motions; see stages_of."""
-    return train(TrainingProblem(network, stages_of(config, motions), config.seed))
+    return trained(TrainingProblem(network, stages_of(config, motions), config.seed))
 
 
 def stages_of(config: MachineConfig, motions: Sequence[EvenMotion], penalty: Penalty | None = None

@@ -267,7 +267,7 @@ class RigidUnknowns(ABC):
     def network_at(self, values: np.ndarray) -> MechanicalNetwork:
         """Return the network with given numbers in SI units."""
         with torch.no_grad():
-            return self.network.with_parameters(self.raw(torch.tensor(values)))
+            return deepcopy(self.network).take_parameters(self.raw(torch.tensor(values)))
 
 
 class PriorUnknowns(RigidUnknowns):
