@@ -159,14 +159,23 @@ def _copy(source: int, target: int, size: int) -> int:
 
 def _init(state: int, image: int, size: int, pointers: int, count: int, places: int, entries: int,
           called: int) -> int:
-    """Copy the image to a state, and make its offsets addresses."""
-    _copy(image, state, size)
-    words, own, targets = _words(state, size), _words(pointers, count), _words(places, called)
+    """Unpack the image to a state, and make its offsets addresses; see Image.packed."""
+    words, targets = _words(state, size), _words(places, called)
+    unpacked, packed = words.view(np.uint8), _words(image, size).view(np.uint8)
+    words[:] = 0
+    done = taken = 0
+    while done < unpacked.size:
+        unpacked[done] = packed[taken]
+        if packed[taken] == 0:
+            taken += 1
+            done += packed[taken]
+        done += 1
+        taken += 1
+    offsets, functions = _words(pointers, count).view(np.int32), _words(entries, called)
     for k in range(count):
-        words[own[k]] += state
-    own = _words(entries, called)
+        words[offsets[k]] += state
     for k in range(called):
-        words[targets[k]] = own[k]
+        words[targets[k]] = functions[k]
     return OK
 
 

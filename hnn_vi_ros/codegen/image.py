@@ -4,6 +4,7 @@
 
 from bisect import bisect
 import ctypes
+import re
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators import MemoryByAddress
@@ -41,6 +42,11 @@ class Image(NamedTuple):
     entries: dict[int, str]
     start: int
     order: np.ndarray
+
+    def packed(self) -> bytes:
+        """Return the words with each run of zero bytes as a zero and the number of the others."""
+        return re.sub(rb'\0{1,256}', lambda run: bytes((0, len(run[0]) - 1)),
+                      self.words.tobytes())
 
 
 class _Walk:

@@ -270,7 +270,8 @@ def _assembly(name: str, image: Image, found: dict[str, str], tuned: list[Parame
     powers = sorted((word, k) for k, one in enumerate(tuned) for word in one.powers)
     rows = [(word, image.words[word:word + 1].view(np.float64)[0], k, tuned[k].value,
              tuned[k].powers[word]) for word, k in powers]
-    tables = {'image': image.words.tolist(), 'pointers': image.pointers.tolist(),
+    tables = {'image': _words(image.packed()),
+              'pointers': _words(image.pointers.astype(np.int32).tobytes()),
               'places': [place for place, _ in called],
               'lows': np.array([one.low for one in tuned]).view(np.int64).tolist(),
               'powers': np.array(rows, dtype=np.float64).ravel().view(np.int64).tolist(),
@@ -295,6 +296,11 @@ def _assembly(name: str, image: Image, found: dict[str, str], tuned: list[Parame
         yield _function(f'{name}_{function}', found[function], 8 * image.start,
                         [str(argument) for argument in arguments],
                         'double' if function == 'energy' else 'i64')
+
+
+def _words(content: bytes) -> list[int]:
+    """Return bytes as words of 64 bits, the last with zeros at its end."""
+    return np.frombuffer(content + bytes(-len(content) % 8), dtype=np.int64).tolist()
 
 
 def _function(name: str, symbol: str, start: int, arguments: list[str], result: str) -> str:

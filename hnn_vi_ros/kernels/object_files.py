@@ -88,6 +88,9 @@ def object_code(text: str, symbols: Iterable[str], machine: str = platform.machi
     for k, own in enumerate((*module.functions, *module.global_variables)):
         if own.linkage == llvm.Linkage.internal:
             own.name = f'part_{k}'
+        if own.is_function and not own.is_declaration:
+            # None throws, so tables of frames for exceptions of C++ are left out.
+            own.add_function_attribute('nounwind')
     module.verify()
     return bytes(target.emit_object(module))
 
