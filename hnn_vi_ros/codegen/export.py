@@ -4,11 +4,13 @@
 
 import os
 import shutil
+from subprocess import CalledProcessError
 import sys
 
 from hnn_vi_ros.codegen import arguments
 from hnn_vi_ros.codegen.arguments import COMPILERS, HOST, PROCESSORS
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files import check_new
 from hnn_vi_ros.scene import load_scene
 from llvmlite.binding import get_host_cpu_features
 
@@ -21,9 +23,8 @@ def main(argv: list[str]) -> int:
     if options.out is None and options.fmu is None:
         raise ParameterError('name what to write: --out DIR or --fmu FILE')
     for option, path in (('--out', options.out), ('--fmu', options.fmu)):
-        if path is not None and path.exists() and not options.force:
-            raise ParameterError(f'{option} {path}: exists already; name another one, or add '
-                                 '--force')
+        if path is not None and not (options.force and path.exists()):
+            check_new(option, path, ', or add --force')
     compiles = shutil.which(compiler) is not None
     if options.fmu is not None and not (compiles and options.fmu.suffix == '.fmu'):
         raise ParameterError(f'--fmu {options.fmu}: needs a name that ends in .fmu, and a C '
@@ -44,6 +45,10 @@ def main(argv: list[str]) -> int:
     except OSError as problem:
         raise ParameterError(f'{problem.filename}: cannot be written ({problem.strerror}); name '
                              'another place') from problem
+    except CalledProcessError as problem:
+        raise ParameterError(f'{compiler}: failed with status {problem.returncode}, see above; '
+                             'install a C compiler with the headers and libraries of C'
+                             ) from problem
     for path in written:
         print(path)
     if not compiles:

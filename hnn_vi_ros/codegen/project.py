@@ -16,11 +16,12 @@ from hnn_vi_ros.files import share_folder
 from hnn_vi_ros.kernels import processor
 from hnn_vi_ros.version import __version__
 
-# Headers and libraries that NAME.h and libNAME.a would replace.
+# Headers, libraries and functions of C that NAME.h, libNAME.a and NAME_init would replace, and
+# names that CMake reserves.
 _TAKEN = re.compile(
     'assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|'
     'std(align|arg|atomic|bool|def|int|io|lib|noreturn)|string|tgmath|threads|time|uchar|wchar|'
-    'wctype|c|dl|gcc|m|pthread|rt')
+    'wctype|c|dl|gcc|m|pthread|rt|cnd|mtx|sem|all|clean|help|install')
 FUNCTIONS = ('init', 'start', 'tune', 'step', 'energy', 'outputs', 'save', 'restore')
 
 

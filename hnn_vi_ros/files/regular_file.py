@@ -36,7 +36,7 @@ def refuse_pointer(raw: bytes, where: object, error: type[HnnViRosError]) -> Non
                     'lfs pull')
 
 
-def check_new(option: str, path: Path) -> None:
+def check_new(option: str, path: Path, other: str = '') -> None:
     """
     Check that a file or folder can be written, and create its parent folder.
 
@@ -46,6 +46,8 @@ def check_new(option: str, path: Path) -> None:
         Option of the command line that names it, such as ``--out``.
     path : Path
         Path of the file or folder to write.
+    other : str, optional
+        End of the message if it exists, such as another remedy.
 
     Raises
     ------
@@ -54,7 +56,7 @@ def check_new(option: str, path: Path) -> None:
 
     """
     if os.path.lexists(path):
-        raise ParameterError(f'{option} {path}: exists already; name another file')
+        raise ParameterError(f'{option} {path}: exists already; name another file{other}')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.open('xb').close()

@@ -490,9 +490,22 @@ def test_without_a_compiler_the_archive_alone_is_written(monkeypatch, capsys, tm
         export.main([str(scene)])
     with refused(HnnViRosError):
         export.main([str(scene), '--fmu', str(tmp_path / 'scene.zip')])
+    # Before a minute of compilation.
+    with refused(HnnViRosError):
+        export.main([str(scene), '--out', str(scene / 'c')])
     other = next(target for target in COMPILERS if target != HOST)
     with refused(HnnViRosError):
         export.main([str(scene), '--target', other, '--cpu', 'x86-64'])
+
+
+def test_compiler_that_fails_is_an_error_in_a_line(monkeypatch, tmp_path):
+    code = exported('formula')[1]
+    monkeypatch.setattr(scene_code, 'compile_scene', lambda *_: code)
+    (tmp_path / 'cc').write_text('#!/bin/sh\nexit 3\n')
+    (tmp_path / 'cc').chmod(0o755)
+    monkeypatch.setenv('PATH', str(tmp_path))
+    with refused(HnnViRosError):
+        export.main(['exact_pendulum', '--fmu', str(tmp_path / 'pendulum.fmu')])
 
 
 @pytest.mark.long
@@ -629,6 +642,7 @@ def test_identifier_is_one_of_c(text, expected):
 
 
 def test_files_replace_no_header_or_library_of_c():
-    # `#include <stdint.h>` would find the header of the scene, and -lm its library.
-    assert [prefix_of(name) for name in ('stdint', 'm', 'int')] == [
-        'stdint_scene', 'm_scene', 'int']
+    # `#include <stdint.h>` would find the header of the scene, -lm its library, and a program that
+    # calls sem_init its function; CMake has a target install.
+    assert [prefix_of(name) for name in ('stdint', 'm', 'sem', 'install', 'int')] == [
+        'stdint_scene', 'm_scene', 'sem_scene', 'install_scene', 'int']
