@@ -12,7 +12,7 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from hnn_vi_ros.codegen.arguments import COMPILERS
 from hnn_vi_ros.codegen.project import filled, parameter_variable, template_values, write_project
-from hnn_vi_ros.codegen.scene_code import SceneCode
+from hnn_vi_ros.codegen.scene_code import distinct, SceneCode
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import simulate
 
@@ -85,6 +85,10 @@ def _described(scene: SceneCode) -> dict[str, str]:
               parameter_variable(one),
               f' start="{one.value!r}"' + f' min="{one.low!r}"' * bool(one.powers))
              for one in scene.parameters]
+    # A coordinate may be called effort_x, as the command of x is.
+    names = distinct([one.name for _, _, one, _ in rows])
+    rows = [(causality, variability, one._replace(name=name), start)
+            for (causality, variability, one, start), name in zip(rows, names, strict=True)]
     outputs = [k for k, (causality, *_) in enumerate(rows) if causality == 'output']
     lines = {
         'variables': [

@@ -300,7 +300,7 @@ def _assembly(name: str, image: Image, found: dict[str, str], tuned: list[Parame
 
 def _words(content: bytes) -> list[int]:
     """Return bytes as words of 64 bits, the last with zeros at its end."""
-    return np.frombuffer(content + bytes(-len(content) % 8), dtype=np.int64).tolist()
+    return [*np.frombuffer(content + bytes(-len(content) % 8), dtype=np.int64).tolist()]
 
 
 def _function(name: str, symbol: str, start: int, arguments: list[str], result: str) -> str:

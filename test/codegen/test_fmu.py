@@ -32,10 +32,16 @@ SCENES = {'mass': lambda: Scene.build(**MASS),
 
 
 @cache
+def code_of(name):
+    """Return the object code of a scene."""
+    return compile_scene(SCENES[name](), name)
+
+
+@cache
 def unit(name):
     """Return the FMU of a scene, its description and its unpacked folder."""
     path = Path(tempfile.mkdtemp(), f'{name}.fmu')
-    write_fmu(path, name, compile_scene(SCENES[name](), name))
+    write_fmu(path, name, code_of(name))
     return path, fmpy.read_model_description(path), fmpy.extract(path)
 
 
@@ -84,6 +90,14 @@ def test_fmpy_validates_and_simulates_it_with_the_same_bits(name):
     assert np.array_equal(result[label][1:], q[:, 0])
     assert np.array_equal(result[f'{label}_momentum'][1:], p[:, 0])
     assert result['energy'][-1] == simulation.energy
+
+
+def test_names_of_variables_are_unique(tmp_path):
+    code, path = code_of('mass'), tmp_path / 'mass.fmu'
+    own, *others = code.outputs
+    write_fmu(path, 'mass', code._replace(outputs=[own._replace(name='effort_x'), *others]))
+    names = [one.name for one in fmpy.read_model_description(path).modelVariables]
+    assert len({*names}) == len(names) and {'effort_x_2', 'effort_x'} <= {*names}
 
 
 def test_inputs_act_from_the_next_step_on():

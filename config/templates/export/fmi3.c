@@ -218,7 +218,9 @@ EXPORT Status fmi3DoStep(
     return refuse(own, "fmi3DoStep needs the step mode");
   }
   double outputs[${NAME}_OUTPUTS];
-  ${name}_outputs(own->state, outputs);
+  if (${name}_outputs(own->state, outputs) != ${NAME}_OK) {
+    return refuse(own, "fmi3DoStep: the outputs have no value");
+  }
   const double time = own->values.begin + outputs[${NAME}_OUT_TIME];
   const double steps = nearbyint(size / ${NAME}_STEP_SIZE);
   *event = *terminate = *early = false;
