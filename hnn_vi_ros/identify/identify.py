@@ -32,7 +32,7 @@ from hnn_vi_ros.learning import (
     warnings_of, Windows)
 from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.simulation import build, DifferentiableRun, resolve
 import numpy as np
 
@@ -158,21 +158,8 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
         Folder for temporary files of the fit.
 
     """
-    parts = resolve(scene)
-    build(parts)  # checks that the parts fit each other
+    parts = _supported(scene, options)
     scene, hamiltonian, _, effects = parts
-    if hamiltonian.rotations or not hamiltonian.canonical:
-        raise UnsupportedSystem(f'{scene.name}: identify supports only canonical scalar '
-                                'coordinates')
-    if hamiltonian.time is not None and not hamiltonian.separable:
-        raise UnsupportedSystem(f'{scene.name}: identify supports a time in H only if H is T(p) '
-                                '+ V(q, t): velocities must not depend on the time')
-    if hamiltonian.loops is not None:
-        for name in options.free:
-            if name in (STATES, DELAY):
-                raise UnsupportedSystem(f'{scene.name}: --free {name} does not support loops; '
-                                        'remove it')
-        DifferentiableRun(*parts[1:3], scene.known_step_size, effects)  # names unsupported effects
     servo = any(isinstance(effect, Servo) for effect in effects) and not any(
         isinstance(effect, ExternalForce) for effect in effects)
     log = _log(options, hamiltonian, servo or options.robot is not None)
@@ -221,13 +208,7 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
         one.solution, one.problem, own, hamiltonian.coordinates, STATES in options.free))
     solution, problem, stages = fitted.solution, fitted.problem, fitted.stages
     notes += note + _missing_forces(effects, hamiltonian, driven, options.data[0])
-    profiles = {name: profile(solution, problem, free, one) for one in estimates.estimates
-                if (name := one.name) in options.profile}
-    estimates = replace(estimates, estimates=[
-        profiles.get(one.name, one) for one in estimates.estimates])
-    if options.masses == 'unknown':
-        q = np.mean([motion.q.mean(axis=0) for motion in motions], axis=0)
-        estimates = as_ratios(estimates, free.parts_at(solution.values).hamiltonian, q)
+    estimates = _as_requested(estimates, options, fitted, free, motions)
     inputs = None
     if driven and not commanded:
         idle = solution.windows.motions[0].idle
@@ -236,6 +217,40 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
             lambda other: [replace(motion, idle=idle) for motion in log.with_inputs(other)])
     return Identified(free, solution, estimates, stages, hamiltonian, log.description, inputs,
                       [*notes, *_energies(free, solution)])
+
+
+def _supported(scene: Scene, options: Namespace) -> Parts:
+    """Return the parts of a scene, or raise UnsupportedSystem if they cannot be fitted."""
+    parts = resolve(scene)
+    build(parts)  # checks that the parts fit each other
+    hamiltonian, effects = parts.hamiltonian, parts.effects
+    if hamiltonian.rotations or not hamiltonian.canonical:
+        raise UnsupportedSystem(f'{scene.name}: identify supports only canonical scalar '
+                                'coordinates')
+    if hamiltonian.time is not None and not hamiltonian.separable:
+        raise UnsupportedSystem(f'{scene.name}: identify supports a time in H only if H is T(p) '
+                                '+ V(q, t): velocities must not depend on the time')
+    if hamiltonian.loops is not None:
+        for name in options.free:
+            if name in (STATES, DELAY):
+                raise UnsupportedSystem(f'{scene.name}: --free {name} does not support loops; '
+                                        'remove it')
+        DifferentiableRun(*parts[1:3], scene.known_step_size, effects)  # names unsupported effects
+    return parts
+
+
+def _as_requested(estimates: Estimates, options: Namespace, fitted: FittedNumbers,
+                  free: FreeScene, motions: Sequence[EvenMotion]) -> Estimates:
+    """Return the estimates with requested profiles, and as ratios if masses are unknown."""
+    solution, problem = fitted.solution, fitted.problem
+    profiles = {name: profile(solution, problem, free, one) for one in estimates.estimates
+                if (name := one.name) in options.profile}
+    estimates = replace(estimates, estimates=[
+        profiles.get(one.name, one) for one in estimates.estimates])
+    if options.masses == 'unknown':
+        q = np.mean([motion.q.mean(axis=0) for motion in motions], axis=0)
+        estimates = as_ratios(estimates, free.parts_at(solution.values).hamiltonian, q)
+    return estimates
 
 
 def _loaded(scene: Scene, loads: Mapping[str, Load], motions: Sequence[EvenMotion]
