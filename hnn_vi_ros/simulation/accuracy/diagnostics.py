@@ -213,6 +213,11 @@ def scales_of(potential: np.ndarray, virial: np.ndarray, weights: np.ndarray) ->
 _EPS = float(np.finfo(np.float64).eps)
 
 
+def energy_band(error: np.ndarray) -> float:
+    """Return the largest absolute value of an energy error; NaN if it contains NaN."""
+    return float(np.abs(error).max(initial=0.0))
+
+
 def secular_change(values: np.ndarray) -> float:
     """
     Return the least-squares slope of equidistant values, times their total length.

@@ -13,7 +13,7 @@ from hnn_vi_ros.scene import Condition
 from hnn_vi_ros.simulation import (
     local_error, secular_change, Simulation, System, WatchedSimulation)
 from hnn_vi_ros.simulation.accuracy.diagnostics import (
-    energy_scale, EnergyScale, rounding_walk, scales_along, scales_of)
+    energy_band, energy_scale, EnergyScale, rounding_walk, scales_along, scales_of)
 from hnn_vi_ros.simulation.events import EventFunction
 import numpy as np
 from plain_systems import double_well, Motion, MOTIONS, pendulum, Plain
@@ -159,6 +159,11 @@ def test_secular_change_is_the_slope_over_the_run():
     assert secular_change(np.cos(20.0 * np.pi * t)) == pytest.approx(0.0, abs=1e-2)
     assert np.isnan(secular_change(np.array([1.0, np.nan, 2.0])))
     assert secular_change(np.array([1.0])) == 0.0
+
+
+def test_energy_band_is_of_absolute_values():
+    assert energy_band(np.array([1.0, -3.0, 2.0])) == 3.0
+    assert energy_band(np.empty(0)) == 0.0
 
 
 def test_rounding_walk_grows_with_the_root_of_the_steps():
