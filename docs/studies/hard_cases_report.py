@@ -109,6 +109,7 @@ def page_of(docs: Path) -> str:
     ends = Counter(f'{run.judgement} {"told" if run.alarms else "silent"}' for run in coarse)
     return render(PAGE, cases=_parts(cases, rows, expected, card.get('notes', {})),
                   machine=card['machine'], runs=len(rows), silent=silent, baselines=BASELINES,
+                  silent_runs=sum(row.method in silent for row in rows),
                   coarse=len(coarse), ends=ends, table=table(coarse),
                   methods=[_methods(case, _of(case, rows)) for case in cases],
                   compared=sum(row.method in BASELINES for row in rows),

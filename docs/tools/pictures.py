@@ -64,9 +64,14 @@ def write_moving(path: Path) -> None:
 
 
 def write_log_result(path: Path) -> None:
-    """Cut the first panel out of the picture of the study bag_to_model."""
+    """Cut the first panel and the axis of time out of the picture of the study bag_to_model."""
     with Image.open(DOCS / 'evidence' / 'bag_to_model.png') as picture:
-        panel = picture.convert('RGB').crop((0, 0, picture.width, int(0.465 * picture.height)))
+        width, height = picture.size
+        parts = [picture.convert('RGB').crop((0, round(top * height), width, round(end * height)))
+                 for top, end in ((0.0, 0.4535), (0.9215, 1.0))]
+    panel = Image.new('RGB', (width, sum(part.height for part in parts)))
+    panel.paste(parts[0])
+    panel.paste(parts[1], (0, parts[0].height))
     panel.thumbnail((720, 720), Image.Resampling.LANCZOS)
     panel.quantize(64).save(path, optimize=True)
 
