@@ -4,7 +4,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 import math
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from hnn_vi_ros.identify.free_numbers import FreeScene
 from hnn_vi_ros.identify.intervals import Estimate, Estimates
 from hnn_vi_ros.learning import (
     CannotFollow, commands_and_off, EvenMotion, EVIDENCE, evidence_of, first_length,
-    fit_numbers, MeasuredColumns, ramps)
+    fit_numbers, FittedNumbers, MeasuredColumns, ramps)
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -32,8 +31,8 @@ _LATEST, _LARGEST_STEP = 0.15, 0.01
 # Residuals in units of the noise that leave nothing to explain, share of the squared residuals
 # beyond noise that ramps may leave, and tolerance of the fits that tell it.
 _NOISE_ALONE, _LEFT, _ROUGH = 1.1, 0.5, 1e-4
-# Name of the rate of ramps.
-RATE = 'servo.rate_limit'
+# Name of the rate of ramps; names of the frictions in gears, and value from which they are fitted.
+RATE, LOADS, _LOAD = 'servo.rate_limit', 'servo.load', 0.1
 # Rates of ramps that are tried for the initial guess, relative to the largest speed that is kept
 # for this time [s].
 _RATES, _SUSTAINED = (1.2, 1.0, 0.85, 0.7, 0.5), 0.05
@@ -98,7 +97,8 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
     if all((np.abs(motion.tau) > LARGEST).all() for motion in motions):
         raise DataError(f'{motions[0].where}: the motors are off in all samples, which tells '
                         'nothing of servos; give a log in which they are on')
-    spacing, places = motions[0].spacing, {'servo.delay': None, RATE: None} | {
+    loads = {f'{LOADS}.{k}': None for k in range(len(names))}
+    spacing, places = motions[0].spacing, {'servo.delay': None, RATE: None, **loads} | {
         f'{key}.{name}': (k, column) for column, key in enumerate((
             'servo.stiffness', 'servo.damping', 'joint_friction.friction', 'rotor_inertia',
             'servo.offset')) for k, name in enumerate(
@@ -116,9 +116,11 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
     stiffness, damping, friction, rotor, offset = numbers.T.tolist()
     limits = _effort_limits(robot, robots, motions)
     off = any((np.abs(motion.tau) > LARGEST).any() for motion in motions)
+    load = [known.get(name, 0.0) for name in loads]
     effects = [
         {'kind': 'servo', 'coordinates': names, 'stiffness': stiffness, 'damping': damping,
          'offset': offset, 'delay': known.get('servo.delay', delay),
+         **({'load': load, 'speed': SPEED} if off or any(load) else {}),
          **({'rate_limit': rate} if rate < math.inf else {}),
          **({'effort_limit': limits.tolist()} if (limits < LARGEST).any() else {})},
         {'kind': 'joint_friction', 'friction': dict(zip(names, friction, strict=True)),
@@ -130,7 +132,7 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
     free = [*places, SPEED_NAME,
             *(f'joint_friction.damping.{name}' for name in names if off)]
     return scene, [name for name in free if name not in known and (
-        rate < math.inf or name != RATE)]
+        off if name in loads else rate < math.inf or name != RATE)]
 
 
 def _sustained_speed(motions: Sequence[EvenMotion]) -> float:
@@ -141,30 +143,35 @@ def _sustained_speed(motions: Sequence[EvenMotion]) -> float:
         for motion in motions)
 
 
-def better_servos(free: FreeScene, limited: FreeScene, motions: Sequence[EvenMotion],
+def better_servos(free: FreeScene, limited: FreeScene | None, motions: Sequence[EvenMotion],
                   seen: MeasuredColumns) -> FreeScene:
     """
     Return a scene of servos, or another one whose servos make ramps of commands.
 
     It is that with ramps if these take half of what is not noise from the squared residuals in
     short windows, and certainly: what only resembles ramps, such as a limit of the effort, takes
-    less.
+    less. Its numbers begin at the fit in these windows without friction in gears: from a guess,
+    a fit with it ends in false minima.
     """
-    shortly = partial(fit_numbers, motions=motions, horizon=first_length(motions), robust=False,
-                      seen=seen, tolerance=_ROUGH)
-    found = shortly([free])
-    plain = free.starting_at(found.solution.values)
-    if found.stages[-1][1] < _NOISE_ALONE:
+    def shortly(one: FreeScene) -> tuple[FittedNumbers, FreeScene]:
+        held = one
+        for number in one.numbers:
+            if number.name.startswith(LOADS):
+                held = held.holding(held.numbers.index(number))
+        fitted = fit_numbers([held], motions, first_length(motions), False, seen, _ROUGH)
+        values = dict(zip(held.numbers, fitted.solution.values, strict=True))
+        return fitted, one.starting_at([values.get(number, _LOAD) for number in one.numbers])
+    found, plain = shortly(free)
+    if limited is None or found.stages[-1][1] < _NOISE_ALONE:
         return plain
     try:
-        other = shortly([limited])
+        other, with_ramps = shortly(limited)
     except CannotFollow:
         return plain
     noise = float(np.exp(np.log(other.noise).mean()))
     left, before = (one.size**2 - noise**2 for one in (other, found))
     certain = evidence_of(found.solution.freedom, other.size / found.size) > EVIDENCE
-    return limited.starting_at(other.solution.values) if (
-        certain and left < _LEFT * before) else plain
+    return with_ramps if certain and left < _LEFT * before else plain
 
 
 def rated_efforts(robot: Path, names: Sequence[str]) -> np.ndarray:
@@ -265,7 +272,7 @@ def as_ratios(estimates: Estimates, hamiltonian: Hamiltonian, q: np.ndarray) -> 
     for i, one in enumerate(estimates.estimates):
         *before, last = one.name.split('.')
         k = int(last) if last.isdecimal() else names.index(last) if last in names else -1
-        if k < 0 or 'offset' in before or not one.known:
+        if k < 0 or {'offset', 'load'} & {*before} or not one.known:
             found.append(one)
             continue
         M, rotor = float(inertia[k]), f'rotor_inertia.{names[k]}'

@@ -198,10 +198,12 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
                 raise ParameterError(f'--{option} {name}: not among the free numbers '
                                      f'({", ".join(wanted)})')
     seen = _seen(scene, hamiltonian, log.names, motions)
-    if options.robot and RATE not in _known(options.known):
-        limited, wanted = servos(folder / 'ramps', limited=True)
-        free = better_servos(free, free_scene(
-            resolve(limited), [*wanted, *more], bounds, folder, False, loads), motions, seen)
+    if options.robot:
+        limited = None
+        if RATE not in _known(options.known):
+            ramped, wanted = servos(folder / 'ramps', limited=True)
+            limited = free_scene(resolve(ramped), [*wanted, *more], bounds, folder, False, loads)
+        free = better_servos(free, limited, motions, seen)
     fitted, said = _fit(free, motions, options, seen)
     notes += [*said, *(one.text for one in warnings_of(motions, log.names))]
     fitted, free, estimates, note = _finer_steps(fitted, free, lambda one, own: estimates_of(

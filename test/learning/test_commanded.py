@@ -429,6 +429,53 @@ def test_log_without_commands_is_refused_for_a_robot(tmp_path):
         main(['--robot', str(tmp_path / 'arm.urdf'), '--data', str(tmp_path / 'log.npz')])
 
 
+def write_swings(folder: Path, seed: int, load: float) -> dict[str, float]:
+    """Write arm.urdf and log.npz of one joint, whose motor is off in 1 of 3 seconds."""
+    random, count = np.random.default_rng(seed), 900
+    truth = numbers(1, random) | {
+        'servo.load.0': load, 'joint_friction.damping.shoulder': random.uniform(0.01, 0.05)}
+    (folder / 'arm.urdf').write_text(arm(1))
+    scene = Scene.build(
+        hamiltonian={'kind': 'urdf', 'file': str(folder / 'arm.urdf'), 'rotor_inertia': {
+            'shoulder': truth['rotor_inertia.shoulder']}},
+        integrator='implicit_midpoint', step_size=STEP, initial_state=([0.0], [0.0]), effects=[
+            {'kind': 'servo', 'coordinates': ['shoulder'], 'delay': truth['servo.delay'], **{
+                key: truth[f'servo.{key}.0'] for key in (
+                    'stiffness', 'damping', 'offset', 'load')}, 'speed': 0.05},
+            {'kind': 'joint_friction', 'speed': 0.05, **{
+                key: {'shoulder': truth[f'joint_friction.{key}.shoulder']}
+                for key in ('friction', 'damping')}}])
+    t, goal = STEP * SAMPLES * np.arange(count), commands(1, count, random)
+    on = np.arange(count) % 300 < 200
+    log = replace(smoothed('log', t, 0.0 * goal, 0.0 * goal, np.where(on[:, None], goal, OFF),
+                           40.0), commanded=True, inputs='held')
+    windows = cut_windows([log], 1e3)
+    q = predicted_by(free_scene(scene.parts(), [], {}, folder, False), np.zeros(0),
+                     windows).log.predict(np.zeros((1, 2)))[0, :, :1]
+    np.savez(folder / 'log.npz', t=t, q=q + NOISE * random.normal(size=q.shape), goal=goal,
+             enabled=on)
+    return truth
+
+
+def of_swings(folder: Path) -> dict[str, dict[str, float]]:
+    """Identify the arm of a log of arrays, and return the content of --json."""
+    main(['--robot', str(folder / 'arm.urdf'), '--data', str(folder / 'log.npz'), '--json',
+          str(folder / 'found.json')])
+    return json.loads((folder / 'found.json').read_text())
+
+
+def test_friction_in_the_gear_is_told_from_that_of_swings_without_the_motor(tmp_path):
+    truth = write_swings(tmp_path, 0, 0.35)
+    found = of_swings(tmp_path)
+    assert found.keys() == truth.keys()
+    for name, one in found.items():
+        # Within three half-widths, of which one misses in 1 of 20: once in 3e8.
+        width = 3.0 * (one['high'] - one['low']) / 2.0
+        assert one['value'] == pytest.approx(truth[name], abs=width), name
+    load = found['servo.load.0']
+    assert load['high'] - load['low'] < 0.1
+
+
 def test_servos_whose_motors_are_never_on_are_refused(tmp_path):
     write_log(tmp_path, 1, 2)
     t, q, r = np.loadtxt(tmp_path / 'log.csv', delimiter=',', skiprows=1).T
