@@ -80,6 +80,11 @@ def listed(names: Iterable[object]) -> str:
     return ', '.join(map(str, every[:_MAX_LISTED])) + (f', ... ({more} more)' if more > 0 else '')
 
 
+def counted(number: int, noun: str) -> str:
+    """Return ``'1 run'`` or ``'2 runs'``."""
+    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
+
+
 def reduce_error(error: BaseException) -> tuple[Any, ...]:
     """Make pickle bypass constructors, whose arguments may differ from the message."""
     return _without_constructor, (type(error), error.args), vars(error)

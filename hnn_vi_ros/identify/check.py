@@ -4,11 +4,12 @@
 
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
+import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects import LARGEST
-from hnn_vi_ros.errors import DataError, ParameterError
+from hnn_vi_ros.errors import counted, DataError, ParameterError
 from hnn_vi_ros.files import write_text
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.identify import arguments as command_lines
@@ -17,7 +18,7 @@ from hnn_vi_ros.identify.commanded import (
 from hnn_vi_ros.identify.identify import source_by_format
 from hnn_vi_ros.learning import (
     ANGLE, configuration_of, even_motions, EvenMotion, LogWarning, low_pass, Motion, read_header,
-    recording_of, warnings_of)
+    recording_of, split_runs, warnings_of)
 from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -98,6 +99,8 @@ def main(argv: Sequence[str]) -> int:
         print(f'{problem}\n\nVerdict: useless.')
         return 1
     print('\n'.join(report_of(found)))
+    if not options.robot:
+        print('Checked: how it is read, and its faults; --robot URDF estimates what it tells.')
     if options.plot:
         draw(options.plot, found)
     return int(bool(found.useless))
@@ -118,8 +121,14 @@ def check(log: Sequence[str], robot: Path | None = None) -> Checked:
     ------
     DataError
         The log cannot be read, or holds no motion.
+    ParameterError
+        There is no such file.
 
     """
+    for file, _ in map(split_runs, log):
+        if not os.path.exists(file):
+            raise ParameterError(f'{file}: no such file; give a bag, an .npz file of arrays, or a '
+                                 'log')
     tree = None if robot is None else robot_of(robot)
     coordinates: Sequence[Any] = tree.coordinates if tree is not None else [
         Coordinate(one['name'], one['q_unit'], one['p_unit'])
@@ -222,7 +231,7 @@ def report_of(found: Checked) -> Iterator[str]:
     intervals = np.concatenate([np.diff(motion.t) for motion in found.raw])
     usual = float(np.median(intervals))
     duration = sum(float(np.ptp(one.t)) for one in found.raw)
-    yield (f'{len(found.raw)} runs, {sum(len(one.t) for one in found.raw)} samples, '
+    yield (f'{counted(len(found.raw), "run")}, {sum(len(one.t) for one in found.raw)} samples, '
            f'{duration:.4g} s; {1.0 / usual:.4g} samples per second, '
            f'intervals {intervals.min():.3g} to {intervals.max():.3g} s\n')
     has = 'commanded positions' if found.motions[0].commanded else 'forces' if any(

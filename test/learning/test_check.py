@@ -155,6 +155,31 @@ def test_useless_logs_are_told(logged, tmp_path, kind):
     assert found.useless
 
 
+def test_log_given_twice_is_a_warning(logged, tmp_path, capsys):
+    folder, _ = logged
+    copy, log = str(tmp_path / 'copy.csv'), str(folder / 'log.csv')
+    frame(folder).to_csv(copy, index=False)
+    for other in (log, copy):
+        (text,) = [one.text for one in check([log, other]).warnings]
+        assert text == 'a run has the samples of another: give each log once'
+    assert main([log]) == 0
+    text = capsys.readouterr().out
+    assert '\n1 run, 600 samples' in text and '--robot URDF' in text
+
+
+def test_missing_log_is_no_verdict(logged, tmp_path):
+    with refused(ParameterError):
+        main([str(logged[0] / 'log.csv'), str(tmp_path / 'other.csv')])
+
+
+def test_constant_force_is_named(logged, tmp_path):
+    folder, _ = logged
+    log = with_values(torques(folder), 'elbow torque [N m]', 0.5)
+    log.to_csv(tmp_path / 'log.csv', index=False)
+    assert 'elbow torque [N m] is constant or without numbers, and left out' in [
+        one.text for one in check([str(tmp_path / 'log.csv')]).warnings]
+
+
 def with_motors(log: DataFrame, enabled) -> DataFrame:
     return log.assign(enabled=enabled)
 
@@ -180,7 +205,7 @@ def test_log_with_one_of_two_commands_is_useless(logged, tmp_path):
     folder, _ = logged
     frame(folder).drop(columns=R[1]).to_csv(tmp_path / 'log.csv', index=False)
     assert check([str(tmp_path / 'log.csv')], folder / 'arm.urdf').useless == [
-        '1 commands for 2 joints: give one for each']
+        '1 command for 2 joints: give one for each']
 
 
 def test_constant_position_and_large_units_are_warnings(logged, tmp_path):

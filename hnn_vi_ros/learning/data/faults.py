@@ -4,7 +4,7 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import counted, DataError
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
@@ -81,7 +81,8 @@ def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, labels: Sequence[
         found = _glitches(t, x, far)
         stuck = _stuck_samples(x) if far == _FAR_POSITION and not sticks else np.zeros(
             len(t), dtype=bool)
-        text = f'{name} jumps away and back in {found.sum()} samples{times_text(t[found])}'
+        jumps = counted(found.sum(), 'sample') + times_text(t[found])
+        text = f'{name} jumps away and back in {jumps}'
         if count := _repeat_count(x):
             notes.append(f'{name} is repeated in {count} samples, of which the first is taken')
             wrong[1:] |= np.diff(x) == 0.0

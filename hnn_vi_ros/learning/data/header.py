@@ -132,7 +132,8 @@ class Reading:
     settings : dict of str to float
         Counts per turn and force per current, by their keys in the data section.
     still : list of str
-        Columns of coordinates that are left out, since they are constant or without numbers.
+        Columns of coordinates, velocities and forces that are left out, since they are constant or
+        without numbers.
 
     """
 
@@ -289,7 +290,7 @@ def read_header(path: Path, coordinates: Sequence[Coordinate] = (), counts: floa
     moves = [bool(np.nanmax(values[one.name], initial=-np.inf)
                   > np.nanmin(values[one.name], initial=np.inf)) for one in columns]
     still = [one.name for one, changes in zip(columns, moves, strict=True)
-             if one.role == Q and not changes]
+             if one.role in (Q, V, TAU) and not changes]
     columns = [one for one, changes in zip(columns, moves, strict=True)
                if changes or one.role in (COMMAND, ENABLED)]
     trials, rates, forces = ([one for one in columns if one.role == role]
@@ -422,8 +423,8 @@ def _coordinates(path: Path, columns: Sequence[Column], coordinates: Sequence[Co
         q = unknown if len(unknown) == 1 else [one for one in unknown if one.kind]
     if not q:
         raise DataError(f'{path}: no column of a coordinate: '
-                        f'{listed(one.name for one in columns)}{others}; name it angle [rad] or x '
-                        '[m]')
+                        f'{listed(one.name for one in columns)}{others}; '
+                        f'{"move it, or " * bool(still)}name it angle [rad] or x [m]')
     if coordinates:
         exact = [[one for one in q if one.letter == other.name] or [
             one for one in q if _joint(one) == _joint(column_of(other.name, {}))]

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.effects import LARGEST
+from hnn_vi_ros.errors import counted
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.data.sampling import resolution, ROUNDED
 import numpy as np
@@ -35,7 +36,9 @@ def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str]) -> list[Log
     found, samples = list[LogWarning](), sum(len(motion.t) for motion in motions)
     spacing = motions[0].spacing
     if samples < _SHORT:
-        found.append(LogWarning(f'{samples} samples: record at least {_SHORT}', True))
+        found.append(LogWarning(f'{counted(samples, "sample")}: record at least {_SHORT}', True))
+    if len({(one.q.tobytes(), one.tau.tobytes()) for one in motions}) < len(motions):
+        found.append(LogWarning('a run has the samples of another: give each log once'))
     if spacing > _LONGEST:
         found.append(LogWarning(f'a sample every {spacing:.4g} s: check the unit of the times'))
     fastest = max(0.5 * (motion.cutoff_alone or motion.cutoff) for motion in motions)
@@ -94,8 +97,8 @@ def _of_commands(motions: Sequence[EvenMotion], tau: np.ndarray, names: Sequence
                  moves: Sequence[bool]) -> Iterator[LogWarning]:
     """Yield warnings about commands that stay, or that positions do not follow."""
     if tau.shape[1] != len(names):
-        yield LogWarning(f'{tau.shape[1]} commands for {len(names)} joints: give one for each',
-                         True)
+        yield LogWarning(f'{counted(tau.shape[1], "command")} for '
+                         f'{counted(len(names), "joint")}: give one for each', True)
         return
     on = (np.abs(tau) <= LARGEST).all(axis=1)
     if not on.any():

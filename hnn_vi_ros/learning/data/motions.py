@@ -14,7 +14,7 @@ import math
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from hnn_vi_ros.effects import OFF
-from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.errors import counted, DataError, listed
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.arguments import Course
 from hnn_vi_ros.learning.data.faults import faults
@@ -238,7 +238,7 @@ class ReadingReport:
             (self.close, 'less than half an interval after another'),
             (self.short, f'in pieces of fewer than {self.least}')) if count]
         found = [f'left out {" and ".join(parts)} of the samples'] if parts else []
-        found += [f'cut at {self.cuts} place{"s" * (self.cuts > 1)}'] if self.cuts else []
+        found += [f'cut at {counted(self.cuts, "place")}'] if self.cuts else []
         found += [f'velocities of {listed(self.differences)} are differences of the positions, '
                   'and not used'] if self.differences else []
         return '; '.join([*found, *self.notes])

@@ -13,7 +13,7 @@ from pathlib import Path
 import re
 from typing import Any, ClassVar, Literal, NamedTuple
 
-from hnn_vi_ros.errors import DataError, did_you_mean, listed
+from hnn_vi_ros.errors import counted, DataError, did_you_mean, listed
 from hnn_vi_ros.files import (
     limited, LONGEST_LINE, no_file, plain_number, sha256_of, StrictModel, text_lines)
 from hnn_vi_ros.learning.data.dataset import (
@@ -240,7 +240,8 @@ def without_sentinels(values: np.ndarray, t: np.ndarray, name: str, notes: list[
         others = values[np.isfinite(values) & ~np.isin(values, _SENTINELS)]
         if not others.size or (np.abs(others - value) > np.ptp(others)).all():
             found = np.flatnonzero(values == value)
-            notes.append(f'{name} is {value:g} in {len(found)} samples{times_text(t[found])}')
+            notes.append(f'{name} is {value:g} in {counted(len(found), "sample")}'
+                         + times_text(t[found]))
             values = np.where(values == value, np.nan, values)
     return values
 
@@ -357,7 +358,8 @@ def read_log(path: Path, data: LogFormat) -> Table:
         raise DataError(f'{path}:{problem}; give a log of rows of numbers'
                         + encoded * isinstance(problem.__cause__, UnicodeError)) from problem
     if len(table.lines) < 2:
-        raise DataError(f'{path}: {len(table.lines)} rows of data, expected a longer log')
+        raise DataError(f'{path}: {counted(len(table.lines), "row")} of data, expected a longer '
+                        'log')
     return table
 
 
