@@ -15,7 +15,7 @@ import tempfile
 from typing import NamedTuple
 
 from hnn_vi_ros.effects import Effect, ExternalForce, Joined, Servo
-from hnn_vi_ros.errors import DataError, ParameterError, RecordingError, UnsupportedSystem
+from hnn_vi_ros.errors import counted, DataError, ParameterError, RecordingError, UnsupportedSystem
 from hnn_vi_ros.files import elapsed, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.identify import arguments as command_lines
@@ -132,8 +132,7 @@ def main(argv: Sequence[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         scene = first_scene(options.robot, Path(folder)) if options.robot else \
             load_scene(options.scene)
-        with elapsed('fitting'):
-            found = identify(scene, options, Path(folder))
+        found = identify(scene, options, Path(folder))
         text = report_of(found)
         print(text)
         command = shlex.join(['hnn', 'identify', *argv])
@@ -198,16 +197,18 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
                 raise ParameterError(f'--{option} {name}: not among the free numbers '
                                      f'({", ".join(wanted)})')
     seen = _seen(scene, hamiltonian, log.names, motions)
-    if options.robot:
-        limited = None
-        if RATE not in _known(options.known):
-            ramped, wanted = servos(folder / 'ramps', limited=True)
-            limited = free_scene(resolve(ramped), [*wanted, *more], bounds, folder, False, loads)
-        free = better_servos(free, limited, motions, seen)
-    fitted, said = _fit(free, motions, options, seen)
-    notes += [*said, *(one.text for one in warnings_of(motions, log.names))]
-    fitted, free, estimates, note = _finer_steps(fitted, free, lambda one, own: estimates_of(
-        one.solution, one.problem, own, hamiltonian.coordinates, STATES in options.free))
+    with elapsed('fitting'):
+        if options.robot:
+            limited = None
+            if RATE not in _known(options.known):
+                ramped, wanted = servos(folder / 'ramps', limited=True)
+                limited = free_scene(
+                    resolve(ramped), [*wanted, *more], bounds, folder, False, loads)
+            free = better_servos(free, limited, motions, seen)
+        fitted, said = _fit(free, motions, options, seen)
+        notes += [*said, *(one.text for one in warnings_of(motions, log.names))]
+        fitted, free, estimates, note = _finer_steps(fitted, free, lambda one, own: estimates_of(
+            one.solution, one.problem, own, hamiltonian.coordinates, STATES in options.free))
     solution, problem, stages = fitted.solution, fitted.problem, fitted.stages
     notes += note + _missing_forces(effects, hamiltonian, driven, options.data[0])
     estimates = _as_requested(estimates, options, fitted, free, motions)
@@ -339,9 +340,9 @@ def _log(options: Namespace, hamiltonian: Hamiltonian, commanded: bool) -> _Log:
     data = data.model_copy(update={'measured': names})
     motions, description = read_motions(source, data, names, options.data, units, True)
     if motions[0].q.shape[1] != len(names):
-        raise DataError(f'{options.data[0]}: {motions[0].q.shape[1]} coordinates, expected '
-                        f'{len(names)}: {", ".join(names)}; name those that the data hold with '
-                        '--measured')
+        raise DataError(f'{options.data[0]}: {counted(motions[0].q.shape[1], "coordinate")}, '
+                        f'expected {len(names)}: {", ".join(names)}; name those that the data '
+                        'hold with --measured')
     return _Log(source, data, names, units, options.data, motions, description)
 
 

@@ -785,7 +785,8 @@ def test_fitted_robot_is_written_beside_its_scene(tmp_path):
     (['length', '--measured', 'elbow'], {}),
     (['length', '--config', str(ROOT / 'config' / 'training' / 'two_joint_arm.yaml')], {})],
     ids=range(13))
-def test_what_cannot_be_fitted_is_one_line(free, data, tmp_path):
+def test_what_cannot_be_fitted_is_one_line(free, data, tmp_path, monkeypatch):
+    monkeypatch.setattr('hnn_vi_ros.identify.identify.elapsed', lambda _: pytest.fail('has begun'))
     t = 0.02 * np.arange(100)
     np.savez(tmp_path / 'log.npz', **{'t': t, 'q': np.sin(t)[:, None]} | data)
     with refused(HnnViRosError):
