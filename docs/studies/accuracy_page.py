@@ -81,6 +81,7 @@ def scene_page(name: str, results: Results) -> str:
                  'floor': results.floors[horizon]} for horizon in results.shown]
     models = (at['floor'].model for at in horizons)
     return render('accuracy_scene.md', name=name, horizons=horizons,
+                  choices=_choices({name: results}), choice_errors=_CHOICES,
                   box=next((model.box for model in models if model), None))
 
 

@@ -63,7 +63,7 @@ class LugreFriction(InternalForce):
     bristle_damping_speed : float, optional
         v_d > 0: sigma_1 falls as exp(-(v / v_d)^2) [rad/s], [m/s]; by default it is constant.
     drive : str, optional
-        A drive whose measured friction is the default: see `effects.drives`.
+        A drive whose measured friction is the default, as in `servo`.
 
     Raises
     ------

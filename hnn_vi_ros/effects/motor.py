@@ -49,7 +49,7 @@ class Motor(InternalForce):
     no_load_speed : float, optional
         omega_0 > 0 [rad/s], [m/s]; by default that of the drive, or none.
     drive : str, optional
-        A drive whose limits at its voltage are the defaults: see `effects.drives`.
+        A drive whose limits at its voltage are the defaults, as in `servo`.
     braking : str
         ``limited``: the line limits driving and braking torques; ``full``: driving torques, x v >
         0, only.

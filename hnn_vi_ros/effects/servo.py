@@ -125,8 +125,8 @@ class Servo(Compensated, Force, Commanded):
         that make ramps of them; v_r is still the commanded one. Paths are followed as they are.
         Default: none.
     drive : str, optional
-        A drive of all joints, whose F, b, P, l and rate limit are the defaults: see
-        `effects.drives`.
+        A drive of all joints, whose F, b, P, l and rate limit are the defaults: mx64, mx106,
+        xl320, xl330, erob80_50, sts3215_7v4, sts3215_so101 or sts3215_12v.
     gravity_compensation : str, optional
         model for V' of H, with its payload; unloaded for that without a payload; urdf for that of
         a robot in ``file``, with the joints and the gravity of H; default: none.
