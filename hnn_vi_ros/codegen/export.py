@@ -3,6 +3,7 @@
 """Export a scene as a C library or an FMU."""
 
 import os
+from pathlib import Path
 import shutil
 from subprocess import CalledProcessError
 import sys
@@ -22,9 +23,10 @@ def main(argv: list[str]) -> int:
     compiler = COMPILERS[options.target]
     if options.out is None and options.fmu is None:
         raise ParameterError('name what to write: --out DIR or --fmu FILE')
-    for option, path in (('--out', options.out), ('--fmu', options.fmu)):
-        if path is not None and not (options.force and path.exists()):
-            check_new(option, path, ', or add --force')
+    for option, path, fits in (('--out', options.out, Path.is_dir),
+                               ('--fmu', options.fmu, Path.is_file)):
+        if path is not None and not (options.force and fits(path)):
+            check_new(option, path, ', or add --force' * (not options.force))
     compiles = shutil.which(compiler) is not None
     if options.fmu is not None and not (compiles and options.fmu.suffix == '.fmu'):
         raise ParameterError(f'--fmu {options.fmu}: needs a name that ends in .fmu, and a C '

@@ -8,6 +8,7 @@ import re
 import shutil
 from string import Template
 import subprocess
+from tempfile import TemporaryDirectory
 
 from hnn_vi_ros.codegen.arguments import COMPILERS, HOST
 from hnn_vi_ros.codegen.parameters import Parameter
@@ -70,21 +71,24 @@ def write_project(folder: Path, name: str, scene: SceneCode) -> list[Path]:
         The files; without the shared library if there is no C compiler.
 
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    library, shared = folder / f'lib{name}.a', folder / f'{name}.so'
-    library.write_bytes(archive(name, scene.code))
-    written, compiler = [library], COMPILERS[scene.target]
+    contents, compiler = {f'lib{name}.a': archive(name, scene.code)}, COMPILERS[scene.target]
     if shutil.which(compiler):
-        subprocess.run([compiler, '-shared', '-s', '-o', shared, '-Wl,--whole-archive', library,
-                        '-Wl,--no-whole-archive', '-lm'], check=True)
-        written.append(shared)
+        # Elsewhere, so that a compiler that fails leaves no folder.
+        with TemporaryDirectory() as temporary:
+            library, shared = Path(temporary, 'lib.a'), Path(temporary, 'shared')
+            library.write_bytes(contents[f'lib{name}.a'])
+            subprocess.run([compiler, '-shared', '-s', '-o', shared, '-Wl,--whole-archive',
+                            library, '-Wl,--no-whole-archive', '-lm'], check=True)
+            contents[f'{name}.so'] = shared.read_bytes()
     values = template_values(name, scene) | {
-        'shared': f', `{name}.so`' if len(written) > 1 else ''}
+        'shared': f', `{name}.so`' if len(contents) > 1 else ''}
     for source, target in (('scene.h', f'{name}.h'), ('example.c', 'example.c'),
                            ('CMakeLists.txt', 'CMakeLists.txt'), ('README.md', 'README.md')):
-        written.append(folder / target)
-        written[-1].write_text(filled(source, values), encoding='utf-8')
-    return written
+        contents[target] = filled(source, values).encode()
+    folder.mkdir(parents=True, exist_ok=True)
+    for target, content in contents.items():
+        (folder / target).write_bytes(content)
+    return [folder / target for target in contents]
 
 
 def filled(template: str, values: Mapping[str, object]) -> str:

@@ -491,8 +491,9 @@ def test_without_a_compiler_the_archive_alone_is_written(monkeypatch, capsys, tm
     with refused(HnnViRosError):
         export.main([str(scene), '--fmu', str(tmp_path / 'scene.zip')])
     # Before a minute of compilation.
-    with refused(HnnViRosError):
-        export.main([str(scene), '--out', str(scene / 'c')])
+    for option, path in (('--out', scene / 'c'), ('--out', scene), ('--fmu', tmp_path)):
+        with refused(HnnViRosError):
+            export.main([str(scene), option, str(path), '--force'])
     other = next(target for target in COMPILERS if target != HOST)
     with refused(HnnViRosError):
         export.main([str(scene), '--target', other, '--cpu', 'x86-64'])
@@ -504,8 +505,11 @@ def test_compiler_that_fails_is_an_error_in_a_line(monkeypatch, tmp_path):
     (tmp_path / 'cc').write_text('#!/bin/sh\nexit 3\n')
     (tmp_path / 'cc').chmod(0o755)
     monkeypatch.setenv('PATH', str(tmp_path))
-    with refused(HnnViRosError):
-        export.main(['exact_pendulum', '--fmu', str(tmp_path / 'pendulum.fmu')])
+    for option in ('--fmu', '--out'):
+        path = tmp_path / 'pendulum.fmu'
+        with refused(HnnViRosError):
+            export.main(['exact_pendulum', option, str(path)])
+        assert not path.exists()
 
 
 @pytest.mark.long
