@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 import re
 from textwrap import fill
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from hnn_vi_ros.errors import did_you_mean, offered
 from hnn_vi_ros.files.standard_streams import write_problem
@@ -39,6 +39,17 @@ def seconds(text: str) -> float:
             f'{text!r} is not a number of seconds, e.g. 0.001') from None
 
 
+class _StoreOnce(argparse.Action):
+    """Store the value of an option, which may be given once."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
+                 values: Any, option_string: str | None = None) -> None:
+        before = getattr(namespace, self.dest, self.default)
+        if option_string and before is not self.default:
+            raise argparse.ArgumentError(self, f'given twice, as {before} and {values}; give one')
+        setattr(namespace, self.dest, values)
+
+
 class Parser(argparse.ArgumentParser):
     """
     Parser without abbreviations, whose errors are one line each.
@@ -67,6 +78,7 @@ class Parser(argparse.ArgumentParser):
             epilog=f'{details}\n\nexamples:\n{shown}'.strip(),
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self._parameters = parameters
+        self.register('action', None, _StoreOnce)
         self.add_argument('--version', action='version', version=f'hnn_vi_ros {__version__}')
 
     @property

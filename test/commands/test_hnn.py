@@ -88,7 +88,8 @@ def test_help_of_a_command_names_it_as_it_was_called(name):
 
 
 @pytest.mark.parametrize('words, status', [
-    (['trian'], 2), (['run', 'pendulumm'], 1), (['recover_bag', '/nowhere'], 1)])
+    (['trian'], 2), (['run', 'pendulumm'], 1), (['recover_bag', '/nowhere'], 1),
+    (['run', 'pendulum', '--integrator', 'rk4', '--integrator', 'gauss8'], 2)])
 def test_mistake_is_one_line_with_the_command(words, status):
     result = ask('main', *words)
     assert result.returncode == status
