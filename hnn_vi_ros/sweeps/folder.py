@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The folder of a sweep: its record, its missing shards, and the atomic writing of files."""
 
+from collections import Counter
 import json
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,12 +28,15 @@ class ShardSurvey(NamedTuple):
         Damaged files, each with the reason.
     failures : int
         Number of failed trajectories in the intact shards.
+    alarms : Counter of str
+        Number of trajectories with each kind of alarm.
 
     """
 
     missing: list[int]
     damaged: list[str]
     failures: int
+    alarms: Counter[str]
 
 
 class SweepFolder:
@@ -105,18 +109,20 @@ class SweepFolder:
 
     def survey(self, plan: SweepPlan) -> ShardSurvey:
         """Check all shards of the plan."""
-        missing, damaged, failures = [], [], 0
+        missing, damaged, failures, alarms = [], [], 0, Counter[str]()
         for shard in range(plan.shards):
             file = self.file(shard)
             try:
                 if file.exists():
-                    failures += check_shard(file, plan.record['digest'], shard)
+                    failed, alarmed = check_shard(file, plan.record['digest'], shard)
+                    failures += failed
+                    alarms += alarmed
                 else:
                     missing.append(shard)
             except RecordingError as problem:
                 missing.append(shard)
                 damaged.append(str(problem))
-        return ShardSurvey(missing, damaged, failures)
+        return ShardSurvey(missing, damaged, failures, alarms)
 
     def put(self, shard: int, content: bytes) -> None:
         """

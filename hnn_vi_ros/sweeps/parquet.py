@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write shards as Parquet; equal trajectories give equal bytes."""
 
+from collections import Counter
 from collections.abc import Iterable
 from hashlib import sha256
 from io import BytesIO
@@ -120,9 +121,11 @@ def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str]) -> list[pa.A
     return columns
 
 
-def check_shard(path: Path, digest: str, shard: int) -> int:
+def check_shard(path: Path, digest: str, shard: int) -> tuple[int, Counter[str]]:
     """
     Check that a file is an intact shard of a sweep; return the number of failed trajectories.
+
+    The second result is the number of trajectories with each kind of alarm.
 
     Parameters
     ----------
@@ -146,7 +149,8 @@ def check_shard(path: Path, digest: str, shard: int) -> int:
                 content[:seal.start(2)] + _DIGEST_PLACEHOLDER + content[seal.end(2):]):
             raise ValueError('its SHA-256 differs from the recorded one')
         # Without threads: one that still starts when the process ends would abort it.
-        table = pq.ParquetFile(pa.BufferReader(content)).read(['failure'], use_threads=False)
+        table = pq.ParquetFile(pa.BufferReader(content)).read(
+            ['failure', 'index', 'alarms'], use_threads=False)
         failure = table['failure']
     except (OSError, ValueError, KeyError, pa.ArrowException) as problem:
         raise RecordingError(f'{path}: is damaged ({one_line(problem)})') from problem
@@ -154,8 +158,12 @@ def check_shard(path: Path, digest: str, shard: int) -> int:
         raise RecordingError(f'{path}: belongs to another sweep')
     if int(seal[1]) != shard:
         raise RecordingError(f'{path}: is shard {int(seal[1])} of this sweep')
-    # A failed trajectory has one row.
-    return len(failure) - int(failure.null_count)
+    # A trajectory has the same alarms in all of its rows, and one row if it failed.
+    index = table['index'].to_numpy()
+    first = np.flatnonzero(np.diff(index, prepend=-1))
+    alarms = Counter(kind for row in table['alarms'].take(first).to_pylist()
+                     for kind in set(row or ()))
+    return len(failure) - int(failure.null_count), alarms
 
 
 def _digest_of(content: bytes) -> bytes:

@@ -109,7 +109,7 @@ def _make(definition: str | Path | Mapping[str, Any], out: Path, jobs: int, ray:
     plan = make_plan(definition, (folder.record() or {}).get('scene'), device)
     Runner(plan).check()
     folder.begin(plan)
-    shards, damaged, _ = folder.survey(plan)
+    shards, damaged = folder.survey(plan)[:2]
     for text in damaged:
         text += '; it is computed again'
         if progress:
@@ -140,7 +140,9 @@ def _summary(plan: SweepPlan, folder: SweepFolder, found: ShardSurvey, seconds: 
     parts = [f'{plan.shards - len(found.missing)} of {plan.shards} shards of {plan.count} '
              'trajectories',
              f'{found.failures} failed (see the column failure)' if found.failures
-             else 'none failed', *found.damaged]
+             else 'none failed',
+             *(f'{count} with alarm: {kind}' for kind, count in found.alarms.most_common()),
+             *found.damaged]
     return f'{folder.path}: {", ".join(parts)}; {seconds:.1f} s'
 
 

@@ -508,7 +508,7 @@ def test_another_sweep_and_another_folder_are_refused(whole, tmp_path):
 def test_folder_counts_what_failed_and_what_is_missing(whole):
     plan = make_plan(LENGTHS)
     folder = SweepFolder(whole)
-    assert folder.survey(plan) == ([], [], 0)
+    assert folder.survey(plan) == ([], [], 0, {})
     assert SweepFolder(whole / 'none').survey(plan).missing == [0, 1, 2, 3]
 
 
@@ -525,7 +525,7 @@ def test_every_change_of_a_shard_is_found_by_name(whole, tmp_path, count):
         damaged = bytearray(content)
         damaged[place] ^= 1 << int(rng.integers(8))
         file.write_bytes(damaged)
-        missing, told, _ = folder.survey(plan)
+        missing, told = folder.survey(plan)[:2]
         assert missing == [1] and len(told) == 1, place
         assert told[0].startswith(f'{file}: ') and '\n' not in told[0]
     for cut in (0, 4, 7, 8, 100, len(content) // 2, len(content) - 1):
@@ -552,6 +552,13 @@ def test_shards_that_were_swapped_or_are_of_another_sweep_are_found(whole, tmp_p
         assert f'part-{line}' in told.err
     assert '4 of 4 shards of 210 trajectories, none failed' in told.out
     assert shards(out) == shards(whole)
+
+
+def test_summary_counts_trajectories_with_alarms(tmp_path, capsys):
+    path = write(tmp_path / 'a.yaml', {'scene': 'pendulum', 'duration': 0.2, 'vary': [
+        {'kind': 'values', 'key': 'initial_state.p.angle', 'values': [0.0, 0.1, 40.0]}]})
+    assert main([path, '--out', str(tmp_path / 'out')]) == 0
+    assert 'none failed, 1 with alarm: out of the training box; ' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(('old', 'new', 'message'), [
