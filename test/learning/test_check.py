@@ -129,6 +129,14 @@ def test_motion_of_ten_samples_a_period_moves():
     assert next(iter(warnings_of([noise], ['a']))).text == 'a does not move'
 
 
+@pytest.mark.parametrize('frequency, fast', [(0.5, False), (18.0, True)])
+def test_slow_motion_without_noise_is_not_too_fast_for_its_samples(tmp_path, frequency, fast):
+    t = 0.02 * np.arange(250)
+    path = tmp_path / 'log.csv'
+    DataFrame({'t': t, 'angle [rad]': np.cos(2.0 * np.pi * frequency * t)}).to_csv(path)
+    assert any('record more of them' in one.text for one in check([str(path)]).warnings) == fast
+
+
 @pytest.mark.parametrize(('spacing', 'step', 'told'), [
     (0.01, 0.0, ''), (0.01, 0.1, 'position of a has a coarse resolution of 0.1'),
     (10.0, 0.0, 'a sample every 10 s: check the unit of the times')])

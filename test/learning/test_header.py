@@ -59,7 +59,8 @@ def test_units_of_one_quantity_are_converted(unit, target, factor):
      'js_joint_a rad js_joint_b rad', '/js/joint_a/velocity /js/joint_b/velocity', ''),
     ('t,q,tau_cmd,tau,q_des', 'q rad', '', 'tau'), ('t,x [px],v', 'x px', 'v', ''),
     ('t,displacement_mm,acc,u_V', 'displacement m', '', 'u_V'),
-    ('t,θ,ω', 'θ rad', 'ω', ''), ('t,motorAngle,motorTorque', 'motor rad', '', 'motorTorque')])
+    ('t,angle,p_angle,H', 'angle rad', '', ''), ('t,θ,ω', 'θ rad', 'ω', ''),
+    ('t,motorAngle,motorTorque', 'motor rad', '', 'motorTorque')])
 def test_columns_are_found_by_their_names_and_the_printed_yaml_is_the_configuration(
         tmp_path, header, coordinates, v, tau):
     config, text = guess_config([str(log(tmp_path / 'log.csv', header))])

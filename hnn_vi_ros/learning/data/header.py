@@ -283,6 +283,9 @@ def read_header(path: Path, coordinates: Sequence[Coordinate] = (), counts: floa
     doubts += [f'two columns are called {name!r}' for k, name in enumerate(table.names)
                if name in table.names[:k]]
     columns = [column_of(name, {one.name: one.q_unit for one in coordinates}) for name in names]
+    # Momenta, as in logs of this package.
+    columns = [replace(one, role=UNUSED) if one.name.startswith('p_')
+               and one.name.removeprefix('p_') in names else one for one in columns]
     values = dict(zip(names, table.numbers.T, strict=True))
     time = _time_of(path, columns, values)
     t = values[time.name]

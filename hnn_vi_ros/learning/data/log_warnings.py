@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import counted
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.data.sampling import resolution, ROUNDED
 import numpy as np
+from scipy.signal import periodogram
 
 # Shortest log [samples]; largest share of samples at an extreme value, and of different values in
 # a channel that is not held; coarsest resolution relative to the range; most steps of the
@@ -17,8 +18,9 @@ import numpy as np
 _SHORT, _AT_END, _DISTINCT, _COARSE, _STILL = 200, 0.02, 0.05, 0.02, 3.0
 # Widest motion of a joint on the way of its commands: two turns [rad].
 _WIDEST = 4.0 * np.pi
-# Highest frequency of a motion, relative to the sampling rate; longest interval of samples [s].
-_FASTEST, _LONGEST = 0.35, 1.0
+# Highest frequency of a motion, relative to the sampling rate, and share of its power that is near
+# it; longest interval of samples [s].
+_FASTEST, _POWER, _LONGEST = 0.35, 1e-5, 1.0
 # Least correlation of a position with its command, and that which another joint has; slopes
 # between which both have the same unit; longest delay of a command [s].
 _FOLLOWS, _OTHER, _UNITS, _LATEST = 0.5, 0.9, (0.2, 5.0), 0.3
@@ -42,7 +44,7 @@ def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str]) -> list[Log
     if spacing > _LONGEST:
         found.append(LogWarning(f'a sample every {spacing:.4g} s: check the unit of the times'))
     fastest = max(0.5 * (motion.cutoff_alone or motion.cutoff) for motion in motions)
-    if fastest * spacing > _FASTEST:
+    if fastest * spacing > _FASTEST and any(_is_fast(motion) for motion in motions):
         found.append(LogWarning(
             f'the motion has parts of up to {fastest:.3g} Hz, but {1.0 / spacing:.3g} samples per '
             f'second: record more of them',
@@ -67,6 +69,13 @@ def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str]) -> list[Log
         for k in range(tau.shape[1] if tau.any() else 0):
             found += _of_channel(tau[:, k], f'force {k + 1}')
     return found
+
+
+def _is_fast(motion: EvenMotion) -> bool:
+    """Return whether much of the power of a motion is near the highest frequencies."""
+    f, power = periodogram(motion.q, 1.0 / motion.spacing, 'hann', detrend='linear', axis=0)
+    near = power[f * motion.spacing > 0.5 * _FASTEST].sum(axis=0)
+    return bool((near > _POWER * power.sum(axis=0)).any())
 
 
 def _moves(q: np.ndarray) -> bool:
