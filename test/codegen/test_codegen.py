@@ -583,7 +583,7 @@ def test_valgrind_finds_no_error(tmp_path, name):
     # Code for this processor may be unknown to valgrind; any x86-64 is known.
     subprocess.run([sys.executable, '-m', 'hnn_vi_ros', 'export', f'{name}.yaml', '--out', 'c',
                     '--cpu', 'x86-64'], check=True, cwd=tmp_path)
-    subprocess.run(['cc', '-g', 'example.c', f'lib{name}.a', '-lm', '-o', 'example'],
+    subprocess.run(['cc', '-g', 'example.c', f'lib{prefix_of(name)}.a', '-lm', '-o', 'example'],
                    cwd=tmp_path / 'c', check=True)
     done = subprocess.run(['valgrind', '-q', '--error-exitcode=9', './example', '100', '10'],
                           cwd=tmp_path / 'c', capture_output=True, text=True)
