@@ -97,7 +97,7 @@ def _judged(arguments: Namespace) -> _Judgement:
     if card is not None:
         motions, description = _as_in_training(card, data.inputs, motions, description)
     known: dict[str, Any] = {} if card is None else {'noise': [], 'residuals': {}}
-    said, judged = '', card if positions_alone(motions) else None
+    said, noise, judged = '', None, card if positions_alone(motions) else None
     if judged is not None:
         parts = parts._replace(step_size=min(parts.step_size, resolving_step(judged)))
     _check_simulation(arguments.model, parts, motions)
@@ -110,7 +110,7 @@ def _judged(arguments: Namespace) -> _Judgement:
     others = _baselines(arguments, hamiltonian)
     with elapsed('simulating'):
         scores, fans = judge(parts, motions, judging.horizons, judging.every,
-                             judging.longest, others)
+                             judging.longest, others, noise)
     if judged is not None:
         said = '\n' + errors_text(residuals, noise, judged.coordinates, is_off(
             scores['model'].horizons.values(), motions))

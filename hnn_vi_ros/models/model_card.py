@@ -76,7 +76,8 @@ class PredictionError(StrictModel):
         'root mean square error of each coordinate at the end of each horizon [s]; null if a '
         'simulation failed'))
     valid_prediction_time: float = Field(ge=0.0, description=(
-        'median of the time until sum_i (error of q_i)^2 / var(q_i) reaches 0.01 [s]'))
+        'median of the time until sum_i (error of q_i)^2 / var(q_i) reaches 0.01 [s]; of '
+        'positions alone, var(q_i) is at least (50 noise_i)^2'))
     censored: float = Field(ge=0.0, le=1.0, description=(
         'share of predictions that were valid until they, or the motion, ended'))
     failed: int = Field(ge=0, description='number of failed simulations')

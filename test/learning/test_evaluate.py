@@ -334,6 +334,18 @@ def test_coordinate_that_never_moves_does_not_count_in_the_valid_prediction_time
         assert score(off, [still], [0.5], 0.1, 1.0).censored == 1.0
 
 
+def test_noise_ends_no_valid_prediction_of_a_small_motion():
+    exact, rng = linear_motion(1), np.random.default_rng(0)
+    noise = 0.05 * np.sqrt(exact.q.var(axis=0))
+    measured = replace(exact, q=exact.q + noise * rng.normal(size=exact.q.shape))
+
+    def right(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
+        return exact.q[np.minimum(starts[:, None] + np.arange(count + 1), len(exact.t) - 1)]
+    assert score(right, [measured], [0.5], 0.1, 1.0).valid_prediction_time < 0.5
+    # Five sigma: of 400 samples, one exceeds them with a probability of 2e-4.
+    assert score(right, [measured], [0.5], 0.1, 1.0, noise).censored == 1.0
+
+
 def linear_motion(seed: int) -> EvenMotion:
     """Return q'' = -4 q + tau by its exact solution for tau = sin(t)."""
     t = 0.01 * np.arange(400)

@@ -69,14 +69,14 @@ def drafted(checkpoint: Checkpoint) -> Iterator[str]:
 
 
 def machine_scene(model: str, card: ModelCard, step_size: float, integrator: str, driven: bool,
-                  start: Mapping[str, list[float]] | None = None, place: Path | None = None
-                  ) -> Scene:
+                  start: tuple[EvenMotion, int] | None = None, place: Path | None = None) -> Scene:
     """
     Return the scene of a machine in a model file, with friction and, if driven, forces.
 
-    Without a start it is at rest in the middle of the data; `place` is the scene's future file,
-    in whose folder the model is.
+    It starts from a sample of a motion; without one it is at rest in the middle of the data;
+    `place` is the scene's future file, in whose folder the model is.
     """
+    motion, k = start or (None, 0)
     effects: list[dict[str, object]] = [{'kind': 'learned_friction', 'model': model}]
     if driven:
         assert card.mechanical is not None, 'the family has one'
@@ -84,8 +84,9 @@ def machine_scene(model: str, card: ModelCard, step_size: float, integrator: str
             {'coordinates': [one.name for one in card.coordinates]}
             if card.mechanical.input_map is None else {'model': model}))
     return Scene.build(
-        description='starts from the first test sample' if start else '',
+        description=f'starts from a state of {motion.name}' if motion else '',
         hamiltonian={'kind': 'learned', 'model': model, 'confine': False}, effects=effects,
         integrator=integrator, step_size=step_size, name=str(place or card.name),
-        initial_state=start or {'q': np.mean(card.box.q, axis=1).tolist(),
-                                'p': [0.0] * len(card.coordinates)})
+        initial_state={
+            'q': motion.q_smooth[k].tolist(), 'v': motion.v_smooth[k].tolist()} if motion else {
+            'q': np.mean(card.box.q, axis=1).tolist(), 'p': [0.0] * len(card.coordinates)})

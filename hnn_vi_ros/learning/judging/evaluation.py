@@ -18,6 +18,9 @@ from hnn_vi_ros.run import VALID
 from hnn_vi_ros.simulation import System
 import numpy as np
 
+# Errors of the sensors, in units of their noise, that end no valid prediction.
+_NOISES = 5.0
+
 
 class TrajectoryBundle(NamedTuple):
     """
@@ -69,11 +72,13 @@ class Scores:
     energy_mismatch: dict[float, float] | None = None
 
 
-def variance_of(motions: Sequence[EvenMotion]) -> np.ndarray:
+def variance_of(motions: Sequence[EvenMotion], noise: np.ndarray | None = None) -> np.ndarray:
     """
     Return the variance of each coordinate over motions, shape (d,).
 
-    For a constant coordinate it is inf, so that its errors do not count.
+    For a constant coordinate it is inf, so that its errors do not count. With the noise of the
+    sensors, shape (d,) or longer, it is at least so large that noise alone ends no valid
+    prediction.
 
     Raises
     ------
@@ -86,7 +91,8 @@ def variance_of(motions: Sequence[EvenMotion]) -> np.ndarray:
     if not moves.any():
         raise DataError(f'{motions[0].name}: no coordinate moves, so no error can be computed; '
                         'use other motions')
-    return np.where(moves, q.var(axis=0), np.inf)
+    least = 0.0 if noise is None else (_NOISES * noise[:len(moves)])**2 / VALID
+    return np.where(moves, np.maximum(q.var(axis=0), least), np.inf)
 
 
 class Judging(NamedTuple):
@@ -142,7 +148,7 @@ def fans_of(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[
 
 
 def score(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[float], every: float,
-          longest: float) -> Scores:
+          longest: float, noise: np.ndarray | None = None) -> Scores:
     """
     Predict from many measured states, and compare with the measurements.
 
@@ -158,6 +164,8 @@ def score(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[fl
         Time between starts [s].
     longest : float
         Prediction time limit for the valid prediction time, at least the longest horizon [s].
+    noise : np.ndarray, optional
+        Noise of the coordinates, if known.
 
     Raises
     ------
@@ -166,7 +174,7 @@ def score(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[fl
 
     """
     fans = fans_of(predict, motions, horizons, every, longest)
-    return score_fans(fans, horizons, variance_of(motions))
+    return score_fans(fans, horizons, variance_of(motions, noise))
 
 
 def score_fans(fans: Sequence[TrajectoryBundle], horizons: Sequence[float], variance: np.ndarray
@@ -346,12 +354,12 @@ def outside(domain: Domain, fans: Sequence[TrajectoryBundle], horizons: Sequence
 
 
 def judge(parts: ModelParts, motions: Sequence[EvenMotion], horizons: Sequence[float],
-          every: float, longest: float, others: Mapping[str, Predict]
-          ) -> tuple[dict[str, Scores], list[TrajectoryBundle]]:
+          every: float, longest: float, others: Mapping[str, Predict],
+          noise: np.ndarray | None = None) -> tuple[dict[str, Scores], list[TrajectoryBundle]]:
     """Return the scores of a model, of constant velocity and of `others`; and the model's fans."""
     fans = fans_of(simulated(parts), motions, horizons, every, longest)
-    scores = {'model': score_fans(fans, horizons, variance_of(motions))} | {
-        name: score(other, motions, horizons, every, longest)
+    scores = {'model': score_fans(fans, horizons, variance_of(motions, noise))} | {
+        name: score(other, motions, horizons, every, longest, noise)
         for name, other in {'constant velocity': constant_velocity, **others}.items()}
     if not unaccounted(parts.effects):
         hamiltonian = System(parts.hamiltonian, parts.effects, parts.integrator).hamiltonian

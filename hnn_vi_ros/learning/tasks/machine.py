@@ -46,6 +46,9 @@ from hnn_vi_ros.models import (
 import numpy as np
 import torch
 
+# Range of test motions, relative to that of the training motions, that shows how a model moves.
+_MOVING = 0.3
+
 
 @dataclass(frozen=True)
 class MachineData:
@@ -217,17 +220,18 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
     step = resolving_step(checkpoint.card)
     parts = ModelParts(hamiltonian, ImplicitMidpoint(), effects, math.inf)
     names, open_scale = [one.name for one in config.coordinates], _scale_unit(config, data.train)
-    said, known, residuals, longest = '', {}, dict[str, list[float]](), None
+    said, known, noise = '', {}, None
+    residuals, longest = dict[str, list[float]](), None
     if positions_alone(test):
         noise = first_noise(test) if fitted.noise is None else fitted.noise
         parts = parts._replace(step_size=step)
         residuals, test, longest = judged_along(KnownModel('the model', parts), test, noise)
         known = {'residuals': residuals, 'noise': noise.tolist()}
     scores, fans = judged_scores(
-        parts, test, horizons, judging.every, judging.longest, _baselines(data, network))
+        parts, test, horizons, judging.every, judging.longest, _baselines(data, network), noise)
     everything = [*data.train, *data.test]
     off = is_off(scores['model'].horizons.values(), everything)
-    if known:
+    if noise is not None:
         missing = '' if is_noise(residuals) else missing_force(network, everything, names)
         said = errors_text(residuals, noise, config.coordinates, off) + (
             f'\nOf all motions, also those of the training: {missing}' if missing else '')
@@ -251,10 +255,19 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
         lambda path: draw_predictions(path, card.name, hamiltonian.coordinates,
                                       shown(fans, max(horizons))),
         longest, lambda model, place: machine_scene(
-            model, card, min(step, test[0].spacing), 'implicit_midpoint',
+            model, card, float(f'{min(step, test[0].spacing):.9g}'), 'implicit_midpoint',
             any(motion.tau.any() for motion in data.train),
-            {'q': test[0].q_smooth[0].tolist(), 'v': test[0].v_smooth[0].tolist()},
-            place), open_scale)
+            _start_of(test, data.train), place), open_scale)
+
+
+def _start_of(test: Sequence[EvenMotion], train: Sequence[EvenMotion]) -> tuple[EvenMotion, int]:
+    """Return the first test motion, or that of the training if it nearly rests, and a sample."""
+    first, other = test[0], train[0]
+    ranges = np.ptp(first.q, axis=0) / np.maximum(np.ptp(other.q, axis=0), 1e-300)
+    if ranges.max() > _MOVING:
+        return first, 0
+    # At the edges of the filter, velocities are worse.
+    return other, min(math.ceil(1.0 / (other.cutoff * other.spacing)), len(other.t) - 1)
 
 
 MACHINE = TrainingTask('predictions', read, select, fit, describe, judge)
