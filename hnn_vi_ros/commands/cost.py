@@ -58,6 +58,8 @@ def main(argv: list[str]) -> int:
         raise problem
     if chosen is not None:
         _recommend(*chosen)
+        if options.rate is None:
+            print('# gives samples at its step size; --rate HZ: at another rate')
     return 0
 
 
