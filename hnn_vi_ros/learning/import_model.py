@@ -210,7 +210,8 @@ def main(argv: Sequence[str]) -> None:
     # The type in the file: layers of another type have taken these weights.
     for remark in dict.fromkeys([*weights_remark([*state.values()]), *remarks]):
         print(remark)
-    print(f'model: {out}')
+    print(f'model: {out}\n'
+          f'next: hnn run SCENE.yaml, a scene with hamiltonian: {{kind: hnn, model: {out}}}')
 
 
 def function_of(source: Path, function: str) -> Callable[..., Any]:

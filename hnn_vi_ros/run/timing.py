@@ -307,8 +307,8 @@ class StatusLine:
         now = self._now()
         self._last, self._next = (now, stamp), now + self._interval
 
-    def show(self, sample: Sample, overruns: int) -> None:
-        """Display a sample if the line is due."""
+    def show(self, sample: Sample, overruns: int, relative: bool) -> None:
+        """Display a sample if the line is due; its energy error is relative to H0, or in J."""
         now = self._now()
         if now < self._next:
             return
@@ -316,7 +316,8 @@ class StatusLine:
         pace = (sample.stamp - stamp) * 1e-9 / (now - wall)
         self._last, self._next = (now, sample.stamp), now + self._interval
         text = (f't = {sample.stamp * 1e-9:.2f} s   H = {sample.energy:.6g} J   '
-                f'energy error {sample.energy_error:+.2e}   {pace:.2f} x real time'
+                + ('relative energy error {:+.2e}' if relative else 'energy error {:+.2e} J'
+                   ).format(sample.energy_error) + f'   {pace:.2f} x real time'
                 + (f'   {overruns} overruns' if overruns else ''))
         if self._terminal:
             rewrite_line(sys.stdout, text)

@@ -80,7 +80,8 @@ def test_module_of_code_with_weights_is_that_of_torch(tmp_path, capsys, layout):
         module.load_state_dict(torch.load(FUNNEL, weights_only=True))
     main([f'{tmp_path}/code_of_{layout}.py:{layout}', '--weights', str(weights), '--coordinates',
           'q1,q2', '--box=-2:2', '--out', str(tmp_path / 'model.safetensors')])
-    assert f'running {layout}() of' in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert f'running {layout}() of' in told and 'next: hnn run SCENE.yaml, a scene with' in told
     assert_alike(tmp_path / 'model.safetensors', module, 2)
 
 

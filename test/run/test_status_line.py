@@ -34,7 +34,7 @@ class Shown:
         start = self.time
         for tick in range(1, round(seconds / 0.02) + 1):
             self.time = start + 0.02 * tick
-            self.line.show(sample(begin + round(tick * 0.02 * pace * SECOND)), 0)
+            self.line.show(sample(begin + round(tick * 0.02 * pace * SECOND)), 0, True)
 
     @property
     def paces(self) -> list[float]:
@@ -80,6 +80,7 @@ def test_line_is_left_once_so_that_what_follows_begins_a_line_of_its_own(monkeyp
     shown.line.close()
     assert shown.terminal.getvalue() == ''
     shown.run(0, 0.3, 1.0)
+    assert '   relative energy error +0.00e+00   ' in shown.terminal.getvalue()
     shown.line.close()
     shown.line.close()
     assert shown.terminal.getvalue().count('\n') == 1

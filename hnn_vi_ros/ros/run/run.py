@@ -283,7 +283,7 @@ class Run:
         if self._look_next:
             self.recording.timing(self._monitor.timing.figures)
         self.watch(sample, look or self.status.paused or self._must_stop(sample))
-        self._status.show(sample, self.pacer.overruns)
+        self._status.show(sample, self.pacer.overruns, self._monitor.energy.unit == '1')
         self._monitor.timing.add_sample(time.perf_counter() - begin)
 
     def _must_stop(self, sample: Sample) -> bool:

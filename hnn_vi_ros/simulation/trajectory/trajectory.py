@@ -299,7 +299,9 @@ class Trajectory:
         # Smaller changes are rounding errors.
         if balance is not None and len(balance) > 1 and change > 1e-12 * abs(self.energy[0]):
             share = float(np.abs(balance).max(initial=0.0)) / change
-            by_effects = f', of which the work of effects leaves {100.0 * share:.2g} % unexplained'
+            remedy = '; halve step_size' if share > 0.01 else ''
+            by_effects = (', of which the work of effects leaves '
+                          f'{100.0 * share:.2g} % unexplained{remedy}')
         return [f'{len(self.t)} samples{many}',
                 f't = {self.t[0]:g} to {self.t[-1]:g} s' if len(self.t) else 'no samples',
                 'H = ' + (f'{first[0]:.6g}' if first.size == 1 else

@@ -265,7 +265,8 @@ def test_plot_shows_what_the_work_of_effects_leaves_of_the_energy():
 
 
 @pytest.mark.parametrize('energy, work, told', [
-    (1.0 + 0.01 * T, 0.009 * T, '10 % unexplained'),
+    (1.0 + 0.01 * T, 0.009 * T, '10 % unexplained; halve step_size'),
+    (1.0 + 0.01 * T, 0.00999 * T, '0.1 % unexplained'),
     # Rounding errors, and no sample after the first whose work is known.
     (1.0 + 1e-16 * T, 0.0 * T, None), (1.0 + 0.01 * T, np.where(T > 0.0, math.nan, 0.0), None)])
 def test_summary_tells_the_share_of_the_change_of_energy_that_work_leaves(energy, work, told):
