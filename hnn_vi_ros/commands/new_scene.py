@@ -272,7 +272,9 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
                rotors: dict[str, float], rest: np.ndarray) -> str:
     """Return the YAML of the scene of a robot."""
     joints, q = tree.joints, moving_state(tree, rest)
-    start = f'Slightly off equilibrium, which is {rest.tolist()}.'
+    stops = [joint.name for joint, at in zip(joints, rest, strict=True) if at in joint.bounds]
+    start = (f'Off equilibrium, which is {rest.tolist()}'
+             + f', with {", ".join(stops)} at a stop' * bool(stops) + '.')
     if tree.loops is not None:
         # Most are drawn closed.
         zero = np.clip(np.zeros(len(joints)), *_range(tree))

@@ -12,7 +12,7 @@ from hnn_vi_ros.commands.scene_tool import main
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.hamiltonians import parse_urdf
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import build
+from hnn_vi_ros.simulation import build, simulate
 from messages import refused
 import numpy as np
 import pytest
@@ -143,8 +143,22 @@ def test_robot_that_stands_upright_at_zero_rests_hanging(tmp_path):
     rest = resting_state(build(scene).hamiltonian)
     assert np.abs(rest) == pytest.approx([np.pi, 0.0], abs=2e-6)
     assert scene.effects == []
+    text = (tmp_path / 'new.yaml').read_text()
+    assert f'  # Off equilibrium, which is {rest.tolist()}.\n' in text
     # Its faster small motion has 6.6 rad/s, and 100 steps in a period.
     assert scene.step_size == 0.005
+
+
+def test_new_scene_names_stops_and_its_servo_holds_the_initial_state(tmp_path):
+    # Light enough for the motors.
+    robot = chain([0.3, 0.3], [-1.0, -0.7]).replace('"j1" type="continuous">', (
+        '"j1" type="revolute"><limit lower="-3" upper="3" effort="1" velocity="1"/>'))
+    path = new_scene(tmp_path, robot)
+    text = path.read_text()
+    assert ', with j1 at a stop.\n' in text
+    path.write_text(re.sub(r'# (- {kind: servo.*\n  )# ', r'\1  ', text))
+    run = simulate(path, 0.1)
+    assert run.scene.effects[-1].kind == 'servo' and np.ptp(run.q, axis=0).max() < 1e-12
 
 
 def test_joints_that_cannot_move_or_are_too_many_are_held():
