@@ -16,13 +16,13 @@ class FormulaPotential(Potential):
     """
     A potential energy V(q) as a formula of coordinates, such as ``k*(x - y)^2 / 2``.
 
-    Syntax and compilation are as for H in ``hamiltonian: {kind: formula}``. Energy account: V is
-    part of H.
+    Syntax and compilation are as for H in ``hamiltonian: {kind: formula}``, but without the time
+    t: for a force that oscillates in time use `periodic_drive`. Energy account: V is part of H.
 
     Parameters
     ----------
     formula : str
-        V [J], at most 4000 characters.
+        V [J], at most 4000 characters, without the time t.
     parameters : dict of str to float, optional
         Values of the names in the formula that are not coordinates, in their units.
 

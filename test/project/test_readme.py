@@ -130,14 +130,18 @@ def test_readme_python_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (example,) = blocks(ROOT / 'README.md', 'python')
     run(example)
-    assert '1001' in capsys.readouterr().out
+    assert '(1001, 1) 0.4999' in capsys.readouterr().out
     assert (tmp_path / 'oscillator.png').is_file()
 
 
-def test_python_tutorial_runs(capsys):
+def test_python_tutorial_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'torque.csv').write_text('0.0,0.0\n1.0,0.5\n2.0,0.0\n')
+    names: dict[str, object] = {}
     for example in blocks(ROOT / 'docs/tutorials/python.md', 'python'):
-        run(example)
+        run(example, names)
     assert '(2, 1000, 1)' in capsys.readouterr().out
+    assert names['pushed'].work[-1] != 0.0
 
 
 def test_quadrotor_of_the_tutorial_climbs(tmp_path, monkeypatch):
