@@ -111,7 +111,7 @@ def _judged(arguments: Namespace) -> _Judgement:
     with elapsed('simulating'):
         scores, fans = judge(parts, motions, judging.horizons, judging.every,
                              judging.longest, others, noise)
-    if judged is not None:
+    if judged is not None and noise is not None:
         said = '\n' + errors_text(residuals, noise, judged.coordinates, is_off(
             scores['model'].horizons.values(), motions))
     numbers = as_json(scores) | known
