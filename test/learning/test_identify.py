@@ -444,9 +444,10 @@ def identified(folder: Path, log: EvenMotion, capsys: pytest.CaptureFixture, *op
         'effects: [{kind: external_force, coordinates: [angle]}, {kind: damping, rate: 0.2}]\n'
         'initial_state: {q: [0.5], p: [0.0]}\n')
     path = folder / f'{len(options)}.json'
-    main([str(folder / 'scene.yaml'), '--data', str(folder / 'log.npz'), '--free',
-          *(['input_delay'] if log.tau.any() else []), 'damping.rate', '--json', str(path),
-          *options])
+    free = [] if '--free' in options else [
+        '--free', *(['input_delay'] if log.tau.any() else []), 'damping.rate']
+    main([str(folder / 'scene.yaml'), '--data', str(folder / 'log.npz'), *free,
+          '--json', str(path), *options])
     return capsys.readouterr().out, json.loads(path.read_text())
 
 
