@@ -100,8 +100,14 @@ def temporary_beside(path: Path, mode: int = 0o666) -> Iterator[tuple[Path, Buff
 
     """
     temporary = path.with_name(f'.{path.stem}.{token_hex(8)}{path.suffix}')
-    with open(temporary, 'xb', opener=lambda name, flags: open_no_link(name, flags, mode)
-              ) as stream:
+
+    def create(name: str, flags: int) -> int:
+        try:
+            return open_no_link(name, flags, mode)
+        except OSError as problem:
+            # Users know the other file.
+            raise type(problem)(problem.errno, problem.strerror, str(path)) from None
+    with open(temporary, 'xb', opener=create) as stream:
         try:
             yield temporary, stream
         finally:

@@ -138,6 +138,13 @@ def _umask() -> int:
     return before
 
 
+def test_file_in_a_missing_folder_is_named_without_its_temporary_one(tmp_path):
+    path = tmp_path / 'none/run.txt'
+    with pytest.raises(FileNotFoundError) as found:
+        write_text(path, 'text')
+    assert found.value.filename == str(path)
+
+
 def test_temporary_files_are_made_in_one_place():
     for path in Path(regular_file.__file__).parents[1].rglob('*.py'):
         assert not re.search('getpid|mkstemp|mktemp', path.read_text(encoding='utf-8')), path
