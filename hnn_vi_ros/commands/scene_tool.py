@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 # one Gauss method needs what all others do.
 _NETWORKS = 'pendulum', 'double_pendulum'
 _METHODS = 'generalized_leapfrog', 'gauss4', 'dop853', 'rk4'
+# Share of the time of a step by which one without an effect may seem longer.
+_DIFFERS = 0.1
 
 # The simulation is imported lazily, so that lists and schemas are shown immediately.
 
@@ -201,6 +203,8 @@ def _times(costs: 'EffectCosts', scene: Scene, moved: Mapping[str, float]) -> It
         yield f'  integrator alone: {1e6 * costs.bare:.3f} us'
     for label, added in costs.added.items():
         text = 'cannot be removed' if math.isnan(added) else f'adds {1e6 * added:.3f} us'
+        if added < -_DIFFERS * costs.total:
+            text += ' (steps of the motion without it take longer)'
         text += f', moves {moved[label]:.3g} J in {scene.duration:g} s'
         if 0.0 < moved[label] < moved['']:
             text += f', less than the error of the method, {moved[""]:.2g} J: not called for'
