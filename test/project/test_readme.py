@@ -136,7 +136,6 @@ def test_readme_python_example_runs(tmp_path, monkeypatch, capsys):
 
 def test_python_tutorial_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / 'torque.csv').write_text('0.0,0.0\n1.0,0.5\n2.0,0.0\n')
     names: dict[str, object] = {}
     for example in blocks(ROOT / 'docs/tutorials/python.md', 'python'):
         run(example, names)
