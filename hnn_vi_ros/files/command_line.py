@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 import re
 from textwrap import fill
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from hnn_vi_ros.errors import did_you_mean, offered
 from hnn_vi_ros.files.standard_streams import write_problem
@@ -39,17 +39,6 @@ def seconds(text: str) -> float:
             f'{text!r} is not a number of seconds, e.g. 0.001') from None
 
 
-class _StoreOnce(argparse.Action):
-    """Store the value of an option, which may be given once."""
-
-    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
-                 values: Any, option_string: str | None = None) -> None:
-        before = getattr(namespace, self.dest, self.default)
-        if option_string and before is not self.default:
-            raise argparse.ArgumentError(self, f'given twice, as {before} and {values}; give one')
-        setattr(namespace, self.dest, values)
-
-
 class Parser(argparse.ArgumentParser):
     """
     Parser without abbreviations, whose errors are one line each.
@@ -78,7 +67,6 @@ class Parser(argparse.ArgumentParser):
             epilog=f'{details}\n\nexamples:\n{shown}'.strip(),
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self._parameters = parameters
-        self.register('action', None, _StoreOnce)
         self.add_argument('--version', action='version', version=f'hnn_vi_ros {__version__}')
 
     @property
@@ -95,10 +83,15 @@ class Parser(argparse.ArgumentParser):
             self, args: Sequence[str], namespace: None = None) -> argparse.Namespace:
         """Return the parsed arguments, or exit with one line if they are invalid."""
         # Check this first: argparse would report a misspelt required option as missing.
-        options = self.options
+        options, given = self.options, set[str]()
         for word in args:
             option = word.partition('=')[0]
-            if option.startswith('--') and option not in options and option != '--':
+            if not option.startswith('--') or option == '--':
+                continue
+            if option in given:
+                self.error(f'{option}: given twice; give it once')
+            given.add(option)
+            if option not in options:
                 name = option.removeprefix('--').replace('-', '_')
                 if name in self._parameters:
                     self.error(f'unknown option {option}; {name} is a parameter: --ros-args '
