@@ -22,7 +22,7 @@ from hnn_vi_ros.learning.fit.machine import (
     samples_of, scales_of)
 from hnn_vi_ros.learning.judging.evaluation import score
 from hnn_vi_ros.learning.judging.predictors import constant_velocity, predicted_by
-from hnn_vi_ros.learning.tasks.machine import with_scale
+from hnn_vi_ros.learning.tasks.machine import start_of, with_scale
 from hnn_vi_ros.simulation import Simulation
 from machines import compiled, driven, from_file, machine_config, shaken
 from messages import misfit, refused
@@ -462,3 +462,13 @@ def test_stage_may_have_a_rate_of_its_own():
     # Adam moves no number by more than about its rate in a step: first one of 0.01, then two of
     # a fifth of that, or of the stage's own.
     assert moved[1] <= 0.0101 < moved[0] <= 0.0101 + 2 * 0.00205
+
+
+def test_scene_of_a_model_starts_in_motion():
+    t = 0.01 * np.arange(400)
+    large, small = (smoothed('run', t, size * np.cos(3.0 * t)[:, None], None, 0.0 * t[:, None],
+                             5.0) for size in (1.0, 0.02))
+    assert start_of([large], [large]) == (large, 0)
+    motion, k = start_of([small], [large])
+    # The filter has no sample from before the first one.
+    assert motion is large and t[k] == pytest.approx(1.0 / 5.0)

@@ -257,10 +257,10 @@ def judge(data: MachineData, checkpoint: Checkpoint, fitted: Fitted) -> Judged:
         longest, lambda model, place: machine_scene(
             model, card, float(f'{min(step, test[0].spacing):.9g}'), 'implicit_midpoint',
             any(motion.tau.any() for motion in data.train),
-            _start_of(test, data.train), place), open_scale)
+            start_of(test, data.train), place), open_scale)
 
 
-def _start_of(test: Sequence[EvenMotion], train: Sequence[EvenMotion]) -> tuple[EvenMotion, int]:
+def start_of(test: Sequence[EvenMotion], train: Sequence[EvenMotion]) -> tuple[EvenMotion, int]:
     """Return the first test motion, or that of the training if it nearly rests, and a sample."""
     first, other = test[0], train[0]
     ranges = np.ptp(first.q, axis=0) / np.maximum(np.ptp(other.q, axis=0), 1e-300)
