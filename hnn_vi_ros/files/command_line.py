@@ -84,13 +84,17 @@ class Parser(argparse.ArgumentParser):
         """Return the parsed arguments, or exit with one line if they are invalid."""
         # Check this first: argparse would report a misspelt required option as missing.
         options, given = self.options, set[str]()
+        # That of 'extend' is a kind of it.
+        repeated = {word for action in self.known if isinstance(action, argparse._AppendAction)
+                    for word in action.option_strings}
         for word in args:
             option = word.partition('=')[0]
             if not option.startswith('--') or option == '--':
                 continue
             if option in given:
                 self.error(f'{option}: given twice; give it once')
-            given.add(option)
+            if option not in repeated:
+                given.add(option)
             if option not in options:
                 name = option.removeprefix('--').replace('-', '_')
                 if name in self._parameters:
