@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.effects.commands import (
         Command, Commanded, contents, EFFORT, JointCommand, JointPath, LARGEST, LINK_WRENCH,
         LinkWrench, NUMBERS, OBSERVATION, Observation, PATH, PAYLOAD, POSITION, printable, select,
-        ServoTarget, VELOCITY, whole_turns)
+        ServoTarget, VELOCITY, whole_turns, with_arrays)
     from hnn_vi_ros.effects.damping import Damping
     from hnn_vi_ros.effects.elastic_gears import gear_effects
     from hnn_vi_ros.effects.external_force import ExternalForce

@@ -21,16 +21,16 @@ class JointCommand(NamedTuple):
     ----------
     names : sequence of str
         Names of n coordinates.
-    position, velocity, effort : np.ndarray, shape (n,)
+    position, velocity, effort : array_like, shape (n,), optional
         Values in the units of the coordinates, per second for velocities; generalised forces in
         [N] or [N m]; NaN for no command.
 
     """
 
     names: Sequence[str]
-    position: np.ndarray
-    velocity: np.ndarray
-    effort: np.ndarray
+    position: np.ndarray = np.array(math.nan)
+    velocity: np.ndarray = np.array(math.nan)
+    effort: np.ndarray = np.array(math.nan)
 
 
 class JointPath(NamedTuple):
@@ -43,11 +43,11 @@ class JointPath(NamedTuple):
         Names of m coordinates.
     delay : float
         Time from now to the start of the path [s]; negative if it has started already.
-    times : np.ndarray, shape (n,)
+    times : array_like, shape (n,)
         Times of the points since the start of the path [s].
-    positions : np.ndarray, shape (n, m)
+    positions : array_like, shape (n, m)
         In the units of the coordinates.
-    velocities, accelerations : np.ndarray, shape (n, m), or None
+    velocities, accelerations : array_like, shape (n, m), or None
         Time derivatives of the positions; None if the points have none.
 
     """
@@ -70,7 +70,7 @@ class Observation(NamedTuple):
         Names of n joints, possibly more than needed.
     delay : float
         Time from now to the observation [s]; negative for the past.
-    position, velocity : np.ndarray, shape (n,)
+    position, velocity : array_like, shape (n,)
         In the units of the coordinates, and their units per second; NaN if not observed.
 
     """
@@ -109,6 +109,24 @@ OBSERVATION, PAYLOAD, LINK_WRENCH = 'observation', 'payload', 'wrench'
 LARGEST = 1e12
 # Upper bounds on the observed position and velocity of a joint, so that numbers do not overflow.
 _MAX_OBSERVED = 1e9
+
+
+def with_arrays(command: Command) -> Command:
+    """Return a command of joints with arrays of the shapes that it needs, or raise ValueError."""
+    if not isinstance(command, JointCommand | JointPath | Observation):
+        return command
+    names = len(command.names)
+    shape = (len(command.times), names) if isinstance(command, JointPath) else (names,)
+    arrays: dict[str, Any] = {}
+    for kind, given in command._asdict().items():
+        if kind in ('names', 'delay') or given is None:
+            continue
+        wanted = shape[:1] if kind == 'times' else shape
+        values = np.asarray(given, dtype=float)
+        if values.ndim and values.shape != wanted:
+            raise ValueError(f'the shape of {kind} is {values.shape}, expected {wanted}')
+        arrays[kind] = np.broadcast_to(values, wanted)
+    return command._replace(**arrays)
 
 
 def contents(command: Command) -> set[str]:

@@ -14,7 +14,7 @@ from hnn_vi_ros.effects import (
     Account, add_effect, add_forces, ClosedChains, Command, Commanded, contents, Effect,
     effect_name, EffectError, EFFECTS, EffectState, EFFORT, Force, Joined, JointCommand,
     JointPath, LINK_WRENCH, LoopManifold, Manifold, NUMBERS, OBSERVATION, PAYLOAD,
-    PayloadChanges, Place, ServoTarget, StepLayer, TimeDrive, Wrapped)
+    PayloadChanges, Place, ServoTarget, StepLayer, TimeDrive, with_arrays, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import Hamiltonian, LoopRows
 from hnn_vi_ros.integrators import (
@@ -117,6 +117,7 @@ class Motors:
             limits of the scene; nothing is changed.
 
         """
+        command = with_arrays(command)
         held = contents(command)
         for content in sorted(held - self.takes):
             kind = {OBSERVATION: 'observer', NUMBERS: 'external_force', LINK_WRENCH: 'link_wrench',

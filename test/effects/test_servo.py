@@ -32,9 +32,7 @@ def servo(*names: str, h: float = 0.02, integrator: str = 'gauss8', q=0.0, p=0.0
 
 def command(names: str | list[str], position=NAN, velocity=NAN, effort=NAN) -> JointCommand:
     """Return a command of joints whose names are letters."""
-    return JointCommand(tuple(names), *(
-        np.broadcast_to(np.array(values, dtype=float), len(names))
-        for values in (position, velocity, effort)))
+    return JointCommand(tuple(names), position, velocity, effort)
 
 
 def path(t: list[float], *columns, names: str = 'x', delay: float = 0.0) -> JointPath:
@@ -130,7 +128,9 @@ LIMITS = JointLimits(lower={'x': -1.0}, upper={'x': 0.5, 'y': 2.0})
     # Beyond a limit.
     command('yx', position=[0.0, 0.6]), command('x', position=-1.5),
     command('xy', position=[NAN, 3.0], velocity=0.0),
-    path([1.0, 2.0, 3.0], [0.0, -1.25, 0.5], names='xy')])
+    path([1.0, 2.0, 3.0], [0.0, -1.25, 0.5], names='xy'),
+    # Other shapes.
+    command('xy', position=[0.1]), JointPath(['x', 'y'], 0.0, [1.0], [0.1, 0.2])])
 def test_command_that_cannot_be_used_is_refused_whole_and_the_last_one_stays(given):
     simulation = servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog')
     simulation.set_command(command('xy', position=0.3))
@@ -158,6 +158,13 @@ def test_names_of_joints_are_told_in_characters_that_print(given):
     with pytest.raises(ValueError) as refused:
         servo('x', 'y').set_command(given)
     assert str(refused.value).isprintable() and 'red' in str(refused.value)
+
+
+def test_path_takes_lists():
+    simulation = servo('x')
+    simulation.set_command(JointPath(['x'], 0.0, [0.0, 1.0], [[0.0], [0.5]]))
+    simulation.advance(25)
+    assert simulation.motors.servo_target.targets[0] == pytest.approx([0.25])
 
 
 def test_half_of_a_command_that_cannot_be_used_leaves_the_other_half():
