@@ -177,7 +177,8 @@ def numbered_paths(path: Path, suffix: str = '') -> Iterator[Path]:
 def no_file(path: Path, missing: str = 'no such file') -> str:
     """Describe the object at a path that cannot be read as a file."""
     if os.path.isdir(path):
-        return 'is a folder'
+        bag = os.path.exists(path / 'metadata.yaml')
+        return 'is a bag, which hnn replay and hnn rerun_bridge read' if bag else 'is a folder'
     return 'is not a regular file' if os.path.exists(path) else missing
 
 

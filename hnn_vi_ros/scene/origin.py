@@ -50,7 +50,8 @@ class Origin:
         """Return ``file:line: key`` for an error; the key of an effect is ``effects, 0``."""
         if self.places is not None and key[0] not in self.replaced:
             return self.places.place(*key)
-        return f'{self.path}: {".".join(map(str, key))}'
+        changed = ' with overrides' * (key[0] in self.replaced)
+        return f'{self.path}{changed}: {".".join(map(str, key))}'
 
     def find_code(self, arguments: Mapping[str, Any]) -> None:
         """Search the folder of the scene as well for Python code named in its arguments."""

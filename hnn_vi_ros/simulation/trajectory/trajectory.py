@@ -5,11 +5,12 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 import json
+import os
 from pathlib import Path
 from typing import Any, final, NamedTuple, Self, TextIO, TYPE_CHECKING
 
 from hnn_vi_ros.errors import listed, optional, RecordingError
-from hnn_vi_ros.files import dump_yaml, one_line, parse_json, replacing
+from hnn_vi_ros.files import dump_yaml, no_file, one_line, parse_json, replacing
 from hnn_vi_ros.hamiltonians import Hamiltonian, Mechanism, MECHANISMS, skeleton
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
 from hnn_vi_ros.recording import Sample
@@ -525,8 +526,9 @@ class Trajectory:
                              for own in rest['events']),
                 scene=described_scene(text, str(path), trust_code)[0] if text else None)
         except (OSError, SafetensorError, KeyError, TypeError, ValueError) as problem:
-            raise RecordingError(f'{path}: {one_line(problem)}; give a file that Trajectory.save '
-                                 'wrote') from problem
+            what = one_line(problem) if os.path.isfile(path) else no_file(Path(path))
+            raise RecordingError(f'{path}: {what}; give a file that Trajectory.save wrote'
+                                 ) from problem
 
     def to_rerun(self, target: str | Path | int) -> None:
         """

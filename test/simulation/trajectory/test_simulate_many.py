@@ -356,3 +356,8 @@ def test_commands_that_do_not_fit_are_refused(changes):
                  'samples': 5} | changes
     with refused(ValueError):
         simulate_many(**arguments)
+
+
+def test_changed_effect_is_not_told_as_a_line_of_the_file():
+    with refused(SceneError):
+        simulate('pendulum', 0.2, effects=[{'kind': 'damping', 'rate': -0.1}])

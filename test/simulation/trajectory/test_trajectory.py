@@ -119,7 +119,9 @@ def test_saved_trajectory_is_loaded_whole(run, tmp_path):
     assert np.array_equal(Trajectory.load(tmp_path / '0.safetensors')(0.7), run(0.7))
     (tmp_path / 'text').write_text('t,q\n')
     save_file({'t': np.zeros(3)}, tmp_path / 'deep', {'trajectory': 200_000 * '[', 'scene': ''})
-    for name in ('text', 'none', 'deep'):
+    (tmp_path / 'bag').mkdir()
+    (tmp_path / 'bag/metadata.yaml').touch()
+    for name in ('text', 'none', 'deep', 'bag'):
         with refused(RecordingError):
             Trajectory.load(tmp_path / name)
 
