@@ -19,7 +19,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from hnn_vi_ros.run import EffectCosts
-    from hnn_vi_ros.simulation import Trajectory
+    from hnn_vi_ros.simulation import Simulation, Trajectory
 
 # What learned H of one and of more coordinates without effects need, whatever their networks are;
 # one Gauss method needs what all others do.
@@ -27,6 +27,8 @@ _NETWORKS = 'pendulum', 'double_pendulum'
 _METHODS = 'generalized_leapfrog', 'gauss4', 'dop853', 'rk4'
 # Share of the time of a step by which one without an effect may seem longer.
 _DIFFERS = 0.1
+# Turns from which an angle at the start is told: it may have been meant in degrees.
+_MOST_TURNS = 2.0
 
 # The simulation is imported lazily, so that lists and schemas are shown immediately.
 
@@ -79,7 +81,7 @@ def check(names: Sequence[str]) -> int:
             simulation = watched(build(parts), scene)
             # Samples are at least a step apart, so a rate that does not fit steps fits no samples.
             joint_sensor(scene, simulation, 1)
-            print(_in_a_line(scene, simulation.conservative))
+            print(_in_a_line(scene, simulation))
         except HnnViRosError as problem:
             for line in problem.lines:
                 print(f'hnn scene: {line}', file=sys.stderr)
@@ -211,12 +213,16 @@ def _times(costs: 'EffectCosts', scene: Scene, moved: Mapping[str, float]) -> It
         yield f'  {label} {text}'
 
 
-def _in_a_line(scene: Scene, conservative: bool) -> str:
+def _in_a_line(scene: Scene, simulation: 'Simulation') -> str:
     what = getattr(scene.hamiltonian, 'model', None) or getattr(scene.hamiltonian, 'factory', '')
     parts = [f'{scene.hamiltonian.kind} {what}'.strip(), *(e.kind for e in scene.effects)]
-    kept = 'conservative' if conservative else 'not conservative'
+    kept = 'conservative' if simulation.conservative else 'not conservative'
+    turns = [f'; {name} starts at {start:g} rad, {start / (2.0 * math.pi):.3g} turns' for
+             name, unit, start in zip(*(own(simulation.hamiltonian.coordinates)[0] for own in (
+                 columns, column_units)), scene.initial_state.q, strict=True)
+             if unit == 'rad' and abs(start) > _MOST_TURNS * 2.0 * math.pi]
     return (f'{scene.name}: valid: {" + ".join(parts)}, {scene.integrator.kind}, '
-            f'h = {scene.step_size:g} s, {kept}')
+            f'h = {scene.step_size:g} s, {kept}{"".join(turns)}')
 
 
 if __name__ == '__main__':

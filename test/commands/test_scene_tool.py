@@ -284,6 +284,13 @@ def test_scene_that_was_compiled_compiles_nothing_when_it_starts():
     assert run_code(code, check=True).stdout == '\n'
 
 
+def test_check_tells_an_angle_of_many_turns(tmp_path, capsys):
+    scene = load_scene('exact_pendulum').changed({'initial_state': {'q': [143.0], 'p': [0.0]}})
+    (tmp_path / 'far.yaml').write_text(scene.to_yaml())
+    assert main(['--check', str(tmp_path / 'far.yaml')]) == 0
+    assert capsys.readouterr().out.endswith('; angle starts at 143 rad, 22.8 turns\n')
+
+
 @pytest.mark.long
 def test_scenes_that_were_compiled_compile_nothing_when_they_start(tmp_path):
     """In later processes: the loop, H, and what guards and samples take of it."""
