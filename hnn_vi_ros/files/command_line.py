@@ -84,8 +84,8 @@ class Parser(argparse.ArgumentParser):
         """Return the parsed arguments, or exit with one line if they are invalid."""
         # Check this first: argparse would report a misspelt required option as missing.
         options, given = self.options, set[str]()
-        # That of 'extend' is a kind of it.
-        repeated = {word for action in self.known if isinstance(action, argparse._AppendAction)
+        # Options that add up begin with a list.
+        repeated = {word for action in self.known if isinstance(action.default, list)
                     for word in action.option_strings}
         for word in args:
             option = word.partition('=')[0]

@@ -48,7 +48,8 @@ def identify() -> Parser:
         'read what the robot carried in each log from this file: logs: {NAME: {payload: {link: '
         'hand, mass: 0.3, centre: [0, 0, 0.1]}}}; free: [mass] fits the mass, gain: 2 is a '
         'factor on the stiffness of servos, and NAME may be a pattern such as half_*'))
-    parser.add_argument('--data', required=True, nargs='+', action='extend', metavar='FILE', help=(
+    parser.add_argument('--data', required=True, nargs='+', action='extend', default=[],
+                        metavar='FILE', help=(
         'read bags with joint states; or NPZ[:RUN,...] with arrays t [s], q and optionally dq (or '
         'v) and tau, or RUN/t, ... for several runs; or logs with named '
         'columns'))
