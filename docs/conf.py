@@ -20,7 +20,7 @@ project, author = 'hnn_vi_ros', 'The hnn_vi_ros Authors'
 copyright = f'2026 {author}'  # noqa: A001  Sphinx calls it so
 version = release = __version__
 extensions = ['myst_nb', 'sphinx.ext.autodoc', 'numpydoc']
-exclude_patterns = ['_build', 'generated/*.part.md', 'benchmarks', 'studies']
+exclude_patterns = ['_build', 'benchmarks', 'studies']
 # Notebooks are executed where they leave nothing behind, and again when they have changed.
 nb_execution_mode, nb_execution_in_temp, nb_execution_timeout = 'cache', True, 600
 nb_execution_raise_on_error, nb_merge_streams = True, True
