@@ -273,15 +273,15 @@ class JointSensorChoice(StrictModel):
     """Sensor of the joints: what it makes of the simulated positions, velocities and efforts."""
 
     noise: _OfJoints = Field(0.0, description=(
-        'standard deviation of a position, of all joints or as a list [q]'))
-    bias: _Bias | list[_Bias] = Field(0.0, description='constant error of a position [q]')
+        'standard deviation of a position, of all joints or as a list [rad] or [m]'))
+    bias: _Bias | list[_Bias] = Field(0.0, description='constant error of a position [rad] or [m]')
     quantisation: _OfJoints = Field(0.0, description=(
-        'resolution of an encoder: positions are rounded to its multiples [q]'))
+        'resolution of an encoder: positions are rounded to its multiples [rad] or [m]'))
     velocity: Literal['sensor', 'encoder', 'none'] = Field('sensor', description=(
         'sensor: measured, with its own noise; encoder: difference of the last two measured '
         'positions by their time; none: messages have no velocities'))
     velocity_noise: _OfJoints = Field(0.0, description=(
-        'standard deviation of a velocity of a sensor [q/s]'))
+        'standard deviation of a velocity of a sensor [rad/s] or [m/s]'))
     effort_noise: _OfJoints = Field(0.0, description=(
         'standard deviation of an effort [N] or [N m]'))
     delay: float = Field(0.0, ge=0.0, le=100.0, description=(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
-from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.errors import counted, DataError, listed
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.data.bag_signals import (
     ARRAY, JOINT_STATE, SignalReader, STATES, TRAJECTORY)
@@ -174,8 +174,8 @@ def read_bags(paths: Sequence[Path], data: BagData | BagMotions, joints: Sequenc
 
     """
     if isinstance(data, BagMotions) and len(data.joints or joints) != len(joints):
-        raise DataError(f'data.joints names {len(data.joints)} joints for {len(joints)} '
-                        f'coordinates: {listed(joints)}')
+        raise DataError(f'data.joints names {counted(len(data.joints), "joint")} for '
+                        f'{counted(len(joints), "coordinate")}: {listed(joints)}')
     motions, digests = [], []
     for path in paths:
         reader = SignalReader(path, data.joints or joints,

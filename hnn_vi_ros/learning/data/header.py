@@ -9,7 +9,7 @@ import re
 from typing import Any
 from unicodedata import normalize
 
-from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.errors import counted, DataError, listed
 from hnn_vi_ros.learning.data.faults import unwrap_beside_glitches
 from hnn_vi_ros.learning.data.sampling import repeated_text
 from hnn_vi_ros.learning.data.text import COLUMN, LogFormat, read_log, without_sentinels
@@ -345,7 +345,7 @@ def _check_named(path: Path, names: list[str], coordinates: Sequence[Coordinate]
     if names[0] == COLUMN.format(1):
         first = ['t [s]', *([one.name for one in coordinates] or ['angle [rad]'])][:len(names)]
         q = [Column(name, Q) for name in first[1:]]
-        raise _refusal(f'has no header above its {len(names)} columns', Reading(
+        raise _refusal(f'has no header above its {counted(len(names), "column")}', Reading(
             path, first + names[len(first):], Column(first[0], TIME), None, q, [], [], []))
 
 

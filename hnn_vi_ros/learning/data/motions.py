@@ -440,8 +440,8 @@ def _usable_samples(motion: Motion, on_bad: str, report: ReadingReport) -> np.nd
     report.lacking += int(lacking.sum())
     report.late += int(late.sum())
     if len(kept) < report.least:
-        raise DataError(f'{motion.where}: {len(kept)} samples, expected at least {report.least}; '
-                        'record for longer')
+        raise DataError(f'{motion.where}: {counted(len(kept), "sample")}, expected at least '
+                        f'{report.least}; record for longer')
     return _without_faults(motion, parts, on_bad, report) if report.least > 1 else kept
 
 

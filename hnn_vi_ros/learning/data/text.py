@@ -181,7 +181,7 @@ class LogMotions(LogColumns, MotionData):
             # There may be fewer motors than joints.
             if group is not None and (len(group) > len(self.q) or (
                     key in ('v', 'a') and len(group) < len(self.q))):
-                raise ValueError(f'{key} has {len(group)} columns, q has {len(self.q)}')
+                raise ValueError(f'{key} has {counted(len(group), "column")}, q has {len(self.q)}')
         self.check_columns()
 
 
@@ -482,7 +482,7 @@ def _row(where: str, line: str, layout: Layout, used: set[str], strict: bool) ->
     fields = _trimmed(_fields(line, layout.delimiter), len(names))
     if len(fields) != len(names):
         more = ' or more' * (len(fields) > _MOST_COLUMNS)
-        raise DataError(f'{where}: {len(fields)} columns{more}, expected {len(names)}: '
+        raise DataError(f'{where}: {counted(len(fields), "column")}{more}, expected {len(names)}: '
                         f'{listed(names)}')
     for name, field in zip(names, fields, strict=True):
         if name not in used or field.lower() in _MISSING:

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import counted, DataError
 from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, of_positions
 from hnn_vi_ros.learning.families.choices import AUTO, RigidBodyChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
@@ -86,11 +86,11 @@ def check_motors(config: MachineConfig, motions: Sequence[EvenMotion]) -> None:
     if motors == d:
         return
     if isinstance(config.family, RigidBodyChoice):
-        raise DataError(f'the data have {motors} columns of forces for {d} joints; a rigid_body '
-                        'requires the force of each joint')
+        raise DataError(f'forces of the data: {counted(motors, "column")} for {d} joints; a '
+                        'rigid_body requires the force of each joint')
     if config.family.input_map != 'learned':
-        raise DataError(f'data.tau: {motors} columns of forces, expected {d}, one per coordinate; '
-                        'add a column of zeros for a joint without a motor, or set '
+        raise DataError(f'data.tau: {counted(motors, "column")}, expected {d}, one for each '
+                        'coordinate; add a column of zeros for a joint without a motor, or set '
                         'family.input_map: learned')
 
 

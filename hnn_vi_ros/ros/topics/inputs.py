@@ -9,7 +9,7 @@ from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from hnn_vi_ros.effects import (
     Command, EFFORT, JointCommand, JointPath, LINK_WRENCH, LinkWrench, NUMBERS, OBSERVATION,
     Observation, PATH, PAYLOAD, POSITION, printable, VELOCITY)
-from hnn_vi_ros.errors import listed
+from hnn_vi_ros.errors import counted, listed
 from hnn_vi_ros.hamiltonians import Payload, payload_of
 from hnn_vi_ros.phase_space import Coordinate, leaders
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
@@ -133,7 +133,8 @@ def _lists(message: JointState, fields: Sequence[str]) -> list[np.ndarray]:
     for name in fields:
         values = np.array(getattr(message, name), dtype=np.float64)
         if values.size not in (0, count):
-            raise ValueError(f'{name} has {values.size} numbers for {count} names: send one for '
+            raise ValueError(f'{name} has {counted(values.size, "number")} for '
+                             f'{counted(count, "name")}: send one for '
                              'each, or none')
         lists.append(values if values.size else np.full(count, np.nan))
     return lists
