@@ -127,7 +127,8 @@ def errors() -> list[type[Exception]]:
     """Return every error and warning that users can meet, once."""
     for module in _OTHER_ERRORS:
         import_module(module)
-    return sorted([*_subclasses(HnnViRosError), AlarmWarning], key=lambda one: one.__name__)
+    # Kinds of these are for callers inside the package.
+    return sorted([*HnnViRosError.__subclasses__(), AlarmWarning], key=lambda one: one.__name__)
 
 
 def guards() -> list[type[Guard]]:
