@@ -12,6 +12,9 @@ from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.samples import Observed, SampleBlock
 import numpy as np
 
+# Half-widths by which the velocities of a log, whose range is the domain of a machine, may err.
+_EDGE = 0.01
+
 
 @kept(error_model='numpy')
 def _excess(q: np.ndarray, p: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -100,7 +103,8 @@ class BoxGuard(BlockGuard):
     def _excess(self, q: np.ndarray, p: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the excess of states (k, d) over the box, in half-widths, shape (k,)."""
         if self._domain is not None:
-            return self._domain.excess(q, v).max(axis=-1)
+            excess = self._domain.excess(q, v).max(axis=-1)
+            return np.where(excess < _EDGE, 0.0, excess)
         return _excess(q, p if self._gauge is None else p - q @ self._gauge.T, *self._bounds)
 
     @property
