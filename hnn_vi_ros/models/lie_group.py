@@ -2,17 +2,44 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a rotating body, with mass and potential on SO(3) or SE(3)."""
 
+from typing import NamedTuple
+
 from hnn_vi_ros.kernels import Kernel, part
 from hnn_vi_ros.models.attitude_features import (
-    add_turn_slope, group_of, see_attitude, see_change, widened)
+    add_turn_slope, group_of, see_attitude, see_change)
 from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.graphs.derivatives import gradient as add_gradient, tangent
+from hnn_vi_ros.models.graphs.family_graphs import body
+from hnn_vi_ros.models.graphs.graph import Builder
+from hnn_vi_ros.models.graphs.machine import assembled, fill, GraphParameters, run
+from hnn_vi_ros.models.graphs.tape import Assembler
 from hnn_vi_ros.models.learned import LearnedHamiltonian, SAMPLES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
-from hnn_vi_ros.models.networks.perceptron_memory import pack
-from hnn_vi_ros.models.outputs import pack_layers
-from hnn_vi_ros.models.roots import energy, first_order, RootParameters, RootWork, second_order
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+class BodyParameters(NamedTuple):
+    """
+    Parameters of the functions of a rotating body, their first argument.
+
+    Parameters
+    ----------
+    graph : GraphParameters
+        Tapes of H, its derivative, and the change of that, for z = (x, R row by row, pi); their
+        inputs are z and its change.
+    c, c_v : np.ndarray, shape (n,)
+        The derivative of H by z, and its change.
+    v, v_v : np.ndarray, shape (k,)
+        Their last entries: the velocity in the frame of the body, and its change.
+
+    """
+
+    graph: GraphParameters
+    c: np.ndarray
+    c_v: np.ndarray
+    v: np.ndarray
+    v_v: np.ndarray
 
 
 class LieGroupHamiltonian(LearnedHamiltonian):
@@ -22,12 +49,10 @@ class LieGroupHamiltonian(LearnedHamiltonian):
     pi = (R^T p, L): linear and angular momentum in the frame of the body. The network ``mass``
     gives the entries y of the lower triangular L, one 3 x 3 block for each, with log(1 + exp(y))
     or y on its diagonal; ``potential`` gives V. Their inputs are the nine entries of R, and the
-    position, as defined in the card. With u = S pi and w = L^T u,
-
-        v = S (L w + floor u) + V_pi,    H_g = V_g + sum_ij u_i w_j (L_ij)_g + p . (R v)_g,
-
-    where v are the velocities in the frame of the body: H_p is R v for the position and v for the
-    rotation. Its friction is the effect learned_friction, its input map that of external_force.
+    position, as defined in the card. The derivative of H by pi is v, the velocity in the frame of
+    the body: H_p is R v for the position and v for the rotation. H_g at constant p is that at
+    constant pi, plus the derivative of p . R v at constant v. Its friction is the effect
+    learned_friction, its input map that of external_force.
 
     Parameters
     ----------
@@ -53,14 +78,16 @@ class LieGroupHamiltonian(LearnedHamiltonian):
         return group_of(self.checkpoint)
 
     def _kernel(self) -> Kernel:
-        card = self._group
-        parameters = RootParameters(
-            pack_layers(widened(self.checkpoint, 'mass'), self.checkpoint.card.activation),
-            pack(*widened(self.checkpoint, 'potential'), self.checkpoint.card.activation),
-            np.array(card.entries), np.array(card.mass_scale), card.floor,
-            card.diagonal == 'softplus',
-            RootWork.empty(2 * card.size + 6, len(card.entries), card.size))
-        return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
+        b, k = Builder(), self._group.size
+        z, change = (b.input(2 * k + 6, number) for number in range(2))
+        output = body(b, self.checkpoint, z)
+        slope = add_gradient(b, output, z)
+        assembler = Assembler(b, [z, change])
+        tapes = [tape for outputs in ([output], [slope, tangent(b, slope, z, change)])
+                 for tape in assembler.tapes(outputs)]
+        c, c_v = np.zeros((2, 2 * k + 6))
+        return self._kernel_of(_energy, _gradient, _hessian_vector, BodyParameters(
+            assembled(assembler, tapes, k), c, c_v, c[k + 6:], c_v[k + 6:]))
 
     def _samples(self, count: int = SAMPLES) -> np.ndarray:
         """Return random states of the box with any attitude; the last column is zero."""
@@ -71,14 +98,16 @@ class LieGroupHamiltonian(LearnedHamiltonian):
         return np.hstack([q, p, np.zeros((count, 1))])
 
 
-def _energy(parameters: RootParameters, q: np.ndarray, p: np.ndarray) -> float:
-    see_attitude(q, p, parameters.work.z)
-    return energy(parameters)
+def _energy(parameters: BodyParameters, q: np.ndarray, p: np.ndarray) -> float:
+    graph = parameters.graph
+    see_attitude(q, p, graph.memory)
+    run(graph, 0)
+    return float(graph.memory[graph.places[0]])
 
 
-def _gradient(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: BodyParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    z, c, v = parameters.work.z, parameters.work.c, parameters.work.v
+    z, c, v = parameters.graph.memory, parameters.c, parameters.v
     d = v.size + 1
     for a in range(0, q.size, d):
         _first_order(parameters, q[a:a + d], p[a:a + d])
@@ -95,18 +124,18 @@ def _gradient(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
                     dH_dp[a + i] += z[3 + 3 * i + j] * v[j]
 
 
-def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
+def _hessian_vector(parameters: BodyParameters, q: np.ndarray, p: np.ndarray,
                     v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                     product_p: np.ndarray) -> None:
     """Differentiate the lines of _gradient along (v_q, v_p)."""
-    work = parameters.work
-    z, z_v, c, c_v, v, v_v = work.z, work.z_v, work.c, work.c_v, work.v, work.v_v
+    graph, c, c_v, v, v_v = parameters
+    z, z_v = graph.memory, graph.memory[c.size:]
     d = v.size + 1
     for a in range(0, q.size, d):
         b = a + d
         _first_order(parameters, q[a:b], p[a:b])
         see_change(q[a:b], p[a:b], v_q[a:b], v_p[a:b], z, z_v)
-        second_order(parameters)
+        fill(graph, 2, c_v)
         if d > 4:
             for i in range(3):
                 for j in range(3):
@@ -126,11 +155,11 @@ def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
 
 
 @part(error_model='numpy')
-def _first_order(parameters: RootParameters, q: np.ndarray, p: np.ndarray) -> None:
+def _first_order(parameters: BodyParameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill the derivative c of H by (x, R) at constant p, and the velocities v."""
-    c, v = parameters.work.c, parameters.work.v
-    see_attitude(q, p, parameters.work.z)
-    first_order(parameters)
+    graph, c, v = parameters.graph, parameters.c, parameters.v
+    see_attitude(q, p, graph.memory)
+    fill(graph, 1, c)
     if v.size > 3:
         for i in range(3):
             for j in range(3):

@@ -13,7 +13,7 @@ from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.graphs.derivatives import gradient as add_gradient, tangent
 from hnn_vi_ros.models.graphs.family_graphs import friction_entries, mechanism
 from hnn_vi_ros.models.graphs.graph import Builder
-from hnn_vi_ros.models.graphs.machine import assembled, GraphParameters, run
+from hnn_vi_ros.models.graphs.machine import assembled, fill, GraphParameters, run
 from hnn_vi_ros.models.graphs.tape import Assembler
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.priors import (
@@ -187,6 +187,4 @@ def fill_friction(graph: GraphParameters, q: np.ndarray, entries: np.ndarray) ->
     """Fill the entries of B(q) row by row, with D = B B^T, of one member after another."""
     for i in range(q.size):
         graph.memory[i] = q[i]
-    run(graph, 0)
-    for k in range(entries.size):
-        entries[k] = graph.memory[graph.places[0] + k]
+    fill(graph, 0, entries)

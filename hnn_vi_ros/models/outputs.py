@@ -84,17 +84,6 @@ def evaluate_outputs(outputs: PackedOutputs, q: np.ndarray, p: np.ndarray, y: np
 
 
 @part(error_model='numpy')
-def output_tangents(outputs: PackedOutputs, y: np.ndarray) -> None:
-    """Fill the change of the outputs along the direction of the last Hessian-vector product."""
-    last = outputs.last
-    sizes, nodes = outputs.network.sizes, outputs.network.nodes
-    for k in range(y.size):
-        y[k] = 0.0
-        for i in range(last.shape[1]):
-            y[k] += last[k, i] * nodes[0, 3 * sizes.size - 1, i]
-
-
-@part(error_model='numpy')
 def weigh(outputs: PackedOutputs, c: np.ndarray) -> None:
     """Set the weights of the network of one output c . y."""
     last = outputs.last

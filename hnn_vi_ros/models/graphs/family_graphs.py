@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
+from hnn_vi_ros.models.attitude_features import group_of, widened
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.graphs.graph import Builder, GraphNetwork
 from hnn_vi_ros.models.mechanical_card import is_periodic, MechanicalCard
@@ -40,19 +41,46 @@ def mechanism(b: Builder, checkpoint: Checkpoint, q: int) -> tuple[int, int, int
         zero = b.constant(np.zeros((d, d)))
         return zero, zero, b.constant(np.zeros(1))
     x, places = _features(b, card, q, card.features + card.mass_features)
-    rows, columns = np.array(card.entries).T
-    index = np.add.outer(d * d * np.arange(len(own)), columns * d + rows).ravel()
-    y = b.put(_of_features(b, own, 'mass', card.mass_features, x, places), index, (len(own), d, d))
     scales = np.array([[_card(one).mass_scale] for one in own]) / np.sqrt(len(members))
-    # Cheaper than to separate the diagonal, whose entries are positive, from the others.
-    root = b.reshape(b.add(
-        b.mul(y, b.constant(scales * np.triu(np.ones((d, d)), 1))),
-        b.mul(b.unary('softplus', y), b.constant(scales * np.eye(d)))), (len(own) * d, d))
+    root = b.reshape(_scaled_root(b, _of_features(
+        b, own, 'mass', card.mass_features, x, places), card.entries, scales), (len(own) * d, d))
     floor = sum(_card(one).floor * scale[0]**2 for one, scale in zip(own, scales, strict=True))
     total = b.reshape(b.sum(_of_features(
         b, own, 'potential', card.features, x, places), (0,)), (1,))
     return (root, b.add(b.matmul(root, root, True), b.constant(np.diag(floor))),
             b.mul(total, b.full(total, 1.0 / len(members))))
+
+
+def _scaled_root(b: Builder, y: int, entries: Sequence[tuple[int, int]], scales: np.ndarray,
+                 positive: bool = True) -> int:
+    """Return each L^T S, whose L has the entries y, or log(1 + exp(y)) on its diagonal."""
+    (rows, columns), (m, _, d) = np.array(entries).T, scales.shape
+    index = np.add.outer(d * d * np.arange(m), columns * d + rows).ravel()
+    y = b.put(y, index, (m, d, d))
+    if not positive:
+        return b.mul(y, b.constant(scales * np.ones((d, d))))
+    # Cheaper than to separate the diagonal, whose entries are positive, from the others.
+    return b.add(b.mul(y, b.constant(scales * np.triu(np.ones((d, d)), 1))),
+                 b.mul(b.unary('softplus', y), b.constant(scales * np.eye(d))))
+
+
+def body(b: Builder, checkpoint: Checkpoint, z: int) -> int:
+    """
+    Return pi . M(g)^-1 pi / 2 + V(g), or V(g, pi), of a rotating body with z = (x, R, pi).
+
+    M^-1 = S (L L^T + floor) S, and the network ``mass`` gives the entries of L.
+    """
+    card = group_of(checkpoint)
+    entries, potential = (_network(b, widened(checkpoint, name), checkpoint.card.activation, z)
+                          for name in ('mass', 'potential'))
+    scale, k = np.array(card.mass_scale), card.size
+    root = b.reshape(_scaled_root(b, entries, card.entries, scale.reshape(1, 1, k),
+                                  card.diagonal == 'softplus'), (k, k))
+    pi = b.take(z, np.arange(k + 6, 2 * k + 6))
+    w = b.reshape(b.matmul(root, b.reshape(pi, (k, 1))), (k,))
+    u = b.mul(b.mul(pi, pi), b.constant(0.5 * card.floor * scale**2))
+    kinetic = b.sum(b.add(b.mul(b.mul(w, w), b.full(w, 0.5)), u), (0,))
+    return b.add(b.reshape(kinetic, (1,)), potential)
 
 
 def _card(checkpoint: Checkpoint) -> MechanicalCard:

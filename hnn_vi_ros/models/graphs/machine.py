@@ -127,6 +127,14 @@ def run(graph: GraphParameters, which: int) -> None:
     _call(graph.words[0], (address_of(graph.words) + 8, which))
 
 
+@part(error_model='numpy')
+def fill(graph: GraphParameters, which: int, values: np.ndarray) -> None:
+    """Run a tape, and fill an array with its result."""
+    run(graph, which)
+    for i in range(values.size):
+        values[i] = graph.memory[graph.places[which] + i]
+
+
 @_compiled
 def energy(graph: GraphParameters, q: np.ndarray, p: np.ndarray) -> float:
     """Return H(q, p) [J] for q and p of shape (d,)."""
