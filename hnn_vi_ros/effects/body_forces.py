@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.kernels import inlined, kept, name_stably
 from hnn_vi_ros.models import (
-    Checkpoint, evaluate_outputs, group_of, pack_layers, PackedOutputs, see_attitude, widened)
+    Checkpoint, fill_outputs, GraphParameters, group_of, pack_network, see_attitude, widened)
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -18,7 +18,7 @@ class BodyNetwork(NamedTuple):
 
     Parameters
     ----------
-    outputs : PackedOutputs
+    graph : GraphParameters
         The network.
     entries : np.ndarray
         Outputs of the network.
@@ -29,7 +29,7 @@ class BodyNetwork(NamedTuple):
 
     """
 
-    outputs: PackedOutputs
+    graph: GraphParameters
     entries: np.ndarray
     features: np.ndarray
     product: np.ndarray
@@ -43,7 +43,7 @@ def body_network(model: Checkpoint, name: str, coordinates: Sequence[Coordinate]
         raise ValueError(f'the model has one coordinate, a {card.kind}; H has '
                          f'{", ".join(coordinate.kind for coordinate in coordinates)}')
     return BodyNetwork(
-        pack_layers(widened(model, name), model.card.activation),
+        pack_network(widened(model, name), model.card.activation),
         np.zeros(model.card.layout[name][-1]), np.zeros(2 * card.size + 6),
         *np.zeros((2, card.size)))
 
@@ -91,8 +91,7 @@ def add_drag(entries: np.ndarray, block: int, velocity: np.ndarray, product: np.
 @kept(error_model='numpy')
 def _evaluate(own: BodyNetwork, q: np.ndarray, p: np.ndarray) -> None:
     see_attitude(q, p, own.features)
-    half = own.features.size // 2
-    evaluate_outputs(own.outputs, own.features[:half], own.features[half:], own.entries)
+    fill_outputs(own.graph, own.features, own.entries)
 
 
 @kept(error_model='numpy')

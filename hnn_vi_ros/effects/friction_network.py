@@ -9,7 +9,7 @@ from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.body_forces import add_body_drag, add_drag, body_network, BodyNetwork
 from hnn_vi_ros.effects.input_map import InputMatrix, motors_of
 from hnn_vi_ros.kernels import kept, name_stably
-from hnn_vi_ros.models import Checkpoint, fill_friction, GraphParameters, pack_friction
+from hnn_vi_ros.models import Checkpoint, fill_outputs, GraphParameters, pack_friction
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 
@@ -112,7 +112,7 @@ def add_by_network(own: FrictionNetwork, q: np.ndarray, velocity: np.ndarray, f_
                    ) -> None:
     """Add -B (B^T v) for each lower triangular B."""
     entries, size = own.entries, q.size * (q.size + 1) // 2
-    fill_friction(own.graph, q, entries)
+    fill_outputs(own.graph, q, entries)
     for begin in range(0, entries.size, size):
         add_drag(entries[begin:begin + size], q.size, velocity, own.product, f_p)
 

@@ -13,7 +13,7 @@ from hnn_vi_ros.effects.gravity_forces import Compensation, no_compensation
 from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.kernels import kept, name_stably
 from hnn_vi_ros.models import (
-    Checkpoint, evaluate_outputs, load_checkpoint, MechanicalCard, pack_outputs, PackedOutputs)
+    Checkpoint, fill_outputs, GraphParameters, load_checkpoint, MechanicalCard, pack_network)
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 
@@ -78,7 +78,7 @@ class Axes(NamedTuple):
 class InputMap(NamedTuple):
     """The network of g(q), and workspace for its d m entries."""
 
-    outputs: PackedOutputs
+    graph: GraphParameters
     entries: np.ndarray
 
 
@@ -190,7 +190,8 @@ def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordina
     if inputs != d or entries > d * d:
         raise ValueError(f'the model maps {entries // inputs} inputs to {inputs} coordinates; '
                          f'H has {d} coordinates, and supports at most as many inputs')
-    own = InputMap(pack_outputs(model, 'input_map'), np.zeros(entries))
+    graph = pack_network(model.networks['input_map'], model.card.activation)
+    own = InputMap(graph, np.zeros(entries))
     return InputParameters(state.command, state.clock, np.arange(entries // d), add_by_map, own)
 
 
@@ -232,7 +233,7 @@ def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                f_p: np.ndarray) -> None:
     """Add g(q) u; g is stored row by row, and u is the first part of the command."""
     entries = own.entries
-    evaluate_outputs(own.outputs, q, p, entries)
+    fill_outputs(own.graph, q, entries)
     m = entries.size // f_p.size
     for i in range(f_p.size):
         for k in range(m):

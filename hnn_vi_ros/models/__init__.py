@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.lie_group_card import LieGroupCard, PoseInput
     from hnn_vi_ros.models.machine_text import (
         equation_text, parameters_text, ratio_unit, sum_text)
-    from hnn_vi_ros.models.mechanical import fill_friction, pack_friction
     from hnn_vi_ros.models.mechanical_card import (
         check_prior, check_row, CoulombTerm, entries_of, FittedNumber, FrictionCard, is_periodic,
         Kind, mean_card, MechanicalCard, MOST_MEMBERS, PriorCard, Quantity, StribeckTerm)
@@ -41,8 +40,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.networks.activations import SMOOTH
     from hnn_vi_ros.models.networks.layers import Layers, widths_of
     from hnn_vi_ros.models.neural import NeuralHamiltonian
-    from hnn_vi_ros.models.outputs import (
-        evaluate_outputs, pack_layers, pack_outputs, PackedOutputs)
+    from hnn_vi_ros.models.outputs import fill_outputs, pack_friction, pack_network
     from hnn_vi_ros.models.planar_chain import (
         chain_angles, CHAINS, HIGHEST_POWER, is_spring, OFFSET, parameter_names, parameter_places,
         PLANAR_CHAIN, unit_terms)

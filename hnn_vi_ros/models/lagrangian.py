@@ -11,7 +11,6 @@ from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.networks import perceptron
 from hnn_vi_ros.models.networks.perceptron_memory import PackedPerceptron
-from hnn_vi_ros.models.outputs import part_gradient
 import numpy as np
 
 # Number of states of the box at which L must be regular, and the allowed variation of L_vv.
@@ -225,7 +224,7 @@ def _solve(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray) -> No
             v[i] += start_slope[i, j] * p[j]
     before, held = np.inf, False
     for _ in range(_MAX_ITERATIONS):
-        part_gradient(network, q, v, L_q, L_v)
+        perceptron.part_gradient(network, q, v, L_q, L_v)
         if not held:
             _invert_mass(parameters, q, v)
         for i in range(d):

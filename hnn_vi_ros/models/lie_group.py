@@ -12,7 +12,7 @@ from hnn_vi_ros.models.graphs.derivatives import gradient as add_gradient, tange
 from hnn_vi_ros.models.graphs.family_graphs import body
 from hnn_vi_ros.models.graphs.graph import Builder
 from hnn_vi_ros.models.graphs.machine import assembled, fill, GraphParameters, run
-from hnn_vi_ros.models.graphs.tape import Assembler
+from hnn_vi_ros.models.graphs.tape import program
 from hnn_vi_ros.models.learned import LearnedHamiltonian, SAMPLES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.phase_space import Coordinate
@@ -82,12 +82,11 @@ class LieGroupHamiltonian(LearnedHamiltonian):
         z, change = (b.input(2 * k + 6, number) for number in range(2))
         output = body(b, self.checkpoint, z)
         slope = add_gradient(b, output, z)
-        assembler = Assembler(b, [z, change])
-        tapes = [tape for outputs in ([output], [slope, tangent(b, slope, z, change)])
-                 for tape in assembler.tapes(outputs)]
+        graph = assembled(*program(
+            b, [z, change], [output], [slope, tangent(b, slope, z, change)]), k)
         c, c_v = np.zeros((2, 2 * k + 6))
         return self._kernel_of(_energy, _gradient, _hessian_vector, BodyParameters(
-            assembled(assembler, tapes, k), c, c_v, c[k + 6:], c_v[k + 6:]))
+            graph, c, c_v, c[k + 6:], c_v[k + 6:]))
 
     def _samples(self, count: int = SAMPLES) -> np.ndarray:
         """Return random states of the box with any attitude; the last column is zero."""

@@ -9,12 +9,11 @@ M and V of the networks are a graph, with tapes for their values, changes, and H
 from typing import NamedTuple
 
 from hnn_vi_ros.kernels import factorise, Kernel, part, solve_cholesky
-from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.graphs.derivatives import gradient as add_gradient, tangent
-from hnn_vi_ros.models.graphs.family_graphs import friction_entries, mechanism
+from hnn_vi_ros.models.graphs.family_graphs import mechanism
 from hnn_vi_ros.models.graphs.graph import Builder
-from hnn_vi_ros.models.graphs.machine import assembled, fill, GraphParameters, run
-from hnn_vi_ros.models.graphs.tape import Assembler
+from hnn_vi_ros.models.graphs.machine import assembled, GraphParameters, run
+from hnn_vi_ros.models.graphs.tape import program
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.priors import (
     add_mass, add_prior_slope, add_prior_slope_change, prior_kernel, prior_potential, Priors,
@@ -93,11 +92,9 @@ class MechanicalHamiltonian(LearnedHamiltonian):
             b, b.concatenate([root, potential]), q,
             b.concatenate([b.matmul(b.neg(w), row), b.full(potential, 1.0)]))
         turned = tangent(b, b.matmul(root, w, True), q, b.take(change, np.arange(d)))
-        assembler = Assembler(b, [x, change])
-        tapes = [tape for outputs in (
-            [mass, potential], [mass, slope], [mass, turned, tangent(b, slope, x, change)])
-            for tape in assembler.tapes(outputs)]
-        graph = assembled(assembler, tapes, d)
+        graph = assembled(*program(
+            b, [x, change], [mass, potential], [mass, slope],
+            [mass, turned, tangent(b, slope, x, change)]), d)
         cards = [one.card.mechanical for one in self.checkpoint.members or (self.checkpoint,)]
         priors = priors_of([card for card in cards if card is not None])
         return self._kernel_of(energy, gradient, hessian_vector, MechanicalParameters(
@@ -171,20 +168,3 @@ def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray, tape:
     solve_cholesky(factor, v)
     for i in range(d):
         memory[d + i] = v[i]
-
-
-def pack_friction(checkpoint: Checkpoint) -> GraphParameters:
-    """Return the graph of the entries of B of the network of friction; see fill_friction."""
-    d = len(checkpoint.card.coordinates)
-    b = Builder()
-    q = b.input(d)
-    assembler = Assembler(b, [q])
-    return assembled(assembler, [assembler.tape(friction_entries(b, checkpoint, q))], d)
-
-
-@part(error_model='numpy')
-def fill_friction(graph: GraphParameters, q: np.ndarray, entries: np.ndarray) -> None:
-    """Fill the entries of B(q) row by row, with D = B B^T, of one member after another."""
-    for i in range(q.size):
-        graph.memory[i] = q[i]
-    fill(graph, 0, entries)

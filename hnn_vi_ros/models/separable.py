@@ -8,7 +8,6 @@ from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.networks import perceptron
 from hnn_vi_ros.models.networks.perceptron_memory import MAX_STATES, PackedPerceptron
-from hnn_vi_ros.models.outputs import part_gradient
 import numpy as np
 
 
@@ -55,8 +54,8 @@ def _gradient(parameters: SeparableParameters, q: np.ndarray, p: np.ndarray,
     for a in range(0, q.size, space.size):
         b = min(a + space.size, q.size)
         zero = space[:b - a]
-        part_gradient(kinetic, q[a:b], p[a:b], zero, dH_dp[a:b])
-        part_gradient(potential, q[a:b], p[a:b], dH_dq[a:b], zero)
+        perceptron.part_gradient(kinetic, q[a:b], p[a:b], zero, dH_dp[a:b])
+        perceptron.part_gradient(potential, q[a:b], p[a:b], dH_dq[a:b], zero)
 
 
 def _hessian_vector(parameters: SeparableParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,

@@ -7,10 +7,12 @@ from typing import NamedTuple
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels import called, kept, Kernel, part, solve_linear
 from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.graphs.derivatives import gradient as add_gradient
+from hnn_vi_ros.models.graphs.family_graphs import network
+from hnn_vi_ros.models.graphs.graph import Builder
+from hnn_vi_ros.models.graphs.machine import assembled, energy, fill, gradient, GraphParameters
+from hnn_vi_ros.models.graphs.tape import program
 from hnn_vi_ros.models.learned import LearnedHamiltonian, rounding
-from hnn_vi_ros.models.networks import perceptron
-from hnn_vi_ros.models.networks.perceptron_memory import PackedPerceptron
-from hnn_vi_ros.models.outputs import pack_outputs, PackedOutputs, weigh
 import numpy as np
 
 # Number of states of the box at which W is tested.
@@ -86,11 +88,15 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
 
     def _parameters(self) -> 'FormParameters':
         """Return the networks, with their own workspace."""
-        n = 2 * self.dimension
-        return FormParameters(
-            self._packed('energy'), pack_outputs(self.checkpoint, 'one_form', 'both'),
-            np.array(self.checkpoint.card.mass), np.zeros((n, n)), np.zeros((n, n)),
-            np.zeros(n), 0.0, 0.0)
+        b, d, n = Builder(), self.dimension, 2 * self.dimension
+        z, mass = b.input(n), np.zeros((n, n))
+        mass[:d, d:] = self.checkpoint.card.mass
+        output, theta = (network(b, self.checkpoint, name, z) for name in ('energy', 'one_form'))
+        rows = b.add(b.constant(mass), b.reshape(b.concatenate(
+            [add_gradient(b, theta, z, b.constant(unit)) for unit in np.eye(n)]), (n, n)))
+        form = b.sub(b.take(rows, np.arange(n * n).reshape(n, n).T), rows)
+        graph = assembled(*program(b, [z], [output], [add_gradient(b, output, z)], [form]), d)
+        return FormParameters(graph, np.zeros((n, n)), 0.0, 0.0)
 
 
 def irregularity(two_forms: np.ndarray, half: np.ndarray) -> str:
@@ -141,62 +147,43 @@ class FormParameters(NamedTuple):
 
     Parameters
     ----------
-    energy : PackedPerceptron
-        H.
-    form : PackedOutputs
-        N.
-    mass : np.ndarray, shape (d, d)
-        M.
-    rows, two_form : np.ndarray, shape (2 d, 2 d)
-        Workspace for theta' and W.
-    unit : np.ndarray, shape (2 d,)
-        Workspace for a unit vector.
+    graph : GraphParameters
+        Tapes of H, H' and W.
+    two_form : np.ndarray, shape (2 d, 2 d)
+        Workspace for W.
     energy_rounding, inverse_norm : float
         Rounding error of H in units of the unit round-off [J], and the largest norm of W^-1.
 
     """
 
-    energy: PackedPerceptron
-    form: PackedOutputs
-    mass: np.ndarray
-    rows: np.ndarray
+    graph: GraphParameters
     two_form: np.ndarray
-    unit: np.ndarray
     energy_rounding: float
     inverse_norm: float
 
 
 def _energy(parameters: FormParameters, q: np.ndarray, p: np.ndarray) -> float:
-    return perceptron.energy(parameters.energy, q, p)
+    return energy(parameters.graph, q, p)
 
 
 @part(error_model='numpy')
 def slope(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covector: np.ndarray) -> None:
     """Fill H'(u), shape (2 d,), at one state."""
-    perceptron.gradient(parameters.energy, q, p, covector[:q.size], covector[q.size:])
+    gradient(parameters.graph, q, p, covector[:q.size], covector[q.size:])
 
 
 @part(error_model='numpy')
 def _fill_form(parameters: FormParameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill W at one state."""
-    form, mass, rows = parameters.form, parameters.mass, parameters.rows
-    two_form, unit, d = parameters.two_form, parameters.unit, q.size
-    for i in range(2 * d):
-        for k in range(2 * d):
-            unit[k] = 1.0 if k == i else 0.0
-        weigh(form, unit)
-        perceptron.gradient(form.network, q, p, rows[i, :d], rows[i, d:])
-        if i < d:
-            for j in range(d):
-                rows[i, d + j] += mass[i, j]
-    for i in range(2 * d):
-        for j in range(2 * d):
-            two_form[i, j] = rows[j, i] - rows[i, j]
+    memory, d = parameters.graph.memory, q.size
+    for i in range(d):
+        memory[i], memory[d + i] = q[i], p[i]
+    fill(parameters.graph, 2, parameters.two_form)
 
 
 @kept(error_model='numpy')
 def _fill_forms(parameters: FormParameters, z: np.ndarray, two_forms: np.ndarray) -> None:
-    d = parameters.mass.shape[0]
+    d = z.shape[1] // 2
     for k in range(z.shape[0]):
         _fill_form(parameters, z[k, :d], z[k, d:])
         two_forms[k] = parameters.two_form
@@ -214,7 +201,7 @@ def raise_index(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covect
 @called
 def _gradient(parameters: FormParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    d = parameters.mass.shape[0]
+    d = parameters.two_form.shape[0] // 2
     rates = np.empty(2 * d)
     for a in range(0, q.size, d):
         slope(parameters, q[a:a + d], p[a:a + d], rates)

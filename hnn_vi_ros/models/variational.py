@@ -8,7 +8,6 @@ from hnn_vi_ros.kernels import Kernel, part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.networks import perceptron
 from hnn_vi_ros.models.networks.perceptron_memory import PackedPerceptron
-from hnn_vi_ros.models.outputs import part_gradient
 import numpy as np
 
 
@@ -63,7 +62,7 @@ def _gradient(parameters: VariationalParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     inverse, potential = parameters.mass_inverse, parameters.potential
     # Fills dH_dp with zeros.
-    part_gradient(potential, q, p, dH_dq, dH_dp)
+    perceptron.part_gradient(potential, q, p, dH_dq, dH_dp)
     _add_velocity(inverse, p, dH_dp)
 
 

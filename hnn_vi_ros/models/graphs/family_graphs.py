@@ -71,7 +71,7 @@ def body(b: Builder, checkpoint: Checkpoint, z: int) -> int:
     M^-1 = S (L L^T + floor) S, and the network ``mass`` gives the entries of L.
     """
     card = group_of(checkpoint)
-    entries, potential = (_network(b, widened(checkpoint, name), checkpoint.card.activation, z)
+    entries, potential = (add_network(b, widened(checkpoint, name), checkpoint.card.activation, z)
                           for name in ('mass', 'potential'))
     scale, k = np.array(card.mass_scale), card.size
     root = b.reshape(_scaled_root(b, entries, card.entries, scale.reshape(1, 1, k),
@@ -130,14 +130,14 @@ def _of_features(b: Builder, members: Sequence[Checkpoint], name: str,
         networks = [Layers((np.vstack(first), *(block_diag(*layer) for layer in others)),
                            tuple(map(np.concatenate, biases)))]
     return b.concatenate([
-        _network(b, layers, members[0].card.activation, x if rows else b.constant(np.zeros(1)),
+        add_network(b, layers, members[0].card.activation, x if rows else b.constant(np.zeros(1)),
                  [place for row in rows for place in places[tuple(row)]]) for layers in networks])
 
 
 def _control_affine(b: Builder, checkpoint: Checkpoint, q: int, p: int) -> int:
     """Return |A(q)^T p|^2 / 2 + V(q), with the entries of a lower triangular A by rows."""
     (d,) = b.shape(p)
-    entries, potential = (_network(b, checkpoint.networks[name], checkpoint.card.activation, q)
+    entries, potential = (network(b, checkpoint, name, q)
                           for name in ('mass_inverse', 'potential'))
     root = b.put(entries, np.ravel_multi_index(np.tril_indices(d), (d, d)), (d, d))
     w = b.matmul(b.reshape(p, (1, d)), root)
@@ -145,7 +145,12 @@ def _control_affine(b: Builder, checkpoint: Checkpoint, q: int, p: int) -> int:
     return b.add(b.reshape(b.sum(kinetic, (0,)), (1,)), potential)
 
 
-def _network(b: Builder, layers: Layers, activation: str, x: int, places: Sequence[int] = ()
+def network(b: Builder, checkpoint: Checkpoint, name: str, x: int) -> int:
+    """Return a network of a model, of the values of x."""
+    return add_network(b, checkpoint.networks[name], checkpoint.card.activation, x)
+
+
+def add_network(b: Builder, layers: Layers, activation: str, x: int, places: Sequence[int] = ()
              ) -> int:
     """Return a network of x, or of the values of x at places."""
     if len(places):

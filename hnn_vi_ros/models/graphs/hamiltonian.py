@@ -10,7 +10,7 @@ from hnn_vi_ros.models.graphs.family_graphs import family_graph
 from hnn_vi_ros.models.graphs.graph import Builder, graph_data, GraphNetwork, read_graph, varied
 from hnn_vi_ros.models.graphs.operations import SWITCHES
 from hnn_vi_ros.models.graphs.perceptrons import fused, whole_perceptron
-from hnn_vi_ros.models.graphs.tape import Assembler, Tape
+from hnn_vi_ros.models.graphs.tape import Assembler, program, Tape
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.networks import perceptron
 from hnn_vi_ros.models.networks.perceptron_memory import pack
@@ -50,23 +50,19 @@ class GraphHamiltonian(LearnedHamiltonian):
         if not kinked:
             return True
         # Imported lazily: it compiles.
-        from hnn_vi_ros.models.graphs.machine import assembled, run
+        from hnn_vi_ros.models.graphs.machine import assembled, fill
         n, switches = 2 * self.dimension, b.concatenate([SWITCHES[k.op](b, k) for k in kinked])
         count, = b.shape(switches)
         some = np.arange(0, count, max(1, count // _MAX_SWITCHES))
-        assembler = Assembler(b, [b.input(n), *self._time(b)])
-        tape = assembler.tape(b.concatenate([
-            output, gradient(b, output, b.input(n)), b.take(switches, some)]))
-        end = tape.place + 1 + n + some.size
+        graph = assembled(*program(b, [b.input(n), *self._time(b)], [b.concatenate([
+            output, gradient(b, output, b.input(n)), b.take(switches, some)])]), 0)
         times = [0.5 * (low + high) for low, high in self._times or ()]
-        graph = assembled(assembler, 3 * [tape], self.dimension)
 
         def values(z: np.ndarray) -> np.ndarray:
-            found = np.empty((len(z), end - tape.place))
+            found = np.empty((len(z), 1 + n + some.size))
+            graph.memory[n:n + len(times)] = times
             for row, graph.memory[:n] in zip(found, z, strict=True):
-                graph.memory[n:n + len(times)] = times
-                run(graph, 0)
-                row[:] = graph.memory[tape.place:end]
+                fill(graph, 0, row)
             return found
         return is_continuous(values, n + 1, self._samples(2 * _LINES).reshape(2, -1, n))
 
@@ -107,7 +103,6 @@ class GraphHamiltonian(LearnedHamiltonian):
         x, v = b.input(2 * self.dimension), b.input(2 * self.dimension, 1)
         slopes = gradient(b, output, x)
         product = tangent(b, slopes, x, v)
-        assembler = Assembler(b, [x, v, *self._time(b)])
         if self.time is not None:
             slopes = b.concatenate([slopes, gradient(b, output, *self._time(b))])
-        return assembler, [assembler.tape(k) for k in (output, slopes, product)]
+        return program(b, [x, v, *self._time(b)], [output], [slopes], [product])

@@ -129,10 +129,11 @@ def run(graph: GraphParameters, which: int) -> None:
 
 @part(error_model='numpy')
 def fill(graph: GraphParameters, which: int, values: np.ndarray) -> None:
-    """Run a tape, and fill an array with its result."""
+    """Run a tape, and fill an array of any shape with its result."""
     run(graph, which)
+    place, flat = graph.places[which], values.ravel()
     for i in range(values.size):
-        values[i] = graph.memory[graph.places[which] + i]
+        flat[i] = graph.memory[place + i]
 
 
 @_compiled

@@ -231,5 +231,12 @@ class Assembler:
         return self._indices[tensor]
 
 
+def program(b: Builder, inputs: Sequence[int], *stages: Sequence[int]
+            ) -> tuple[Assembler, list[Tape]]:
+    """Return a tape for each node of each stage, from the inputs and nodes before in its stage."""
+    assembler = Assembler(b, inputs)
+    return assembler, [tape for outputs in stages for tape in assembler.tapes(outputs)]
+
+
 def _rounded(size: int) -> int:
     return -(-size // _LINE) * _LINE

@@ -69,6 +69,13 @@ def gradient(network: PackedPerceptron, q: np.ndarray, p: np.ndarray,
             _fill_few(network, first, n, q, p, dH_dq, dH_dp)
 
 
+@part(error_model='numpy')
+def part_gradient(network: PackedPerceptron, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                  dH_dp: np.ndarray) -> None:
+    """Fill the gradient of one network; not inlined, because inlining several compiles slowly."""
+    gradient(network, q, p, dH_dq, dH_dp)
+
+
 @_part
 def _fill_few(network: PackedPerceptron, first: int, n: int, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
