@@ -86,9 +86,6 @@ class BandGuard(BlockGuard):
                 alarms.append(self._alarm(int(block.step[taken - 1])))
         return alarms
 
-    def renew(self, sample: Observed) -> Alarm | None:
-        return self._alarm(sample.step)
-
     def _values(self, block: SampleBlock) -> np.ndarray:
         """Return the n values whose ranges are checked, shape (n, k); one weight per value."""
         return block.accounted[None]
@@ -96,10 +93,6 @@ class BandGuard(BlockGuard):
     @abstractmethod
     def _limits(self, block: SampleBlock) -> np.ndarray:
         """Return the allowed band at each sample, shape (k,)."""
-
-    @abstractmethod
-    def _alarm(self, step: int) -> Alarm:
-        """Return the alarm for a band beyond the limit."""
 
 
 def plain_share(simulation: Simulation) -> float:

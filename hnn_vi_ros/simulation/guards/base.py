@@ -3,7 +3,7 @@
 """Base classes of guards, and their alarms."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 import math
 from typing import ClassVar, NamedTuple
 
@@ -128,6 +128,12 @@ class LimitGuard(StateGuard):
 
 class BlockGuard(Guard):
     """A guard that checks samples in blocks of any length, vectorised."""
+
+    # The alarm at a step.
+    _alarm: Callable[..., Alarm]
+
+    def renew(self, sample: Observed) -> Alarm | None:
+        return self._alarm(sample.step)
 
     @property
     def calm(self) -> tuple[float, float]:

@@ -112,9 +112,6 @@ class BoxGuard(BlockGuard):
         """Return the share of the samples so far that are outside."""
         return self._outside / max(1, self._samples)
 
-    def renew(self, sample: Observed) -> Alarm | None:
-        return self._alarm(sample.step)
-
     def _alarm(self, step: int) -> Alarm:
         after = (f'{self._what}, in {100.0 * self.share:.3g} % of the samples so far: H is '
                  'extrapolated there; train the model on a larger domain')

@@ -193,9 +193,6 @@ class PathGuard(BlockGuard):
         self._before = self._sample(block, -1)
         return alarms
 
-    def renew(self, sample: Observed) -> Alarm | None:
-        return self._alarm(sample.step)
-
     def _sample(self, block: SampleBlock, i: int) -> tuple[int, np.ndarray, np.ndarray]:
         return int(block.step[i]), block.q[i].copy(), block.p[i].copy()
 
@@ -351,9 +348,6 @@ class PhaseGuard(BlockGuard):
     def _path(self, start: np.ndarray, h: float, steps: int) -> np.ndarray:
         row, = self._simulation.rows(start[None])
         return np.hstack(self._simulation.trial(row, 0.25 * h, steps, 4))
-
-    def renew(self, sample: Observed) -> Alarm | None:
-        return self._alarm(sample.step)
 
     def _alarm(self, step: int) -> Alarm:
         return Alarm(self.kind, step, self._shift, _MAX_ESTIMATE, (

@@ -10,7 +10,7 @@ from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard
 from hnn_vi_ros.simulation.guards.facts import RunFacts
-from hnn_vi_ros.simulation.guards.samples import Observed, SampleBlock
+from hnn_vi_ros.simulation.guards.samples import SampleBlock
 import numpy as np
 
 # A search for a pole starts if second derivatives exceed this multiple of their mean so far.
@@ -93,9 +93,6 @@ class PoleGuard(BlockGuard):
                 at += 1
         self._last = path[-2:].copy()
         return alarms
-
-    def renew(self, sample: Observed) -> Alarm | None:
-        return self._alarm(sample.step)
 
     def _sizes(self, z: np.ndarray) -> np.ndarray:
         """Return the largest entry of H'' v at states (k, 2 d), shape (k,)."""

@@ -56,7 +56,18 @@ class CostGuard(LimitGuard):
         return self._simulation.costliest[1]
 
 
-class StiffnessGuard(LimitGuard):
+class _ReachGuard(LimitGuard):
+    """Base class of guards of h times a rate that is known at the start."""
+
+    def __init__(self, reach: float, limit: float = 1.0):
+        self._reach, self.limit = reach, limit
+
+    def value(self, sample: Observed) -> float:
+        """Return h times the rate."""
+        return self._reach
+
+
+class StiffnessGuard(_ReachGuard):
     """
     Bristles of friction and elastic gears: h omega at most 1, with their fastest rate omega.
 
@@ -71,11 +82,7 @@ class StiffnessGuard(LimitGuard):
 
     kind = 'stiffness not resolved'
     remedy = 'use a smaller step_size, or a lower stiffness'
-    limit = 1.0
     message = f'h omega = {{:.3g}} of small motions on bristles or gears, limit 1; {remedy}'
-
-    def __init__(self, reach: float):
-        self._reach = reach
 
     @classmethod
     def of_run(cls, run: RunFacts) -> Iterator[Guard]:
@@ -84,81 +91,6 @@ class StiffnessGuard(LimitGuard):
         # Adaptive methods resolve what moves.
         if fastest and not simulation.integrator.tolerances:
             yield cls(simulation.step_size * fastest)
-
-    def value(self, sample: Observed) -> float:
-        """Return h omega."""
-        return self._reach
-
-
-class StabilityGuard(LimitGuard):
-    """
-    Internal steps of `dop853`: their size is limited by the tolerance, not by stability.
-
-    In a stiff motion, with fast oscillation or damping at rest and slow motion, an explicit
-    method takes tiny steps at any tolerance.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Simulation to watch.
-
-    """
-
-    kind = 'stiff'
-    remedy = 'use an implicit method, such as `gauss4` or `implicit_midpoint`'
-    limit = 0.0
-    message = ('stability, not the tolerance, limited {:.0f} internal steps so far: the motion is '
-               f'stiff; {remedy}')
-
-    def __init__(self, simulation: Simulation):
-        self._simulation = simulation
-
-    @classmethod
-    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
-        if isinstance(run.simulation.integrator, Dop853):
-            yield cls(run.simulation)
-
-    def value(self, sample: Observed) -> float:
-        """Return the number of internal steps that stability limits."""
-        return int(self._simulation.internal_steps[2])
-
-    def step(self, sample: Observed) -> int:
-        """Return the newest step: see CountGuard."""
-        return self._simulation.steps
-
-
-class DriveGuard(LimitGuard):
-    """
-    Periodic drives: h nu at most a quarter of the order of the method, at least one half.
-
-    Beyond, the nodes of the method see fewer than two phases of a period: a drive of h nu = 1 is
-    a constant force, with which no repetition in smaller steps need disagree.
-
-    Parameters
-    ----------
-    reach : float
-        h nu.
-    order : int
-        Order of the method.
-
-    """
-
-    kind = 'drive not resolved'
-    remedy = 'use a step_size below half of the period of the drive'
-    message = f'h nu = {{:.3g}} of a periodic drive of nu [Hz]; {remedy}'
-
-    def __init__(self, reach: float, order: int):
-        self._reach, self.limit = reach, 0.25 * max(order, 2)
-
-    @classmethod
-    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
-        frequency = max((effect.frequency for effect in run.simulation.effects), default=0.0)
-        if frequency and not run.simulation.integrator.tolerances:
-            yield cls(run.simulation.step_size * frequency, run.order)
-
-    def value(self, sample: Observed) -> float:
-        """Return h nu."""
-        return self._reach
 
 
 class CountGuard(LimitGuard):
@@ -194,6 +126,62 @@ class CountGuard(LimitGuard):
     def step(self, sample: Observed) -> int:
         """Return the newest step: the alarms of a finished path report the counts at its end."""
         return self._simulation.steps
+
+
+class StabilityGuard(CountGuard):
+    """
+    Internal steps of `dop853`: their size is limited by the tolerance, not by stability.
+
+    In a stiff motion, with fast oscillation or damping at rest and slow motion, an explicit
+    method takes tiny steps at any tolerance.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Simulation to watch.
+
+    """
+
+    kind = 'stiff'
+    remedy = 'use an implicit method, such as `gauss4` or `implicit_midpoint`'
+    message = ('stability, not the tolerance, limited {:.0f} internal steps so far: the motion is '
+               f'stiff; {remedy}')
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        if isinstance(run.simulation.integrator, Dop853):
+            yield cls(run.simulation)
+
+    def value(self, sample: Observed) -> float:
+        """Return the number of internal steps that stability limits."""
+        return int(self._simulation.internal_steps[2])
+
+
+class DriveGuard(_ReachGuard):
+    """
+    Periodic drives: h nu at most a quarter of the order of the method, at least one half.
+
+    Beyond, the nodes of the method see fewer than two phases of a period: a drive of h nu = 1 is
+    a constant force, with which no repetition in smaller steps need disagree.
+
+    Parameters
+    ----------
+    reach : float
+        h nu.
+    limit : float
+        The limit.
+
+    """
+
+    kind = 'drive not resolved'
+    remedy = 'use a step_size below half of the period of the drive'
+    message = f'h nu = {{:.3g}} of a periodic drive of nu [Hz]; {remedy}'
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        frequency = max((effect.frequency for effect in run.simulation.effects), default=0.0)
+        if frequency and not run.simulation.integrator.tolerances:
+            yield cls(run.simulation.step_size * frequency, 0.25 * max(run.order, 2))
 
 
 class SolutionGuard(CountGuard):
