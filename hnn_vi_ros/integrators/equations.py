@@ -244,43 +244,33 @@ def set_scale(scale: np.ndarray, own_scale: np.ndarray, base: np.ndarray, slope:
             own_scale[i] = scale[i]
 
 
-@inlined
-def _momentum_equation(problem: _EulerEquation, x: np.ndarray, value: np.ndarray) -> None:
-    problem.kernel.gradient(problem.kernel.parameters, problem.held, x,
-                            problem.sought.dH_dq, problem.sought.dH_dp)
-    for i in range(x.size):
-        value[i] = plus(problem.base[i], problem.known.carry[i],
-                        problem.factor * problem.sought.dH_dq[i])[0]
+def _equation_of(which: int) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Return the equation for the momenta (0) or the coordinates (1), and its tangent."""
+    @inlined
+    def equation(problem: _EulerEquation, x: np.ndarray, value: np.ndarray) -> None:
+        q, p = (problem.held, x) if which == 0 else (x, problem.held)
+        dH_dq, dH_dp = problem.sought.dH_dq, problem.sought.dH_dp
+        problem.kernel.gradient(problem.kernel.parameters, q, p, dH_dq, dH_dp)
+        slope = dH_dq if which == 0 else dH_dp
+        for i in range(x.size):
+            value[i] = plus(problem.base[i], problem.known.carry[i], problem.factor * slope[i])[0]
+
+    @inlined
+    def tangent(problem: _EulerEquation, x: np.ndarray, v: np.ndarray, product: np.ndarray
+                ) -> None:
+        kernel = problem.kernel
+        zero, rest = problem.product_q, problem.product_p
+        for i in range(x.size):
+            zero[i] = 0.0
+        if which == 0:
+            kernel.hessian_vector(kernel.parameters, problem.held, x, zero, v, product, rest)
+        else:
+            kernel.hessian_vector(kernel.parameters, x, problem.held, v, zero, rest, product)
+        for i in range(x.size):
+            product[i] *= problem.factor
+
+    return equation, tangent
 
 
-@inlined
-def _momentum_tangent(problem: _EulerEquation, x: np.ndarray, v: np.ndarray, product: np.ndarray
-                      ) -> None:
-    kernel = problem.kernel
-    zero, rest = problem.product_q, problem.product_p
-    for i in range(x.size):
-        zero[i] = 0.0
-    kernel.hessian_vector(kernel.parameters, problem.held, x, zero, v, product, rest)
-    for i in range(x.size):
-        product[i] *= problem.factor
-
-
-@inlined
-def _coordinate_equation(problem: _EulerEquation, x: np.ndarray, value: np.ndarray) -> None:
-    problem.kernel.gradient(problem.kernel.parameters, x, problem.held,
-                            problem.sought.dH_dq, problem.sought.dH_dp)
-    for i in range(x.size):
-        value[i] = plus(problem.base[i], problem.known.carry[i],
-                        problem.factor * problem.sought.dH_dp[i])[0]
-
-
-@inlined
-def _coordinate_tangent(problem: _EulerEquation, x: np.ndarray, v: np.ndarray, product: np.ndarray
-                        ) -> None:
-    kernel = problem.kernel
-    zero, rest = problem.product_q, problem.product_p
-    for i in range(x.size):
-        zero[i] = 0.0
-    kernel.hessian_vector(kernel.parameters, x, problem.held, v, zero, rest, product)
-    for i in range(x.size):
-        product[i] *= problem.factor
+_momentum_equation, _momentum_tangent = _equation_of(0)
+_coordinate_equation, _coordinate_tangent = _equation_of(1)
