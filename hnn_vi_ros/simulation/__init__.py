@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.simulation.guards.poles import PoleGuard
     from hnn_vi_ros.simulation.guards.samples import Observed, SampleBuffer
     from hnn_vi_ros.simulation.guards.scale import SampledScale
-    from hnn_vi_ros.simulation.guards.selection import make_guards
-    from hnn_vi_ros.simulation.guards.watch import judge, judge_many, look, Watch
+    from hnn_vi_ros.simulation.guards.watch import (
+        judge, judge_many, look, make_guards, Watch)
     from hnn_vi_ros.simulation.processors import (
         ignore_sigint_in_children, in_threads, usable_processors, worker_processes)
     from hnn_vi_ros.simulation.rescue import Fallbacks

@@ -2,24 +2,54 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards of a run outside ROS: judgement of its samples, screening of many, and warnings."""
 
+from collections.abc import Iterator
 import math
 import warnings
 
 from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.models import domain_of
 from hnn_vi_ros.simulation.accuracy.diagnostics import scales_along
-from hnn_vi_ros.simulation.guards.bands import EnergyGuard, InvariantGuard, plain_share
+from hnn_vi_ros.simulation.guards.bands import (
+    BarrierGuard, EnergyGuard, InvariantGuard, plain_share, ResolutionGuard)
 from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard, judge_block, StateGuard
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.facts import BAND_LIMIT, CHANGE_LIMIT, RunFacts
-from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard
+from hnn_vi_ros.simulation.guards.loops import ClosureGuard, SingularGuard
+from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard, PhaseGuard
+from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.samples import GuardState, SampleBuffer
-from hnn_vi_ros.simulation.guards.selection import make_guards
-from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
+from hnn_vi_ros.simulation.guards.steps import (
+    CostGuard, DriveGuard, RescueGuard, SolutionGuard, StabilityGuard, StiffnessGuard)
 from hnn_vi_ros.simulation.run_samples import MAX_OBSERVED, RunSamples
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 from numpy.typing import ArrayLike
+
+# Alarms of the same step are reported in this order.
+GUARDS: tuple[type[Guard], ...] = (
+    BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, StiffnessGuard, StabilityGuard, DriveGuard,
+    InvariantGuard, BarrierGuard, ForcedPathGuard, PathGuard, PhaseGuard, PoleGuard, ClosureGuard,
+    SingularGuard, SolutionGuard, RescueGuard)
+
+
+def make_guards(run: RunFacts, kinds: tuple[type[Guard], ...] = (Guard,)) -> Iterator[Guard]:
+    """
+    Yield the guards that apply to a run, in a study and in the node alike.
+
+    Parameters
+    ----------
+    run : RunFacts
+        Facts of the run.
+    kinds : tuple of type, optional
+        Classes of the guards to make; by default all that apply.
+
+    """
+    for kind in GUARDS:
+        if issubclass(kind, kinds):
+            for guard in kind.of_run(run):
+                if run.simulation.integrator.tolerances:
+                    guard.smaller = 'smaller tolerances'
+                yield guard
 
 
 def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
