@@ -7,7 +7,7 @@ from pathlib import Path
 import sys
 
 from hnn_vi_ros.hamiltonians import read_urdf, RigidBodyTree
-from hnn_vi_ros.hamiltonians.rigid_body.following import FollowingParameters
+from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import FollowingParameters
 from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT
 from hnn_vi_ros.kernels import Kernel
 import numpy as np

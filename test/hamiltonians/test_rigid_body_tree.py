@@ -5,7 +5,7 @@
 from pathlib import Path
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS, RigidBodyTree
-from hnn_vi_ros.hamiltonians.rigid_body.following import FollowingParameters
+from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import FollowingParameters
 from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import TreeParameters, TreeWork
 from hnn_vi_ros.integrators import INTEGRATORS
