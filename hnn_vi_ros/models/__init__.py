@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.models.lie_group_card import LieGroupCard, PoseInput
     from hnn_vi_ros.models.machine_text import (
         equation_text, parameters_text, ratio_unit, sum_text)
+    from hnn_vi_ros.models.mechanical import prior_kernel
     from hnn_vi_ros.models.mechanical_card import (
         check_prior, check_row, CoulombTerm, entries_of, FittedNumber, FrictionCard, is_periodic,
         Kind, mean_card, MechanicalCard, MOST_MEMBERS, PriorCard, Quantity, StribeckTerm)
@@ -39,19 +40,17 @@ if TYPE_CHECKING:
         Units)
     from hnn_vi_ros.models.networks.activations import SMOOTH
     from hnn_vi_ros.models.networks.layers import Layers, widths_of
-    from hnn_vi_ros.models.neural import NeuralHamiltonian
+    from hnn_vi_ros.models.neural import (
+        NeuralHamiltonian, SeparableHamiltonian, VariationalHamiltonian)
     from hnn_vi_ros.models.outputs import fill_outputs, pack_friction, pack_network
     from hnn_vi_ros.models.planar_chain import (
         chain_angles, CHAINS, HIGHEST_POWER, is_spring, OFFSET, parameter_names, parameter_places,
         PLANAR_CHAIN, unit_terms)
-    from hnn_vi_ros.models.priors import prior_kernel
     from hnn_vi_ros.models.rigid_body_card import (
         BaseParameter, EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, tree_card,
         TreeCard, values_of)
-    from hnn_vi_ros.models.separable import SeparableHamiltonian
     from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
     from hnn_vi_ros.models.torch_module import TorchHamiltonian
     from hnn_vi_ros.models.torch_network import Network
-    from hnn_vi_ros.models.variational import VariationalHamiltonian
 
 __getattr__, __dir__ = lazy_exports(__name__)

@@ -95,7 +95,7 @@ FAMILIES = {
         averaged='models.ensemble:EnsembleHamiltonian'),
     'separable_hnn': Family(
         {'kinetic': NetworkShape(1), 'potential': NetworkShape(1)},
-        'models.separable:SeparableHamiltonian', 'learning.families.hnn:SeparableHNN',
+        'models.neural:SeparableHamiltonian', 'learning.families.hnn:SeparableHNN',
         averaged='models.ensemble:EnsembleHamiltonian'),
     'dissipative_hnn': Family(
         {'energy': NetworkShape(2), 'dissipation': NetworkShape(2)},
@@ -106,7 +106,7 @@ FAMILIES = {
         {'energy': NetworkShape(2)}, 'models.neural:NeuralHamiltonian',
         'learning.families.hnn:DGNet', constants=('friction',), conservative=False),
     'vin': Family(
-        {'potential': NetworkShape(1)}, 'models.variational:VariationalHamiltonian',
+        {'potential': NetworkShape(1)}, 'models.neural:VariationalHamiltonian',
         'learning.families.lagrangian:VIN', constants=('mass',)),
     'lagrangian': Family(
         {'lagrangian': NetworkShape(2)}, 'models.lagrangian:LagrangianHamiltonian',
