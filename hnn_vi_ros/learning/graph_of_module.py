@@ -8,8 +8,10 @@ are translated in one way: applied to the numbers of the values, they give the i
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial, partialmethod
 from itertools import accumulate
-from operator import getitem
+import math
+from operator import getitem, mul
 from pathlib import Path
 import re
 import traceback
@@ -29,8 +31,8 @@ _aten = torch.ops.aten
 _WHOLE = (_aten.sigmoid, _aten.expm1, _aten.log1p, _aten.sqrt, _aten.erf, _aten.var,
           _aten.var_mean, _aten.softplus, _aten._softmax, _aten._log_softmax, _aten.logsumexp,
           _aten.linalg_vector_norm, _aten.elu, _aten.clamp, _aten.clamp_min, _aten.clamp_max,
-          _aten.hardtanh, _aten.maximum, _aten.minimum, _aten.sinc, _aten.scatter,
-          _aten.masked_fill, _aten.hypot, _aten.log_sigmoid_forward, _aten.xlogy)
+          _aten.hardtanh, _aten.maximum, _aten.minimum, _aten.sinc, _aten.scatter, _aten.hypot,
+          _aten.log_sigmoid_forward, _aten.xlogy)
 _FURTHER = (
     _aten.native_layer_norm, _aten.gelu, _aten.silu,
     _aten.native_group_norm, _aten._native_batch_norm_legit_no_training, _aten.addmm,
@@ -61,7 +63,6 @@ _UNARY = {name: name for name in (
 _BINARY = {name: name for name in (
     'mul', 'atan2', 'lt', 'le', 'gt', 'ge', 'eq', 'ne', 'maximum', 'minimum', 'pow')} | {
     'fmax': 'maximum', 'fmin': 'minimum'}
-_SCALED = {'log2': ('log', 1.0 / np.log(2.0)), 'log10': ('log', 1.0 / np.log(10.0))}
 
 # Positions of the arguments whose values they move; the first one of others.
 _PLACES_OF_VALUES = {
@@ -153,12 +154,12 @@ def _translated(traced: torch.fx.GraphModule) -> tuple[Builder, int]:
     for node in traced.graph.nodes:
         match node.op:
             case 'placeholder':
-                found[node] = _Dependent(b.input(node.meta['val'].numel()))
+                found[node] = _Value(b, b.input(node.meta['val'].numel()))
             case 'get_attr':
                 found[node] = _attribute(traced, node.target).detach()
             case 'output':
                 (result,) = torch.fx.node.map_arg(node.args, lambda n: found[n])
-                if not isinstance(result, _Dependent):
+                if not isinstance(result, _Value):
                     raise ModelError('does not depend on its input: compute with tensors '
                                      'throughout, without numpy, detach() and float()')
                 return b, b.reshape(result.node, ())
@@ -175,19 +176,107 @@ def _attribute(traced: torch.fx.GraphModule, name: str) -> torch.Tensor:
     return value
 
 
-class _Dependent:
-    """A value that depends on the input: a node of the builder; None for indices."""
+class _Value:
+    """A value that depends on the input, or a constant beside it; the node of indices is None."""
 
-    def __init__(self, node: int | None):
-        self._node = node
+    def __init__(self, b: Builder, node: int | None):
+        self._b, self._node = b, node
 
     @property
     def node(self) -> int:
-        """Return the node."""
+        """Return its node of the builder."""
         if self._node is None:
             raise ModelError('computes with the indices of sorted or largest values: use these '
                              'values themselves')
         return self._node
+
+    @property
+    def numbers(self) -> torch.Tensor:
+        """Return the numbers of its entries, in its shape."""
+        shape = self._b.shape(self.node)
+        return torch.arange(math.prod(shape)).reshape(shape)
+
+    @property
+    def truth(self) -> '_Value':
+        """Return 1 where it is not 0."""
+        return self.binary('ne', 0.0)
+
+    def take(self, index: torch.Tensor | np.ndarray) -> '_Value':
+        """Return the entries of these numbers."""
+        return _Value(self._b, self._b.take(self.node, np.asarray(index)))
+
+    def unary(self, op: str) -> '_Value':
+        """Return a function of each entry."""
+        return _Value(self._b, self._b.unary(op, self.node))
+
+    def binary(self, op: str, other: Any) -> '_Value':
+        """Return a function of each entry and that of another value, broadcast to one shape."""
+        return _Value(self._b, self._b.binary(op, *_alike(self._b, self, other)))
+
+    def where(self, x: Any, y: Any) -> '_Value':
+        """Return x where it is not 0, else y."""
+        return _Value(self._b, self._b.where(*_alike(self._b, self, x, y)))
+
+    __neg__ = partialmethod(unary, 'neg')
+    __add__, __sub__ = partialmethod(binary, 'add'), partialmethod(binary, 'sub')
+    __mul__, __truediv__ = partialmethod(binary, 'mul'), partialmethod(binary, 'div')
+
+
+def _node_of(b: Builder, value: Any) -> int:
+    """Return the node of a value, of a tensor, or of a number."""
+    if isinstance(value, _Value):
+        return value.node
+    if isinstance(value, torch.Tensor):
+        return b.constant(value.detach().cpu().double().numpy())
+    if isinstance(value, complex):
+        raise ModelError('contains complex numbers: write their real and imaginary parts')
+    return b.constant(np.array(float(value)))
+
+
+def _alike(b: Builder, *values: Any) -> list[int]:
+    """Return the nodes of values, broadcast to one shape."""
+    nodes = [_node_of(b, value) for value in values]
+    shape = np.broadcast_shapes(*map(b.shape, nodes))
+    return [b.broadcast(node, shape) for node in nodes]
+
+
+def _trunc(x: _Value) -> _Value:
+    return x.unary('sign') * x.unary('abs').unary('floor')
+
+
+def _sinc(x: _Value) -> _Value:
+    at_zero = x.binary('eq', 0.0)
+    inner = at_zero.where(1.0, x) * np.pi
+    return at_zero.where(1.0, inner.unary('sin') / inner)
+
+
+def _acosh(x: _Value) -> _Value:
+    # log(x + sqrt(x^2 - 1)), without cancellation at 1.
+    above = x - 1.0
+    return (above + (above * (x + 1.0)).unary('sqrt')).unary('log1p')
+
+
+# Functions of the entries of values.
+_ENTRYWISE: dict[str, Callable[..., _Value]] = {
+    **{name: partial(lambda op, x: x.unary(op), op) for name, op in _UNARY.items()},
+    **{name: partial(lambda op, x, y: x.binary(op, y), op) for name, op in _BINARY.items()},
+    'where': _Value.where, 'trunc': _trunc, 'sinc': _sinc,
+    'acosh': _acosh, 'rsqrt': lambda x: x.unary('sqrt').unary('reciprocal'),
+    'exp2': lambda x: (x * np.log(2.0)).unary('exp'),
+    'log2': lambda x: x.unary('log') * (1.0 / np.log(2.0)),
+    'log10': lambda x: x.unary('log') * (1.0 / np.log(10.0)),
+    'isnan': lambda x: x.binary('ne', x), 'isinf': lambda x: x.unary('abs').binary('eq', np.inf),
+    'xlogy': lambda x, y: x * x.binary('eq', 0.0).where(1.0, y).unary('log'),
+    'atanh': lambda x: (x.unary('log1p') - (-x).unary('log1p')) * 0.5,
+    'erfc': lambda x: -x.unary('erf') + 1.0,
+    'fmod': lambda x, y: x - _trunc(x / y) * y,
+    'remainder': lambda x, y: x - (x / y).unary('floor') * y,
+    # With slope 0 at 0, as the norms of torch.
+    'hypot': lambda x, y: (x * x + y * y).unary('root'),
+    **{f'{kind}_{name}': way for kind in ('logical', 'bitwise') for name, way in {
+        'and': lambda x, y: x.truth * y.truth,
+        'or': lambda x, y: x.truth.binary('maximum', y.truth),
+        'xor': lambda x, y: x.truth.binary('ne', y.truth)}.items()}}
 
 
 class _Translator:
@@ -205,8 +294,8 @@ class _Translator:
                              'fix them in __init__')
         # An operation in place gives its result to all that use its argument afterwards.
         name = str(target).split('.')[1].removesuffix('_copy').rstrip('_')
-        if name in _SHAPED and isinstance(args[0], _Dependent):
-            args = [torch.zeros(self.b.shape(args[0].node), dtype=torch.float64), *args[1:]]
+        if name in _SHAPED and isinstance(args[0], _Value):
+            args = [torch.zeros(args[0].numbers.shape, dtype=torch.float64), *args[1:]]
         if not _depends((args, kwargs)):
             with torch.no_grad():
                 found = target(*args, **kwargs)
@@ -215,450 +304,303 @@ class _Translator:
         _check_type(kwargs.get('dtype'))
         if name in _MOVES:
             return self._moved(name, target, args, kwargs)
-        way = getattr(self, f'_{name.strip("_")}', None)
-        if way is not None:
-            found = way(*args, **kwargs)
-            return tuple(map(_Dependent, found)) if isinstance(found, tuple) else _Dependent(found)
-        if name in _UNARY and len(args) == 1 and not kwargs:
-            return _Dependent(self.b.unary(_UNARY[name], self._node(args[0])))
-        if name in _BINARY and not kwargs:
-            return _Dependent(self.b.binary(_BINARY[name], *self._alike(*args)))
-        if name in _SCALED:
-            op, factor = _SCALED[name]
-            x = self.b.unary(op, self._node(args[0]))
-            return _Dependent(self.b.mul(x, self.b.full(x, factor)))
+        if name in ('mm', 'bmm'):
+            return self._product(*args)
+        if (way := getattr(self, f'_{name.strip("_")}', None)) is not None:
+            return way(*(self._value(part) if isinstance(part, torch.Tensor) else part
+                         for part in args), **kwargs)
+        if name in _ENTRYWISE and not kwargs:
+            return _ENTRYWISE[name](*map(self._value, args))
         _refuse(target)
 
-    def _node(self, value: Any) -> int:
-        """Return the node of a value, of a tensor, or of a number."""
-        if isinstance(value, _Dependent):
-            return value.node
-        if isinstance(value, torch.Tensor):
-            return self.b.constant(value.detach().cpu().double().numpy())
-        if isinstance(value, complex):
-            raise ModelError('contains complex numbers: write their real and imaginary parts')
-        return self.b.constant(np.array(float(value)))
+    def _value(self, value: Any) -> _Value:
+        return _Value(self.b, _node_of(self.b, value))
 
-    def _alike(self, *values: Any) -> list[int]:
-        """Return the nodes of values, broadcast to one shape."""
-        nodes = [self._node(value) for value in values]
-        shape = np.broadcast_shapes(*map(self.b.shape, nodes))
-        return [self.b.broadcast(node, shape) for node in nodes]
+    def _joined(self, parts: Sequence[Any]) -> _Value:
+        """Return the entries of values as one vector."""
+        return _Value(self.b, self.b.concatenate([_node_of(self.b, part) for part in parts]))
 
     def _moved(self, name: str, target: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
         """Translate an operation that moves values, by moving their numbers."""
-        nodes, begin = list[int](), 0
+        values, begin = list[_Value](), 0
 
         def numbered(value: Any) -> Any:
             nonlocal begin
-            node = self._node(value)
-            shape = self.b.shape(node)
-            count = int(np.prod(shape, dtype=int))
-            nodes.append(node)
-            begin += count
-            numbers = torch.arange(begin - count, begin).reshape(shape)
+            values.append(self._value(value))
+            numbers = begin + values[-1].numbers
+            begin += numbers.numel()
             return begin - 1 if isinstance(value, (int, float)) else numbers
         places = _PLACES_OF_VALUES.get(name, (0,))
         if _depends([part for k, part in enumerate(args) if k not in places]):
             raise ModelError(f'indexes with values of its input ({target}): write it with '
                              'torch.where')
         if name == 'index_put' and (kwargs.get('accumulate') or any(args[3:])):
-            return _Dependent(self._accumulated(args[0], lambda numbers: numbers[tuple(
-                slice(None) if part is None else part for part in args[1])], args[2]))
+            return self._accumulated(args[0], lambda numbers: numbers[tuple(
+                slice(None) if part is None else part for part in args[1])], args[2])
         if name == 'scatter_add':
-            x, axis, index, values = args
-            part = _Dependent(self.b.take(self._node(values), self._numbers(values)[tuple(
-                slice(n) for n in index.shape)].numpy()))
-            return _Dependent(self._accumulated(
-                x, lambda numbers: torch.gather(numbers, axis, index), part))
+            x, axis, index, added = args
+            added = self._value(added)
+            return self._accumulated(
+                x, lambda numbers: torch.gather(numbers, axis, index),
+                added.take(added.numbers[tuple(slice(n) for n in index.shape)]))
         args = [torch.utils._pytree.tree_map(numbered, part) if k in places else part
                 for k, part in enumerate(args)]
         index = target(*args, **kwargs)
-        joined = nodes[0] if len(nodes) == 1 else self.b.concatenate(nodes)
-        return torch.utils._pytree.tree_map(
-            lambda x: _Dependent(self.b.take(joined, x.numpy())), index)
+        joined = values[0] if len(values) == 1 else self._joined(values)
+        return torch.utils._pytree.tree_map(joined.take, index)
 
-    def _numbers(self, value: Any) -> torch.Tensor:
-        """Return the numbers of values, in their shape."""
-        shape = self.b.shape(self._node(value))
-        return torch.arange(int(np.prod(shape, dtype=int))).reshape(shape)
-
-    def _accumulated(self, base: Any, index: Callable[[torch.Tensor], torch.Tensor], values: Any
-                     ) -> int:
+    def _accumulated(self, base: Any, index: Callable[[torch.Tensor], torch.Tensor],
+                     values: Any) -> _Value:
         """Return the base, to whose values at some places others are added."""
-        b, places = self.b, index(self._numbers(base)).numpy()
-        added = b.broadcast(self._node(values), places.shape)
-        return b.add(self._node(base), b.put(added, places, b.shape(self._node(base))))
+        b, base = self.b, self._value(base)
+        places = index(base.numbers).numpy()
+        added = b.broadcast(_node_of(b, values), places.shape)
+        return base + _Value(b, b.put(added, places, b.shape(base.node)))
 
-    def _add(self, x: Any, y: Any, alpha: Any = 1) -> int:
-        left, right = self._alike(x, y)
-        return self.b.add(left, self.b.mul(right, self.b.full(right, float(alpha))))
+    def _add(self, x: Any, y: Any, alpha: Any = 1) -> _Value:
+        x, y = (_Value(self.b, node) for node in _alike(self.b, x, y))
+        return x + y * alpha
 
-    def _sub(self, x: Any, y: Any, alpha: Any = 1) -> int:
+    def _sub(self, x: Any, y: Any, alpha: Any = 1) -> _Value:
         return self._add(x, y, -alpha)
 
-    def _rsub(self, x: Any, y: Any, alpha: Any = 1) -> int:
-        return self._add(y, x, -alpha)
-
-    def _square(self, x: Any) -> int:
-        return self.b.mul(self._node(x), self._node(x))
-
-    def _rsqrt(self, x: Any) -> int:
-        return self.b.unary('reciprocal', self.b.unary('sqrt', self._node(x)))
-
-    def _exp2(self, x: Any) -> int:
-        node = self._node(x)
-        return self.b.unary('exp', self.b.mul(node, self.b.full(node, np.log(2.0))))
-
-    def _where(self, condition: Any, x: Any, y: Any) -> int:
-        return self.b.where(*self._alike(condition, x, y))
-
-    def _softplus(self, x: Any, beta: float = 1.0, threshold: float = 20.0) -> int:
+    def _softplus(self, x: _Value, beta: float = 1.0, threshold: float = 20.0) -> _Value:
         # Without torch's cut-off above the threshold, where it errs by 2e-9.
-        node = self._node(x)
-        scale = self.b.full(node, float(beta))
-        scaled = self.b.mul(node, scale)
-        found = self.b.div(self.b.unary('softplus', scaled), scale)
-        return found if threshold >= 20.0 else self.b.where(
-            self.b.binary('gt', scaled, self.b.full(node, float(threshold))), node, found)
+        scaled = x * beta
+        found = scaled.unary('softplus') / beta
+        return found if threshold >= 20.0 else scaled.binary('gt', threshold).where(x, found)
 
-    def _log_sigmoid_forward(self, x: Any) -> tuple[int, int]:
-        node = self.b.neg(self._softplus(_Dependent(self.b.neg(self._node(x)))))
-        return node, node
+    def _log_sigmoid_forward(self, x: _Value) -> tuple[_Value, _Value]:
+        found = -self._softplus(-x)
+        return found, found
 
-    def _elu(self, x: Any, alpha: float = 1.0, scale: float = 1.0, input_scale: float = 1.0
-             ) -> int:
+    def _elu(self, x: _Value, alpha: float = 1.0, scale: float = 1.0,
+             input_scale: float = 1.0) -> _Value:
         # Where x is positive, expm1 sees 0: it might overflow.
-        b, node = self.b, self._node(x)
-        positive, zero = b.binary('gt', node, b.full(node, 0.0)), b.full(node, 0.0)
-        inner = b.mul(b.where(positive, zero, node), b.full(node, float(input_scale)))
-        return b.mul(b.where(positive, node, b.mul(
-            b.unary('expm1', inner), b.full(node, float(alpha)))), b.full(node, float(scale)))
+        positive = x.binary('gt', 0.0)
+        inner = positive.where(0.0, x) * input_scale
+        return positive.where(x, inner.unary('expm1') * alpha) * scale
 
-    def _clamp(self, x: Any, low: Any = None, high: Any = None) -> int:
+    def _clamp(self, x: _Value, low: Any = None, high: Any = None) -> _Value:
         # With slope 1 at the bounds, as in torch.
-        found = self._node(x)
         for op, bound in (('lt', low), ('gt', high)):
             if bound is not None:
-                found, limit = self._alike(_Dependent(found), bound)
-                found = self.b.where(self.b.binary(op, found, limit), limit, found)
-        return found
+                x = x.binary(op, bound).where(bound, x)
+        return x
 
-    def _clamp_min(self, x: Any, low: Any) -> int:
-        return self._clamp(x, low)
+    _clamp_min = _clamp
 
-    def _clamp_max(self, x: Any, high: Any) -> int:
+    def _clamp_max(self, x: _Value, high: Any) -> _Value:
         return self._clamp(x, None, high)
 
-    def _hardtanh(self, x: Any, low: Any = -1.0, high: Any = 1.0) -> int:
+    def _hardtanh(self, x: _Value, low: Any = -1.0, high: Any = 1.0) -> _Value:
         return self._clamp(x, low, high)
 
-    def _isnan(self, x: Any) -> int:
-        node = self._node(x)
-        return self.b.binary('ne', node, node)
+    def _div(self, x: Any, y: Any, rounding_mode: str | None = None) -> _Value:
+        found = self._value(x) / y
+        return found if rounding_mode is None else found.unary('floor') \
+            if rounding_mode == 'floor' else _trunc(found)
 
-    def _isinf(self, x: Any) -> int:
-        node = self.b.unary('abs', self._node(x))
-        return self.b.binary('eq', node, self.b.full(node, np.inf))
-
-    def _xlogy(self, x: Any, y: Any) -> int:
-        b, (left, right) = self.b, self._alike(x, y)
-        none = b.binary('eq', left, b.full(left, 0.0))
-        return b.mul(left, b.unary('log', b.where(none, b.full(left, 1.0), right)))
-
-    def _acosh(self, x: Any) -> int:
-        # log(x + sqrt(x^2 - 1)), without cancellation at 1.
-        b, node = self.b, self._node(x)
-        above = b.sub(node, b.full(node, 1.0))
-        return b.unary('log1p', b.add(above, b.unary('sqrt', b.mul(
-            above, b.add(node, b.full(node, 1.0))))))
-
-    def _atanh(self, x: Any) -> int:
-        b, node = self.b, self._node(x)
-        both = b.sub(b.unary('log1p', node), b.unary('log1p', b.neg(node)))
-        return b.mul(both, b.full(node, 0.5))
-
-    def _erfc(self, x: Any) -> int:
-        node = self.b.unary('erf', self._node(x))
-        return self.b.sub(self.b.full(node, 1.0), node)
-
-    def _trunc(self, x: Any) -> int:
-        b, node = self.b, self._node(x)
-        return b.mul(b.unary('sign', node), b.unary('floor', b.unary('abs', node)))
-
-    def _div(self, x: Any, y: Any, rounding_mode: str | None = None) -> int:
-        found = self.b.div(*self._alike(x, y))
-        return found if rounding_mode is None else self.b.unary('floor', found) \
-            if rounding_mode == 'floor' else self._trunc(_Dependent(found))
-
-    def _fmod(self, x: Any, y: Any) -> int:
-        left, right = self._alike(x, y)
-        return self.b.sub(left, self.b.mul(self._div(x, y, 'trunc'), right))
-
-    def _masked_fill(self, x: Any, mask: Any, value: Any) -> int:
-        return self._where(mask, value, x)
-
-    def _hypot(self, x: Any, y: Any) -> int:
-        return self._root_of_squares(self.b.add(*(self.b.mul(part, part) for part in (
-            self._alike(x, y)))))
-
-    def _root_of_squares(self, total: int) -> int:
-        # With slope 0 at 0, as the norms of torch.
-        return self.b.unary('root', total)
-
-    def _linalg_vector_norm(self, x: Any, order: Any = 2, axes: Any = None, keepdim: bool = False,
-                            dtype: Any = None) -> int:
-        b, node = self.b, self._node(x)
-        size, power = _Dependent(b.unary('abs', node)), float(order)
-        single = self._sum(size, axes, keepdim)
-        if power == 1.0 or np.prod(b.shape(single)) == np.prod(b.shape(node)):
-            return single
+    def _linalg_vector_norm(self, x: _Value, order: Any = 2, axes: Any = None,
+                            keepdim: bool = False, dtype: Any = None) -> _Value:
+        size, power = x.unary('abs'), float(order)
+        total = self._sum(size, axes, keepdim)
+        if power == 1.0 or total.numbers.numel() == x.numbers.numel():
+            return total
         if np.isinf(power):
             return (self._amax if power > 0.0 else self._amin)(size, axes, keepdim)
         if power == 0.0:
-            return self._sum(_Dependent(self._nonzero(node)), axes, keepdim)
+            return self._sum(x.truth, axes, keepdim)
         if power == 2.0:
-            return self._root_of_squares(self._sum(_Dependent(b.mul(node, node)), axes, keepdim))
-        total = self._sum(_Dependent(b.binary('pow', size.node, b.full(node, power))), axes,
-                          keepdim)
-        return b.binary('pow', total, b.full(total, 1.0 / power))
+            return self._sum(x * x, axes, keepdim).unary('root')
+        return self._sum(size.binary('pow', power), axes, keepdim).binary('pow', 1.0 / power)
 
-    def _cdist_forward(self, x: Any, y: Any, order: float, mode: Any) -> int:
-        b, left, right = self.b, self._node(x), self._node(y)
-        *first, d = b.shape(left)
-        *second, rows, _ = b.shape(right)
-        apart = self._sub(_Dependent(b.reshape(left, (*first, 1, d))),
-                          _Dependent(b.reshape(right, (*second, 1, rows, d))))
-        return self._linalg_vector_norm(_Dependent(apart), order, -1)
+    def _cdist_forward(self, x: _Value, y: _Value, order: float, mode: Any) -> _Value:
+        apart = x.take(x.numbers[..., None, :]) - y.take(y.numbers[..., None, :, :])
+        return self._linalg_vector_norm(apart, order, -1)
 
-    def _pdist_forward(self, x: Any, order: float = 2.0) -> int:
-        numbers = self._numbers(x).numpy()
-        first, second = (self.b.take(self._node(x), numbers[rows])
-                         for rows in np.triu_indices(len(numbers), 1))
-        return self._linalg_vector_norm(_Dependent(self.b.sub(first, second)), order, -1)
+    def _pdist_forward(self, x: _Value, order: float = 2.0) -> _Value:
+        first, second = (x.take(x.numbers[rows]) for rows in np.triu_indices(len(x.numbers), 1))
+        return self._linalg_vector_norm(first - second, order, -1)
 
-    def _sinc(self, x: Any) -> int:
-        b, node = self.b, self._node(x)
-        at_zero = b.binary('eq', node, b.full(node, 0.0))
-        inner = b.mul(b.where(at_zero, b.full(node, 1.0), node), b.full(node, np.pi))
-        return b.where(at_zero, b.full(node, 1.0), b.div(b.unary('sin', inner), inner))
+    def _to(self, x: _Value, dtype: torch.dtype | None = None, **others: Any) -> _Value:
+        return x if dtype is not torch.bool else x.truth
 
-    def _logical_and(self, x: Any, y: Any) -> int:
-        return self.b.mul(*map(self._nonzero, self._alike(x, y)))
-
-    _bitwise_and = _logical_and
-
-    def _logical_or(self, x: Any, y: Any) -> int:
-        return self.b.binary('maximum', *map(self._nonzero, self._alike(x, y)))
-
-    _bitwise_or = _logical_or
-
-    def _nonzero(self, node: int) -> int:
-        return self.b.binary('ne', node, self.b.full(node, 0.0))
-
-    def _logical_xor(self, x: Any, y: Any) -> int:
-        return self.b.binary('ne', *map(self._nonzero, self._alike(x, y)))
-
-    _bitwise_xor = _logical_xor
-
-    def _remainder(self, x: Any, y: Any) -> int:
-        left, right = self._alike(x, y)
-        return self.b.sub(left, self.b.mul(self._div(x, y, 'floor'), right))
-
-    def _to(self, x: Any, dtype: torch.dtype | None = None, **others: Any) -> int:
-        node = self._node(x)
-        return node if dtype is not torch.bool else self._nonzero(node)
-
-    def _sum(self, x: Any, axes: Any = None, keepdim: bool = False, dtype: Any = None) -> int:
+    def _sum(self, x: _Value, axes: Any = None, keepdim: bool = False,
+             dtype: Any = None) -> _Value:
         return self._over(self.b.sum, x, axes, keepdim)
 
-    def _mean(self, x: Any, axes: Any = None, keepdim: bool = False, dtype: Any = None) -> int:
-        total = self._sum(x, axes, keepdim)
-        count = np.prod(self.b.shape(self._node(x))) / np.prod(self.b.shape(total))
-        return self.b.mul(total, self.b.full(total, 1.0 / float(count)))
+    def _mean(self, x: _Value, axes: Any = None, keepdim: bool = False,
+              dtype: Any = None) -> _Value:
+        return self._shared(self._sum(x, axes, keepdim), x)
 
-    def _shifted(self, x: Any, axis: Any) -> tuple[int, int, int]:
-        """Return exp(x - m), its sum over an axis, in the shape of x, and m, the largest."""
-        b, node = self.b, self._node(x)
-        largest = b.unary('fixed', b.broadcast(self._amax(x, axis, True), b.shape(node)))
-        powers = b.unary('exp', b.sub(node, largest))
-        total = self._sum(_Dependent(powers), axis, True)
-        return powers, b.broadcast(total, b.shape(node)), largest
+    def _shared(self, total: _Value, x: _Value, less: float = 0.0) -> _Value:
+        """Return a total of x divided by the number of entries in each sum, less a number."""
+        count = x.numbers.numel() / total.numbers.numel() - less
+        return total * (1.0 / count)
 
-    def _softmax(self, x: Any, axis: int, single: bool = False) -> int:
+    def _shifted(self, x: _Value, axis: Any) -> tuple[_Value, _Value, _Value]:
+        """Return exp(x - m), its sum over an axis, and m, the largest, which keep that axis."""
+        largest = self._amax(x, axis, True).unary('fixed')
+        powers = (x - largest).unary('exp')
+        return powers, self._sum(powers, axis, True), largest
+
+    def _softmax(self, x: _Value, axis: int, single: bool = False) -> _Value:
         powers, total, _ = self._shifted(x, axis)
-        return self.b.div(powers, total)
+        return powers / total
 
-    def _log_softmax(self, x: Any, axis: int, single: bool = False) -> int:
+    def _log_softmax(self, x: _Value, axis: int, single: bool = False) -> _Value:
         _, total, largest = self._shifted(x, axis)
-        return self.b.sub(self.b.sub(self._node(x), largest), self.b.unary('log', total))
+        return x - largest - total.unary('log')
 
-    def _logsumexp(self, x: Any, axes: Any, keepdim: bool = False) -> int:
+    def _logsumexp(self, x: _Value, axes: Any, keepdim: bool = False) -> _Value:
         _, total, largest = self._shifted(x, axes)
-        found = self.b.add(self.b.unary('log', total), largest)
-        # All values over the axes are equal: the first of each is taken.
-        node = _Dependent(found)
-        return self._over(self._first, node, axes, keepdim)
+        return self._sum(total.unary('log') + largest, axes, keepdim)
 
-    def _first(self, node: int, axes: Sequence[int]) -> int:
-        shape = self.b.shape(node)
-        numbers = np.arange(int(np.prod(shape))).reshape(shape)
-        return self.b.take(node, numbers[tuple(
-            0 if k in axes else slice(None) for k in range(len(shape)))])
+    def _var(self, x: _Value, axes: Any = None, correction: Any = 1,
+             keepdim: bool = False) -> _Value:
+        apart = x - self._mean(x, axes, True)
+        return self._shared(self._sum(apart * apart, axes, keepdim), x, float(correction))
 
-    def _var(self, x: Any, axes: Any = None, correction: Any = 1, keepdim: bool = False) -> int:
-        b, node = self.b, self._node(x)
-        mean = self._mean(x, axes, True)
-        apart = b.sub(node, b.broadcast(mean, b.shape(node)))
-        total = self._sum(_Dependent(b.mul(apart, apart)), axes, keepdim)
-        count = np.prod(b.shape(node)) / np.prod(b.shape(mean)) - float(correction)
-        return b.mul(total, b.full(total, 1.0 / float(count)))
-
-    def _var_mean(self, x: Any, axes: Any = None, correction: Any = 1, keepdim: bool = False
-                  ) -> tuple[int, int]:
+    def _var_mean(self, x: _Value, axes: Any = None, correction: Any = 1, keepdim: bool = False
+                  ) -> tuple[_Value, _Value]:
         return self._var(x, axes, correction, keepdim), self._mean(x, axes, keepdim)
 
-    def _any(self, x: Any, axes: Any = None, keepdim: bool = False) -> int:
-        return self._amax(_Dependent(self._nonzero(self._node(x))), axes, keepdim)
+    def _any(self, x: _Value, axes: Any = None, keepdim: bool = False) -> _Value:
+        return self._amax(x.truth, axes, keepdim)
 
-    def _amax(self, x: Any, axes: Any = (), keepdim: bool = False) -> int:
+    def _amax(self, x: _Value, axes: Any = (), keepdim: bool = False) -> _Value:
         return self._over(self.b.amax, x, axes, keepdim)
 
-    def _amin(self, x: Any, axes: Any = (), keepdim: bool = False) -> int:
-        return self.b.neg(self._amax(_Dependent(self.b.neg(self._node(x))), axes, keepdim))
+    def _amin(self, x: _Value, axes: Any = (), keepdim: bool = False) -> _Value:
+        return -self._amax(-x, axes, keepdim)
 
-    def _max(self, x: Any, axis: Any = (), keepdim: bool = False) -> int | tuple[int, None]:
-        values = self._amax(x, axis, keepdim)
-        return (values, None) if isinstance(axis, int) else values
+    def _max(self, x: _Value, axis: Any = (), keepdim: bool = False) -> Any:
+        return self._with_indices(self._amax(x, axis, keepdim), isinstance(axis, int))
 
-    def _min(self, x: Any, axis: Any = (), keepdim: bool = False) -> int | tuple[int, None]:
-        values = self._amin(x, axis, keepdim)
-        return (values, None) if isinstance(axis, int) else values
+    def _min(self, x: _Value, axis: Any = (), keepdim: bool = False) -> Any:
+        return self._with_indices(self._amin(x, axis, keepdim), isinstance(axis, int))
 
-    def _parts(self, x: Any, axis: int) -> list[int]:
+    def _with_indices(self, values: _Value, has: bool = True) -> Any:
+        """Return values and, if an operation has them, their indices, which nothing may use."""
+        return (values, _Value(self.b, None)) if has else values
+
+    def _parts(self, x: _Value, axis: int) -> list[_Value]:
         """Return the slices of a value along an axis."""
-        return [self.b.take(self._node(x), part.numpy()) for part in self._numbers(x).unbind(axis)]
+        return [x.take(part) for part in x.numbers.unbind(axis)]
 
-    def _stacked(self, parts: Sequence[int], axis: int) -> int:
+    def _stacked(self, parts: Sequence[_Value], axis: int) -> _Value:
         """Return slices along an axis, joined."""
-        shape, joined = self.b.shape(parts[0]), self.b.concatenate(parts)
-        numbers = np.arange(len(parts) * int(np.prod(shape))).reshape(len(parts), *shape)
-        return self.b.take(joined, np.moveaxis(numbers, 0, axis))
+        joined = self._joined(parts)
+        return joined.take(joined.numbers.reshape(
+            len(parts), *parts[0].numbers.shape).movedim(0, axis))
 
-    def _prod(self, x: Any, axis: int | None = None, keepdim: bool = False, dtype: Any = None
-              ) -> int:
+    def _prod(self, x: _Value, axis: int | None = None, keepdim: bool = False,
+              dtype: Any = None) -> _Value:
         if axis is None:
-            x, axis = _Dependent(self.b.reshape(self._node(x), (self._numbers(x).numel(),))), 0
-        *_, total = accumulate(self._parts(x, axis), self.b.mul)
+            x, axis = x.take(x.numbers.ravel()), 0
+        *_, total = accumulate(self._parts(x, axis), mul)
         return self._stacked([total], axis) if keepdim else total
 
-    def _cumprod(self, x: Any, axis: int, dtype: Any = None) -> int:
-        return self._stacked([*accumulate(self._parts(x, axis), self.b.mul)], axis)
+    def _cumprod(self, x: _Value, axis: int, dtype: Any = None) -> _Value:
+        return self._stacked([*accumulate(self._parts(x, axis), mul)], axis)
 
-    def _sort(self, x: Any, axis: int = -1, descending: bool = False, dim: int | None = None,
-              stable: bool = False) -> tuple[int, None]:
+    def _sort(self, x: _Value, axis: int = -1, descending: bool = False, dim: int | None = None,
+              stable: bool = False) -> Any:
         # Odd-even transposition: n rounds of comparisons of neighbours.
         axis = axis if dim is None else dim
         parts = self._parts(x, axis)
         for k in range(len(parts)):
             for i in range(k % 2, len(parts) - 1, 2):
-                pair = parts[i:i + 2]
-                parts[i], parts[i + 1] = (self.b.binary(op, *pair)
-                                          for op in ('minimum', 'maximum'))
-        return self._stacked(parts[::-1] if descending else parts, axis), None
+                one, other = parts[i:i + 2]
+                parts[i:i + 2] = (one.binary(op, other) for op in ('minimum', 'maximum'))
+        return self._with_indices(self._stacked(parts[::-1] if descending else parts, axis))
 
-    def _topk(self, x: Any, k: int, axis: int = -1, largest: bool = True, ordered: bool = True
-              ) -> tuple[int, None]:
+    def _topk(self, x: _Value, k: int, axis: int = -1, largest: bool = True,
+              ordered: bool = True) -> Any:
         values, _ = self._sort(x, axis, largest)
-        return self._stacked(self._parts(_Dependent(values), axis)[:k], axis), None
+        return self._with_indices(self._stacked(self._parts(values, axis)[:k], axis))
 
-    def _windows(self, x: Any, sizes: Sequence[int], steps: Sequence[int], pads: Sequence[int],
-                 apart: Sequence[int], fill: float) -> tuple[int, np.ndarray]:
-        """Return padded values, and their numbers, shape (..., positions, places in window)."""
-        node, numbers = self._node(x), self._numbers(x).numpy()
-        count, own = numbers.size, len(sizes)
+    def _windows(self, x: _Value, sizes: Sequence[int], steps: Sequence[int], pads: Sequence[int],
+                 apart: Sequence[int], fill: float) -> _Value:
+        """Return the padded entries of windows, shape (..., positions, places in window)."""
+        numbers, own = x.numbers.numpy(), len(sizes)
         numbers = np.pad(numbers, [(0, 0)] * (numbers.ndim - own) + [(n, n) for n in pads],
-                         constant_values=count)
+                         constant_values=numbers.size)
         views = np.lib.stride_tricks.sliding_window_view(
             numbers, [d * (n - 1) + 1 for n, d in zip(sizes, apart, strict=True)],
             axis=(*range(-own, 0),))
         some: Any = (..., *(slice(None, None, step) for step in (*steps, *apart)))
-        return self.b.concatenate([node, self.b.constant(np.full(1, fill))]), views[some]
+        return self._joined([x, fill]).take(views[some])
 
-    def _constant_pad_nd(self, x: Any, pads: Sequence[int], value: float = 0.0) -> int:
-        b, numbers = self.b, self._numbers(x)
-        index = torch.nn.functional.pad(numbers, [*pads], value=numbers.numel())
-        return b.take(b.concatenate([self._node(x), b.constant(np.full(1, float(value)))]),
-                      index.numpy())
+    def _constant_pad_nd(self, x: _Value, pads: Sequence[int], value: float = 0.0) -> _Value:
+        numbers = x.numbers
+        return self._joined([x, value]).take(
+            torch.nn.functional.pad(numbers, [*pads], value=numbers.numel()))
 
-    def _convolution(self, x: Any, weight: Any, bias: Any, steps: Sequence[int],
+    def _convolution(self, x: _Value, weight: _Value, bias: _Value | None, steps: Sequence[int],
                      pads: Sequence[int], apart: Sequence[int], transposed: bool, extra: Any,
-                     groups: int) -> int:
+                     groups: int) -> _Value:
         if transposed:
             _refuse('transposed convolution')
-        b, kernel = self.b, self._node(weight)
-        outputs, inputs, *sizes = b.shape(kernel)
-        padded, numbers = self._windows(x, sizes, steps, pads, apart, 0.0)
-        n, _, *rest = numbers.shape
+        b = self.b
+        outputs, inputs, *sizes = weight.numbers.shape
+        windows = self._windows(x, sizes, steps, pads, apart, 0.0)
+        n, _, *rest = windows.numbers.shape
         # One product of matrices a group: rows are positions, columns are places in the window.
-        rows = np.moveaxis(numbers.reshape(n, groups, inputs, *rest), (1, 2), (0, -1 - len(sizes)))
-        inner = inputs * int(np.prod(sizes))
-        found = b.matmul(b.take(padded, rows.reshape(groups, -1, inner)),
-                         b.reshape(kernel, (groups, outputs // groups, inner)), t_y=True)
-        back = np.moveaxis(np.arange(int(np.prod(b.shape(found)))).reshape(
-            groups, n, *rest[:len(sizes)], -1), (0, -1), (1, 2))
-        found = b.take(found, back.reshape(n, outputs, *rest[:len(sizes)]))
-        return found if bias is None else self._add(_Dependent(found), _Dependent(b.reshape(
-            self._node(bias), (outputs, *(1 for _ in sizes)))))
+        rows = windows.numbers.reshape(n, groups, inputs, *rest).movedim(
+            (1, 2), (0, -1 - len(sizes)))
+        inner = inputs * math.prod(sizes)
+        found = _Value(b, b.matmul(
+            windows.take(rows.reshape(groups, -1, inner)).node,
+            b.reshape(weight.node, (groups, outputs // groups, inner)), t_y=True))
+        back = found.numbers.reshape(groups, n, *rest[:len(sizes)], -1).movedim((0, -1), (1, 2))
+        found = found.take(back.reshape(n, outputs, *rest[:len(sizes)]))
+        return found if bias is None else found + bias.take(
+            bias.numbers.reshape(outputs, *(1 for _ in sizes)))
 
-    def _avg_pool2d(self, x: Any, sizes: Sequence[int], steps: Sequence[int] = (),
+    def _avg_pool2d(self, x: _Value, sizes: Sequence[int], steps: Sequence[int] = (),
                     pads: Sequence[int] = (0, 0), ceil: bool = False, counts: bool = True,
-                    divisor: int | None = None) -> int:
+                    divisor: int | None = None) -> _Value:
         if ceil or divisor or (any(pads) and not counts):
             _refuse('avg_pool with ceil_mode, a divisor, or padding that does not count')
-        padded, numbers = self._windows(x, sizes, steps or sizes, pads, (1, 1), 0.0)
-        return self._mean(_Dependent(self.b.take(padded, numbers)), (-2, -1))
+        return self._mean(self._windows(x, sizes, steps or sizes, pads, (1, 1), 0.0), (-2, -1))
 
-    def _max_pool2d_with_indices(self, x: Any, sizes: Sequence[int], steps: Sequence[int] = (),
+    def _max_pool2d_with_indices(self, x: _Value, sizes: Sequence[int], steps: Sequence[int] = (),
                                  pads: Sequence[int] = (0, 0), apart: Sequence[int] = (1, 1),
-                                 ceil: bool = False) -> tuple[int, None]:
+                                 ceil: bool = False) -> Any:
         if ceil:
             _refuse('max_pool with ceil_mode')
-        padded, numbers = self._windows(x, sizes, steps or sizes, pads, apart, -np.inf)
-        return self._amax(_Dependent(self.b.take(padded, numbers)), (-2, -1)), None
+        return self._with_indices(self._amax(
+            self._windows(x, sizes, steps or sizes, pads, apart, -np.inf), (-2, -1)))
 
-    def _cumsum(self, x: Any, axis: int, dtype: Any = None) -> int:
-        b, node = self.b, self._node(x)
-        shape = b.shape(node)
-        last = np.moveaxis(np.arange(int(np.prod(shape))).reshape(shape), axis, -1)
-        rows = b.take(node, last.reshape(-1, shape[axis]))
-        sums = b.matmul(rows, b.constant(np.triu(np.ones((shape[axis], shape[axis])))))
-        back = np.empty(last.size, dtype=np.int64)
-        back[last.ravel()] = np.arange(last.size)
-        return b.take(sums, back.reshape(shape))
+    def _cumsum(self, x: _Value, axis: int, dtype: Any = None) -> _Value:
+        b, last = self.b, x.numbers.movedim(axis, -1)
+        n = last.shape[-1]
+        sums = _Value(b, b.matmul(x.take(last.reshape(-1, n)).node,
+                                      b.constant(np.triu(np.ones((n, n))))))
+        return sums.take(sums.numbers.reshape(last.shape).movedim(-1, axis))
 
-    def _over(self, way: Callable[[int, Sequence[int]], int], x: Any, axes: Any, keepdim: bool
-              ) -> int:
-        node = self._node(x)
-        shape = self.b.shape(node)
+    def _over(self, way: Callable[[int, Sequence[int]], int], x: _Value, axes: Any,
+              keepdim: bool) -> _Value:
+        shape = x.numbers.shape
         axes = [axes] if isinstance(axes, int) else axes
         own = [k % len(shape) for k in axes] if axes else [*range(len(shape))]
-        total = way(node, own)
-        return self.b.reshape(total, [1 if k in own else n for k, n in enumerate(shape)]
-                              ) if keepdim else total
+        total = way(x.node, own)
+        return _Value(self.b, self.b.reshape(
+            total, [1 if k in own else n for k, n in enumerate(shape)]) if keepdim else total)
 
-    def _mm(self, x: Any, y: Any) -> int:
+    def _product(self, x: Any, y: Any) -> _Value:
+        """Return the product of matrices, or of stacks."""
         (left, t_x), (right, t_y) = self._matrix(x), self._matrix(y)
-        return self.b.matmul(left, right, t_x, t_y)
-
-    _bmm = _mm
+        return _Value(self.b, self.b.matmul(left, right, t_x, t_y))
 
     def _matrix(self, value: Any) -> tuple[int, bool]:
         """Return a matrix or a stack, and whether it is to be transposed: copies are avoided."""
         if isinstance(value, torch.Tensor) and value.ndim == 2 and not value.is_contiguous() \
                 and value.t().is_contiguous():
-            return self._node(value.t()), True
-        node = self._node(value)
+            return _node_of(self.b, value.t()), True
+        node = _node_of(self.b, value)
         row, shape = self.b.nodes[node], self.b.shape(node)
         if row.op == 'take' and np.prod(self.b.shape(row.inputs[0])) == np.prod(shape):
             turned = (*shape[:-2], shape[-1], shape[-2])
@@ -679,7 +621,7 @@ def _check_type(dtype: torch.dtype | None) -> None:
 
 
 def _depends(values: Any) -> bool:
-    return any(isinstance(leaf, _Dependent) for leaf in torch.utils._pytree.tree_leaves(values))
+    return any(isinstance(leaf, _Value) for leaf in torch.utils._pytree.tree_leaves(values))
 
 
 def _refuse(target: Any) -> NoReturn:
