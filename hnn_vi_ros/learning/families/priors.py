@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Priors of a mechanical network in torch: rigid bodies, planar links, and exact systems."""
 
-from collections.abc import Callable, Sequence
-import operator
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -261,7 +260,7 @@ class ExactPrior(PriorModule):
     def _parameters_of(self, values: torch.Tensor) -> tuple[Any, ...]:
         found = [*self.system.others]
         for place, value in zip(self.system.places, values, strict=True):
-            found[place] = NumpyTensor(value)
+            found[place] = value.as_subclass(NumpyTensor)
         return tuple(found)
 
 
@@ -279,50 +278,23 @@ class _Columns(list[Any]):
         return _Columns(found) if isinstance(place, slice) else found
 
 
-def _tensor(value: Any) -> Any:
-    return value.tensor if isinstance(value, NumpyTensor) else value
-
-
-def _binary(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], 'NumpyTensor']:
-    return lambda one, other: NumpyTensor(operation(_tensor(one), _tensor(other)))
-
-
-def _reflected(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], 'NumpyTensor']:
-    return lambda one, other: NumpyTensor(operation(_tensor(other), _tensor(one)))
-
-
-class NumpyTensor:
+class NumpyTensor(torch.Tensor):
     """A tensor as an argument of functions of numbers that are written with numpy (NEP 13)."""
 
-    __slots__ = ('tensor',)
-
-    def __init__(self, tensor: torch.Tensor):
-        self.tensor = tensor
-
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any) -> 'NumpyTensor':
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any) -> Any:
         """Call the function of the same name in torch."""
-        return NumpyTensor(getattr(torch, ufunc.__name__)(*map(_tensor, inputs)))
-
-    def __neg__(self) -> 'NumpyTensor':
-        """Return the negative."""
-        return NumpyTensor(-self.tensor)
-
-    __add__, __radd__ = _binary(operator.add), _reflected(operator.add)
-    __sub__, __rsub__ = _binary(operator.sub), _reflected(operator.sub)
-    __mul__, __rmul__ = _binary(operator.mul), _reflected(operator.mul)
-    __truediv__, __rtruediv__ = _binary(operator.truediv), _reflected(operator.truediv)
-    __pow__, __rpow__ = _binary(operator.pow), _reflected(operator.pow)
+        return getattr(torch, ufunc.__name__)(*inputs)
 
 
 def columns(x: torch.Tensor) -> _Columns:
     """Return the columns of states, shape (N, d), for functions of kernels."""
-    return _Columns(map(NumpyTensor, x.unbind(dim=1)))
+    return _Columns(x.as_subclass(NumpyTensor).unbind(dim=1))
 
 
 def stacked(found: Sequence[Any], like: torch.Tensor) -> torch.Tensor:
     """Return columns as one tensor; a column may be a single number."""
     zero = torch.zeros_like(like[:, 0])
-    return torch.stack([zero + _tensor(column) for column in found], dim=1)
+    return torch.stack([zero + column for column in found], dim=1).as_subclass(torch.Tensor)
 
 
 # Smallest initial mass as a share of the total, and smallest initial radius of gyration [m]:

@@ -38,7 +38,8 @@ class BodyState(NamedTuple):
 
 def _cayley(y: torch.Tensor) -> Any:
     """Return the coefficients of the Cayley map."""
-    return Coefficients(*(part.tensor for part in cast(Any, cayley)(NumpyTensor(y))))
+    return Coefficients(*(part.as_subclass(torch.Tensor) for part in cast(Any, cayley)(
+        y.as_subclass(NumpyTensor))))
 
 
 def _exponential(y: torch.Tensor) -> Any:
