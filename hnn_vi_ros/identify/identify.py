@@ -22,12 +22,11 @@ from hnn_vi_ros.identify import arguments as command_lines
 from hnn_vi_ros.identify.commanded import (
     as_ratios, better_servos, commanded_scene, first_scene, RATE, SPEED_NAME, SPEEDS)
 from hnn_vi_ros.identify.free_numbers import free_scene, FreeScene, STATES, write_fitted
-from hnn_vi_ros.identify.intervals import (
-    Estimate, Estimates, estimates_of, profile, quantile, response)
+from hnn_vi_ros.identify.intervals import Estimate, Estimates, estimates_of, profile, quantile
 from hnn_vi_ros.identify.loads import check_loads, Load, load_of, read_loads, with_load
 from hnn_vi_ros.learning import (
     ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FittedNumbers,
-    input_courses, InputCourses, judged, keys_of, MeasuredColumns, MotionSource,
+    input_courses, InputCourses, judged, keys_of, made_up, MeasuredColumns, MotionSource,
     predicted_by, read_motions, refitted, Solution, source_of, split_runs, steps_between,
     warnings_of, Windows)
 from hnn_vi_ros.models import force_unit
@@ -424,14 +423,14 @@ def _finer_steps(fitted: FittedNumbers, free: FreeScene,
                 raise DataError(
                     f'{scene.name} cannot be simulated at the solution with a step size of '
                     f'{fine.scene.known_step_size:.3g} s; give a smaller step_size')
-            shifts, gain = response(solution, fitted.problem, change)
+            shifts, left = made_up(solution, fitted.problem.weights(solution.residuals), change)
             sizes = abs(shifts) / errors
             worst = estimates.estimates[int(sizes.argmax())].name if sizes.size else ''
             if sizes.max(initial=0.0) <= _MOVED or halved == _HALVED:
                 break
             named, moved = named or worst, moved or float(sizes.max())
             halved, now, free = halved + 1, after, fine
-            if gain > EVIDENCE:
+            if (left * (left + 2.0 * solution.residuals)).sum() > EVIDENCE:
                 # Too large a change for the first order, or a log of the scene's own steps.
                 break
         if done == halved:

@@ -136,29 +136,6 @@ def estimates_of(solution: Solution, problem: FitProblem, free: FreeScene,
                           solution.freedom, coloured)
 
 
-def response(solution: Solution, problem: FitProblem, change: np.ndarray
-             ) -> tuple[np.ndarray, float]:
-    """
-    Return the changes of the numbers and of the sum of squares if predictions change a little.
-
-    Parameters
-    ----------
-    solution, problem
-        A fit.
-    change : np.ndarray, shape (W, T, C)
-        Change of the predictions, in standard deviations.
-
-    """
-    weights = problem.weights(solution.residuals)
-    slopes, _ = projected(solution, weights)
-    rest, _ = projected(replace(solution, parameter_jacobian=change[..., None]), weights)
-    taken, factors, _ = least_squares_factors(
-        slopes.reshape(-1, slopes.shape[3]), units_of(solution))
-    moved = taken.T @ rest.ravel()
-    left = rest.ravel() - taken @ moved
-    return -factors.T @ moved, float(left @ (left + 2.0 * solution.residuals.ravel()))
-
-
 def _processes(solution: Solution, weights: np.ndarray, taken: np.ndarray
                ) -> list[list[Process]]:
     """Return sampled noise processes of each quantity, given the directions of all unknowns."""
