@@ -17,8 +17,8 @@ from hnn_vi_ros.identify.commanded import (
     columns_of, delays_of, forces_needed, rated_efforts, robot_of, SPEED)
 from hnn_vi_ros.identify.identify import source_by_format
 from hnn_vi_ros.learning import (
-    ANGLE, configuration_of, even_motions, EvenMotion, LogWarning, low_pass, Motion, read_header,
-    recording_of, split_runs, warnings_of)
+    ANGLE, configuration_of, even_motions, EvenMotion, joined, LogWarning, low_pass, Motion,
+    read_header, recording_of, split_runs, warnings_of)
 from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -239,8 +239,7 @@ def report_of(found: Checked) -> Iterator[str]:
     rates = 'velocities' if found.motions[0].v is not None else 'no velocities'
     yield f'Read as: positions, {rates}, {has}.\n'
     yield '| joint | least | largest | largest speed |\n|---|---|---|---|'
-    q, v = (np.concatenate([getattr(one, key) for one in found.motions])
-            for key in ('q_smooth', 'v_smooth'))
+    q, v = joined(found.motions, 'q_smooth', 'v_smooth')
     for k, name in enumerate(found.names):
         yield (f'| {name} | {q[:, k].min():.4g} | {q[:, k].max():.4g} | '
                f'{np.abs(v[:, k]).max():.3g} |')

@@ -624,6 +624,11 @@ def run_of(motion: Motion) -> str:
     return motion.name.rpartition('#')[0] or motion.name
 
 
+def joined(motions: Sequence[Motion], *channels: str) -> Iterator[np.ndarray]:
+    """Yield channels of all motions, one after another."""
+    return (np.concatenate([getattr(motion, name) for motion in motions]) for name in channels)
+
+
 def train_and_test(runs: Sequence[Record], test_runs: Sequence[str]
                    ) -> tuple[list[Record], list[Record]]:
     """

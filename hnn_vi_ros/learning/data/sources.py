@@ -17,7 +17,7 @@ from hnn_vi_ros.learning.data.dataset import (
     BLOCKS, Dataset, dataset_of, ExactData, MIN_ROWS, sample_exact)
 from hnn_vi_ros.learning.data.header import column_of, COORDINATES, read_header
 from hnn_vi_ros.learning.data.motions import (
-    even_motions, EvenMotion, Motion, MotionData, Recording)
+    even_motions, EvenMotion, joined, Motion, MotionData, Recording)
 from hnn_vi_ros.learning.data.text import LogMotions, MeasuredData, read_text
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -148,8 +148,7 @@ def _joined(recordings: Sequence[Recording], files: Sequence[Path]) -> Recording
 
 def states_of(motions: Sequence[EvenMotion], description: str) -> Dataset:
     """Return the smoothed states of motions, with velocities as momenta, forces as commands."""
-    t, q, v, a, tau = (np.concatenate([getattr(motion, key) for motion in motions]) for key in (
-        't', 'q_smooth', 'v_smooth', 'a_smooth', 'tau'))
+    t, q, v, a, tau = joined(motions, 't', 'q_smooth', 'v_smooth', 'a_smooth', 'tau')
     counts = [len(motion.t) for motion in motions]
     # At least MIN_ROWS rows, so that a block has windows of several steps.
     block = np.concatenate([

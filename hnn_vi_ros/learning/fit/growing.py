@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.data.motions import EvenMotion, joined
 from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.noise import covariances, likeliest, Process
 from hnn_vi_ros.learning.fit.prediction import predicted_by
@@ -74,8 +74,7 @@ def first_length(motions: Sequence[EvenMotion]) -> float:
 
 def _speeds_and_paces(motions: Sequence[EvenMotion]) -> tuple[np.ndarray, np.ndarray]:
     """Return the usual speed and the time scale [s] of each coordinate, (d,)."""
-    q, v, a = (np.concatenate([getattr(motion, name) for motion in motions])
-               for name in ('q_smooth', 'v_smooth', 'a_smooth'))
+    q, v, a = joined(motions, 'q_smooth', 'v_smooth', 'a_smooth')
     speed, rate = (np.sqrt((part**2).mean(axis=0)) for part in (v, a))
     # The range of a joint that turns over and over tells nothing of its time scale.
     return speed, np.minimum(q.std(axis=0) / (speed + 1e-300), _TURNING * speed / (rate + 1e-300))

@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.data.motions import EvenMotion, joined
 from hnn_vi_ros.learning.families.choices import (
     Discrete, Forward, Inverse, MotionScales, Structure, TrajectoryLoss, WindowMethod, WindowStage)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
@@ -78,8 +78,7 @@ def samples_of(motions: Sequence[EvenMotion], step_size: float | None) -> Sample
             raise DataError(f'{motion.name}: its sampling interval is {motion.spacing:.4g} s; '
                             'step_size must be a multiple of it, such as '
                             f'{max(every, 1) * motion.spacing:.4g}')
-    parts = [np.concatenate([getattr(motion, name) for motion in motions])
-             for name in ('q', 'q_smooth', 'v_smooth', 'a_smooth', 'tau')]
+    parts = joined(motions, 'q', 'q_smooth', 'v_smooth', 'a_smooth', 'tau')
     means = np.concatenate([mean_forces(motion, every) for motion in motions])
     left = np.concatenate([np.arange(len(motion.t))[::-1] for motion in motions])
     measured, q, v, a, tau, mean, behind = map(torch.tensor, (*parts, means, left))
@@ -253,8 +252,7 @@ def scales_of(motions: Sequence[EvenMotion], learns_map: bool = False) -> Motion
         A coordinate is constant, or the commands do not determine the effect of each motor.
 
     """
-    q, v, a, tau = (np.concatenate([getattr(motion, name) for motion in motions])
-                    for name in ('q_smooth', 'v_smooth', 'a_smooth', 'tau'))
+    q, v, a, tau = joined(motions, 'q_smooth', 'v_smooth', 'a_smooth', 'tau')
     size = [np.sqrt(np.mean(part**2, axis=0)) for part in (v, a, tau)]
     # Use measured coordinates: smoothed ones vary by rounding even at rest.
     moves = np.any([np.ptp(motion.q, axis=0) > 0.0 for motion in motions], axis=0)
@@ -340,8 +338,7 @@ class Fading:
     def __init__(self, structure: Structure, motions: Sequence[EvenMotion],
                  seen_weight: float, fade_weight: float):
         self._weights = seen_weight, fade_weight
-        q, v = (np.concatenate([getattr(motion, name) for motion in motions])
-                for name in ('q_smooth', 'v_smooth'))
+        q, v = joined(motions, 'q_smooth', 'v_smooth')
         self._turns = torch.tensor([kind == 'continuous' for kind in structure.kinds])
         self._unit = torch.where(self._turns, _NEAR_ANGLE, _NEAR_SHARE * torch.tensor(
             np.where(np.ptp(q, axis=0) > 0.0, 0.5 * np.ptp(q, axis=0), 1.0)))

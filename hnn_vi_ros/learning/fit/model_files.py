@@ -11,7 +11,7 @@ from typing import Any
 import warnings
 
 from hnn_vi_ros.errors import AlarmWarning
-from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.data.motions import EvenMotion, joined
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.models import (
@@ -38,8 +38,7 @@ def describe_machine(network: MechanicalNetwork, config: MachineConfig,
                      command: str = '', delay: float = 0.0, step_size: float | None = None,
                      **entries: Any) -> Checkpoint:
     """Return a trained network with its card: delay of the forces, and step of the fit [s]."""
-    q, v, tau = (np.concatenate([getattr(motion, key) for motion in motions])
-                 for key in ('q_smooth', 'v_smooth', 'tau'))
+    q, v, tau = joined(motions, 'q_smooth', 'v_smooth', 'tau')
     with torch.no_grad():
         p = (network.masses(torch.tensor(q)) @ torch.tensor(v)[:, :, None])[:, :, 0].numpy()
     return described(

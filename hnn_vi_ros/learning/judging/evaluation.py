@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.data.motions import EvenMotion, joined
 from hnn_vi_ros.learning.fit.windows import ModelParts
 from hnn_vi_ros.learning.judging.energy import balance, energy_mismatch, unaccounted
 from hnn_vi_ros.learning.judging.predictors import constant_velocity, Predict, simulated
@@ -331,8 +331,7 @@ def outside(domain: Domain, fans: Sequence[TrajectoryBundle], horizons: Sequence
             ) -> Outside:
     """Compare motions, and predictions of them, with a model's training domain."""
     motions = [fan.motion for fan in fans]
-    parts = [np.concatenate([getattr(motion, name) for motion in motions])
-             for name in ('q_smooth', 'v_smooth', 'tau')]
+    parts = [*joined(motions, 'q_smooth', 'v_smooth', 'tau')]
     errors: dict[str, dict[float, np.ndarray]] = {'inside': {}, 'outside': {}}
     for horizon in horizons:
         found, out = list[np.ndarray](), list[np.ndarray]()

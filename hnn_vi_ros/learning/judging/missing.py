@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.data.motions import EvenMotion, joined
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 import numpy as np
 from scipy.stats import median_abs_deviation
@@ -66,8 +66,7 @@ def missing_forces(network: MechanicalNetwork, motions: Sequence[EvenMotion]
     functions of each quantity alone. Its own past is that of the rest which no quantity explains,
     earlier by the time of two periods of the smoothing.
     """
-    q, v, a, tau = (np.concatenate([getattr(motion, name) for motion in motions])
-                    for name in ('q_smooth', 'v_smooth', 'a_smooth', 'tau'))
+    q, v, a, tau = joined(motions, 'q_smooth', 'v_smooth', 'a_smooth', 'tau')
     with torch.no_grad():
         given = network.joint_forces(torch.tensor(tau))
         needed = network.forces(*map(torch.tensor, (q, v, a, tau)))
