@@ -308,33 +308,31 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
     may_have_springs = not getattr(first.config.family, 'springs', True)
     # A delay of the forces would mimic a spring in vain.
     springs_first = may_have_springs and _lacks_springs(first)
-    best, *others = [first] if springs_first else _with_forces(first)
-    best = best._replace(explained=_is_explained(best))
+    found = [first] if springs_first else _with_forces(first)
+    best = found[0] = found[0]._replace(explained=_is_explained(found[0]))
     if not best.explained:
         motions = best.trials.motions
-        best = best._replace(remark=differing_runs(_short(best.config, motions), motions))
+        best = found[0] = best._replace(
+            remark=differing_runs(_short(best.config, motions), motions))
     if best.explained or best.remark or not may_have_springs:
-        return [best, *others]
+        return found
     alone = positions_alone(first.trials.motions)
     kinds = [coordinate.kind for coordinate in first.config.coordinates]
-    if alone and {*kinds} != {'prismatic'}:
-        best, *more = _with_terms(best, first, 'offsets of sensors', {'sensor_offsets': True})
-        others = [*more, *others]
-    if not best.explained:
-        best, *more = _with_terms(best, first, 'springs', {
-            'springs': HIGHEST_POWER if alone and len(kinds) == 1 else 1})
-        others = [*more, *others]
-    if not best.explained and alone and len(kinds) == 1:
-        # As many samples between all, so that no piece is known by a few.
-        q = np.concatenate([motion.q for motion in first.trials.kept])
-        best, *more = _with_terms(best, first, 'a spring of straight pieces', {
-            'springs': 1, 'spring_knots': [float(f'{knot:.4g}') for knot in np.quantile(
-                q, np.linspace(0.0, 1.0, _KNOTS + 2)[1:-1])]})
-        others = [*more, *others]
-    if springs_first and best.rigid is first.rigid:
-        best, *more = _with_forces(best)
-        others = [*more, *others]
-    return [best, *others]
+    single = alone and len(kinds) == 1
+    # As many samples between all, so that no piece is known by a few.
+    knots = np.quantile(np.concatenate([motion.q for motion in first.trials.kept]),
+                        np.linspace(0.0, 1.0, _KNOTS + 2)[1:-1])
+    terms: list[tuple[bool, str, dict[str, object]]] = [
+        (alone and {*kinds} != {'prismatic'}, 'offsets of sensors', {'sensor_offsets': True}),
+        (True, 'springs', {'springs': HIGHEST_POWER if single else 1}),
+        (single, 'a spring of straight pieces', {
+            'springs': 1, 'spring_knots': [float(f'{knot:.4g}') for knot in knots]})]
+    for may_help, name, changes in terms:
+        if may_help and not found[0].explained:
+            found[:1] = _with_terms(found[0], first, name, changes)
+    if springs_first and found[0].rigid is first.rigid:
+        found[:1] = _with_forces(found[0])
+    return found
 
 
 def _lacks_springs(candidate: Candidate) -> bool:
