@@ -16,8 +16,7 @@ from hnn_vi_ros.learning.fit import steps as window_steps
 from hnn_vi_ros.learning.fit.loop import trained, TrainingProblem
 from hnn_vi_ros.learning.fit.machine import (
     Samples, samples_of, scales_of, window_loss, WindowSettings)
-from hnn_vi_ros.learning.fit.machine_fit import fit_machine
-from hnn_vi_ros.learning.fit.records import Records
+from hnn_vi_ros.learning.fit.machine_fit import fit_machine, Records
 from hnn_vi_ros.learning.fit.steps import METHODS, simulated, Solutions
 from hnn_vi_ros.simulation import Simulation
 from machines import compiled, machine_config, shaken, slopes_along
