@@ -24,9 +24,8 @@ from hnn_vi_ros.learning.judging.missing import missing_force, missing_forces
 from hnn_vi_ros.learning.judging.predictors import predicted_by
 from hnn_vi_ros.learning.judging.residuals import (
     is_noise, is_off, judged_along, noise_text, ONLY_NOISE, Residuals)
-from hnn_vi_ros.learning.tasks.differing_runs import differing_runs
 from hnn_vi_ros.models import (
-    CandidateCard, chain_angles, Errors, HIGHEST_POWER, PLANAR_CHAIN, SelectionCard)
+    CandidateCard, chain_angles, Errors, FittedNumber, HIGHEST_POWER, PLANAR_CHAIN, SelectionCard)
 import numpy as np
 from scipy.optimize import minimize_scalar
 
@@ -56,6 +55,11 @@ _WORSE, _GAIN = 0.02, 0.08
 # they reduce residuals by more.
 _TERMS = {'load': True, 'fade': True, 'stribeck': 1, 'directed': True, 'offset': True}
 _NEEDED = 0.02
+# Number of runs that are fitted one by one.
+_MOST_RUNS = 4
+# Difference of two numbers relative to the sum of the half-widths of their intervals that shows
+# two machines. A larger ratio than 1, since models err beyond the noise.
+_APART = 3.0
 RIGID, ALONE = 'rigid body', 'networks alone'
 OF_VELOCITIES, OF_POSITIONS = 'rigid body of measured velocities', 'rigid body of positions alone'
 _CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
@@ -138,7 +142,7 @@ class Candidate(NamedTuple):
     explained : bool
         True if it leaves nothing but noise.
     remark : str
-        See ``differing_runs``: if it is given, no model of (q, p) is of all runs.
+        See ``_differing_runs``: if it is given, no model of (q, p) is of all runs.
 
     """
 
@@ -313,7 +317,7 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
     if not best.explained:
         motions = best.trials.motions
         best = found[0] = best._replace(
-            remark=differing_runs(_short(best.config, motions), motions))
+            remark=_differing_runs(_short(best.config, motions), motions))
     if best.explained or best.remark or not may_have_springs:
         return found
     alone = positions_alone(first.trials.motions)
@@ -333,6 +337,55 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
     if springs_first and found[0].rigid is first.rigid:
         found[:1] = _with_forces(found[0])
     return found
+
+
+def _differing_runs(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
+    """
+    Return a sentence if the first runs are of different machines, loads or units, else ''.
+
+    They are if a rigid body leaves nothing but noise in each run alone, with numbers that differ
+    by several times their 95 % intervals. Use it for a rigid body that does not explain all runs.
+
+    Parameters
+    ----------
+    config : MachineConfig
+        Configuration of a rigid body.
+    motions : sequence of EvenMotion
+        Motions, with positions alone.
+
+    """
+    runs: dict[str, list[EvenMotion]] = {}
+    for motion in motions:
+        runs.setdefault(run_of(motion), []).append(motion)
+    free = not any(motion.tau.any() for motion in motions)
+    q = np.concatenate([motion.q_smooth for motion in motions]) if free else None
+    found = dict[str, dict[str, FittedNumber]]()
+    for name in [*runs][:_MOST_RUNS if len(runs) > 1 else 0]:
+        try:
+            fitted = fit_machine(config, runs[name])
+        except DataError:
+            return ''
+        if not (isinstance(fitted, FittedRigidBody) and fitted.numbers is not None
+                and fitted.numbers.stages[-1][1] <= ONLY_NOISE):
+            return ''
+        found[name] = fitted.estimates(config.coordinates, q)
+    apart = {}
+    for key in set.intersection(*map(set, found.values())) if found else ():
+        low, *_, high = sorted(found, key=lambda name: found[name][key].value)
+        first, last = found[low][key], found[high][key]
+        # An inertia that is set to 1 has no interval.
+        halves = max(first.interval[1] - first.value + last.interval[1] - last.value,
+                     1e-6 * abs(last.value))
+        apart[(last.value - first.value) / (halves or 1.0)] = key, low, high
+    most = max(apart, default=0.0)
+    if most < _APART:
+        return ''
+    key, *ends = apart[most]
+    values = ' and '.join(f'{found[name][key].value:.4g} in {name}' for name in ends)
+    # Without forces, numbers are relative to the inertia.
+    unit = '' if free else f' [{found[ends[0]][key].unit}]'
+    return (f'a rigid body explains each run alone, but not together: {key} is {values}{unit}; '
+            'train on runs of one machine, load and unit')
 
 
 def _lacks_springs(candidate: Candidate) -> bool:
