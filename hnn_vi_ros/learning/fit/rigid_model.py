@@ -53,7 +53,7 @@ class RigidModel:
 
     Parameters
     ----------
-    unknowns : RigidUnknowns
+    unknowns : PriorUnknowns
         The k parameters, and the network that they belong to.
     start : np.ndarray, shape (k,)
         Their initial values in SI units.
@@ -66,7 +66,7 @@ class RigidModel:
 
     name = 'the rigid body'
 
-    def __init__(self, unknowns: 'RigidUnknowns', start: np.ndarray, step_size: float,
+    def __init__(self, unknowns: 'PriorUnknowns', start: np.ndarray, step_size: float,
                  driven: bool):
         self.unknowns, self.step_size, self._driven = unknowns, step_size, driven
         # A number that starts at its bound could stay there.
@@ -204,11 +204,6 @@ class RigidUnknowns(ABC):
             np.concatenate([np.broadcast_to(part, len(own[0])) for own, part in zip(
                 parts, column, strict=True)]) for column in zip(*parts, strict=True))
 
-    @property
-    def spare(self) -> list[int]:
-        """Return the indices of weights, springs and rotors."""
-        return []
-
     @abstractmethod
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the parameters of the prior, keyed by name in the network."""
@@ -230,40 +225,6 @@ class RigidUnknowns(ABC):
         return self.raw_prior(prior) | {
             name: raw[name](part) for name, part in zip(raw, others, strict=True) if len(part)}
 
-    def labels(self, coordinates: Sequence[CoordinateCard]) -> list[tuple[str, str]]:
-        """Return name and unit of each number."""
-        prior = self.network.prior
-        assert prior is not None
-        forces = [force_unit(one.p_unit) for one in coordinates]
-        speeds = [f'{one.q_unit}/s' for one in coordinates]
-        found = [(name, one.unit) for name, one in prior.quantities(
-            [one.p_unit for one in coordinates]).items()]
-        for kind, count, units in zip(
-                ('viscous friction', 'dry friction', 'offset', 'input map', 'fade',
-                 'Stribeck speed', 'width of dry friction'), self.sizes[1:], (
-                     [f'{force} / ({speed})' for force, speed in zip(forces, speeds, strict=True)],
-                     forces, forces, ['1'], ['1'], speeds, speeds), strict=True):
-            for k in range(count):
-                of = f' of {coordinates[k].name}' if count == len(coordinates) else f' {k + 1}'
-                found.append((kind + of, units[k % len(units)]))
-        return found
-
-    @property
-    def scaled(self) -> np.ndarray:
-        """Return the mask (k,) of numbers that grow with the scale of the energy."""
-        prior = self.network.prior
-        assert prior is not None
-        return np.concatenate([[not name.startswith(OFFSET) for name in prior.names], np.repeat(
-            np.arange(1, len(self.sizes)) < 5, self.sizes[1:])])
-
-    def mean_inertia(self, q: np.ndarray) -> np.ndarray:
-        """Return the mean first inertia at coordinates (N, d) per unit of each number."""
-        prior, found = self.network.prior, np.zeros(sum(self.sizes))
-        assert prior is not None and prior.linear
-        found[:self.sizes[0]] = [float(prior.mass(torch.tensor(q), unit)[:, 0, 0].mean())
-                                 for unit in torch.eye(self.sizes[0], dtype=torch.float64)]
-        return found
-
     def network_at(self, values: np.ndarray) -> MechanicalNetwork:
         """Return the network with given numbers in SI units."""
         with torch.no_grad():
@@ -282,13 +243,43 @@ class PriorUnknowns(RigidUnknowns):
 
     @property
     def spare(self) -> list[int]:
-        """Return the indices of weights, springs, rotors and offsets, as in RigidUnknowns."""
+        """Return the indices of weights, springs, rotors and offsets."""
         return [k for k, name in enumerate(self.prior.names) if self.prior.linear and (
             is_spring(name) or name.startswith(('gravity', 'motor_inertia', OFFSET)))]
 
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the raw parameters of the prior, as in RigidUnknowns."""
         return {'prior.raw': self.prior.raw_of(values)}
+
+    def labels(self, coordinates: Sequence[CoordinateCard]) -> list[tuple[str, str]]:
+        """Return name and unit of each number."""
+        forces = [force_unit(one.p_unit) for one in coordinates]
+        speeds = [f'{one.q_unit}/s' for one in coordinates]
+        found = [(name, one.unit) for name, one in self.prior.quantities(
+            [one.p_unit for one in coordinates]).items()]
+        for kind, count, units in zip(
+                ('viscous friction', 'dry friction', 'offset', 'input map', 'fade',
+                 'Stribeck speed', 'width of dry friction'), self.sizes[1:], (
+                     [f'{force} / ({speed})' for force, speed in zip(forces, speeds, strict=True)],
+                     forces, forces, ['1'], ['1'], speeds, speeds), strict=True):
+            for k in range(count):
+                of = f' of {coordinates[k].name}' if count == len(coordinates) else f' {k + 1}'
+                found.append((kind + of, units[k % len(units)]))
+        return found
+
+    @property
+    def scaled(self) -> np.ndarray:
+        """Return the mask (k,) of numbers that grow with the scale of the energy."""
+        return np.concatenate([
+            [not name.startswith(OFFSET) for name in self.prior.names],
+            np.repeat(np.arange(1, len(self.sizes)) < 5, self.sizes[1:])])
+
+    def mean_inertia(self, q: np.ndarray) -> np.ndarray:
+        """Return the mean first inertia at coordinates (N, d) per unit of each number."""
+        found = np.zeros(sum(self.sizes))
+        found[:self.sizes[0]] = [float(self.prior.mass(torch.tensor(q), unit)[:, 0, 0].mean())
+                                 for unit in torch.eye(self.sizes[0], dtype=torch.float64)]
+        return found
 
     def now(self) -> np.ndarray:
         """Return the current numbers of the network, in SI units."""
