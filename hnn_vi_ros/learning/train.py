@@ -56,7 +56,6 @@ def main(argv: Sequence[str]) -> None:
     # More threads do not help small networks; one thread makes sums identical on all machines.
     torch.set_num_threads(1)
     source, config = _configuration(arguments)
-    _check_options(source, config.family, arguments)
     if arguments.seed is not None:
         config = config.model_copy(update={'seed': arguments.seed})
     command = shlex.join(['hnn', 'train', *(part for part in argv if part != '--resume')])
