@@ -77,7 +77,7 @@ def write_project(folder: Path, name: str, scene: SceneCode) -> list[Path]:
         with TemporaryDirectory() as temporary:
             library, shared = Path(temporary, 'lib.a'), Path(temporary, 'shared')
             library.write_bytes(contents[f'lib{name}.a'])
-            subprocess.run([compiler, '-shared', '-s', '-o', shared, '-Wl,--whole-archive',
+            subprocess.run([compiler, '-shared', '-s', '-o', shared, '-Wl,-z,defs,--whole-archive',
                             library, '-Wl,--no-whole-archive', '-lm'], check=True)
             contents[f'{name}.so'] = shared.read_bytes()
     values = template_values(name, scene) | {

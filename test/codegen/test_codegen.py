@@ -94,6 +94,7 @@ SCENES = {
     'four_bar': changed('four_bar'),
     'gear': changed('gripper'),
     'quadrotor': changed('quadrotor'),
+    'body': changed('turning_pendulum'),
     'attention': attention,
     'formula': lambda: Scene.build(**FORMULA),
     'time': changed('driven_duffing'),
@@ -198,7 +199,7 @@ def test_object_needs_the_mathematical_library_only(name):
     linked = subprocess.run(['size', f'lib{name}.a'], cwd=folder, capture_output=True, text=True,
                             check=True).stdout.split()[9]
     weights = 8 * np.count_nonzero(code.image.words[code.image.changing:])
-    assert int(linked) - weights < 300_000
+    assert int(linked) - weights < (400_000 if name == 'body' else 300_000)
 
 
 @pytest.mark.long

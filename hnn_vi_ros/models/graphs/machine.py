@@ -131,9 +131,9 @@ def run(graph: GraphParameters, which: int) -> None:
 def fill(graph: GraphParameters, which: int, values: np.ndarray) -> None:
     """Run a tape, and fill an array of any shape with its result."""
     run(graph, which)
-    place, flat = graph.places[which], values.ravel()
+    place = graph.places[which]
     for i in range(values.size):
-        flat[i] = graph.memory[place + i]
+        values.flat[i] = graph.memory[place + i]
 
 
 @_compiled
