@@ -55,7 +55,8 @@ def write_fmu(path: Path, name: str, scene: SceneCode) -> None:
         (folder / 'fmi3.c').write_text(filled('fmi3.c', values), encoding='utf-8')
         subprocess.run([COMPILERS[scene.target], '-std=c11', '-O2', '-shared', '-fPIC',
                         '-fvisibility=hidden', 'fmi3.c', f'lib{name}.a',
-                        '-Wl,-z,defs,--exclude-libs,ALL', '-lm', '-o', 'fmu.so'], cwd=folder, check=True)
+                        '-Wl,-z,defs,--exclude-libs,ALL', '-lm', '-o', 'fmu.so'],
+                       cwd=folder, check=True)
         contents = {
             'modelDescription.xml': filled('modelDescription.xml', values).encode(),
             f'binaries/{scene.target}/{name}.so': (folder / 'fmu.so').read_bytes(),

@@ -144,7 +144,7 @@ def test_scene_method_that_cannot_take_an_effect_is_refused_where_it_stands(writ
 
 def test_scene_override_is_not_placed_in_the_file(write):
     scene = load_scene(write(ACTED_ON)).with_overrides(step_size=0.1)
-    assert scene.place('step_size').endswith('mine.yaml: step_size')
+    assert scene.place('step_size').endswith('mine.yaml with overrides: step_size')
     assert scene.place('effects', 1, 'rate').endswith('mine.yaml:5: effects.1.rate')
     assert Scene.model_validate(scene.model_dump()).place('step_size') == 'scene: step_size'
 

@@ -294,7 +294,7 @@ def test_page_explains_cells_in_which_a_peer_is_faster_than_the_pair():
     text = accuracy_page.as_page(results)
     assert ('| kepler | 10 | 1e-09 | 2 | dop853, tol 1e-10: 10 x 8 | '
             'diffrax Dopri8, tol 1e-10: 10 x 4 |') in text
-    assert 'We take more than 0.9 of the fastest peer' in text
+    assert 'we take more than 0.9 of the fastest peer' in text
 
 
 def test_results_of_other_scenes_stay(tmp_path):
