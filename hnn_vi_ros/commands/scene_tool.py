@@ -217,9 +217,10 @@ def _in_a_line(scene: Scene, simulation: 'Simulation') -> str:
     what = getattr(scene.hamiltonian, 'model', None) or getattr(scene.hamiltonian, 'factory', '')
     parts = [f'{scene.hamiltonian.kind} {what}'.strip(), *(e.kind for e in scene.effects)]
     kept = 'conservative' if simulation.conservative else 'not conservative'
-    turns = [f'; {name} starts at {start:g} rad, {start / (2.0 * math.pi):.3g} turns' for
-             name, unit, start in zip(*(own(simulation.hamiltonian.coordinates)[0] for own in (
-                 columns, column_units)), scene.initial_state.q, strict=True)
+    (names, _), (units, _) = (
+        own(simulation.hamiltonian.coordinates) for own in (columns, column_units))
+    turns = [f'; {name} starts at {start:g} rad, {start / (2.0 * math.pi):.3g} turns'
+             for name, unit, start in zip(names, units, scene.initial_state.q, strict=True)
              if unit == 'rad' and abs(start) > _MOST_TURNS * 2.0 * math.pi]
     return (f'{scene.name}: valid: {" + ".join(parts)}, {scene.integrator.kind}, '
             f'h = {scene.step_size:g} s, {kept}{"".join(turns)}')
