@@ -10,7 +10,6 @@ from hnn_vi_ros.simulation import (
     BoxGuard, EnergyGuard, look, PoleGuard, RunFacts, secular_change, Simulation, Watch)
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band, rounding_walk
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
-from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.steps import RescueGuard, StiffnessGuard
 from hnn_vi_ros.simulation.guards.watch import energies_of
 import numpy as np
@@ -28,7 +27,7 @@ _JUDGED = 2
 # Guards of the motion; a slow step says nothing about it.
 _GUARDS = (BarrierGuard, BoxGuard, EnergyGuard, RescueGuard, ResolutionGuard, StiffnessGuard)
 # Guards of the path count only if events are counted: accuracy is not judged otherwise.
-_OF_PATHS = (PathGuard, PoleGuard)
+_OF_PATHS = (PoleGuard,)
 _EPS = float(np.finfo(np.float64).eps)
 _TRIANGLE = np.array([[0.0, -2.0], [math.sqrt(3.0), 1.0], [-math.sqrt(3.0), 1.0]])
 

@@ -297,6 +297,10 @@ class Integrator(ABC):
         """Return the reason this method cannot integrate `hamiltonian`, '' if it can."""
         return self.requirements.refusal(hamiltonian)
 
+    def scaled(self, factor: float) -> 'Integrator':
+        """Return the method with its tolerances times a factor; itself if it has none."""
+        return self
+
     @property
     def kernel_name(self) -> str:
         """Return a name that is unique to the step."""

@@ -172,6 +172,11 @@ class Dop853(Integrator):
                        absolute_tolerance=absolute_tolerance)
         self._options = PairOptions(relative_tolerance, absolute_tolerance, DOP853_TABLEAU)
 
+    def scaled(self, factor: float) -> 'Dop853':
+        """Return the method with its tolerances times a factor."""
+        return self if factor == 1.0 else Dop853(
+            factor * self._options.relative, factor * self._options.absolute)
+
     def options(self, attempt: int = 0, dimension: int = 1) -> PairOptions:
         """Return the tolerances and coefficients."""
         return self._options

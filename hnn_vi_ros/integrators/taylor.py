@@ -424,6 +424,11 @@ class Taylor(Integrator):
         self._tolerance = float(tolerance)
         self.order = math.ceil(1.0 - 0.5 * math.log(tolerance))
 
+    def scaled(self, factor: float) -> 'Taylor':
+        """Return the method with its tolerance times a factor, within the useful ones."""
+        least, most = self.useful_tolerances
+        return self if factor == 1.0 else Taylor(min(max(factor * self._tolerance, least), most))
+
     def refusal(self, hamiltonian: Hamiltonian) -> str:
         """Return the reason this method cannot integrate `hamiltonian`, '' if it can."""
         problem = super().refusal(hamiltonian)

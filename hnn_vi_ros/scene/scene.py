@@ -75,6 +75,9 @@ class Scene(StrictModel):
         'run all members of an ensemble beside their mean, and report their spread'))
     measurements: MeasurementsChoice | None = Field(None, description=(
         'sensors whose readings are published in place of exact values'))
+    path_error: Literal['measured', 'off'] = Field('measured', description=(
+        'measured: the run is taken again with other steps, and reports the error of its path; '
+        'off: it is taken once'))
     energy_by_cause: bool = Field(False, description=(
         'account for the energy by cause: the work, the stored energy and the heat of each effect '
         'and of its joints'))
@@ -96,7 +99,7 @@ class Scene(StrictModel):
               uncertainty: Mapping[str, Any] | None = None, on_failure: str = 'substep',
               measurements: Mapping[str, Any] | None = None, mechanism: str | None = None,
               description: str = '', name: str = 'scene', duration: float = 10.0,
-              energy_by_cause: bool = False) -> 'Scene':
+              energy_by_cause: bool = False, path_error: str = 'measured') -> 'Scene':
         """
         Return a scene created without a file, validated as a YAML file is.
 
@@ -130,6 +133,8 @@ class Scene(StrictModel):
             Simulated time of ``simulate`` without one [s].
         energy_by_cause : bool, optional
             Account for the energy by cause; see ``Trajectory.energy_by_cause``.
+        path_error : str, optional
+            ``'measured'`` or ``'off'``; see PathError.
 
         Raises
         ------
@@ -154,7 +159,7 @@ class Scene(StrictModel):
             'integrator': integrator, 'step_size': step_size, 'initial_state': state,
             'on_failure': on_failure, 'events': events, 'invariants': invariants,
             'uncertainty': uncertainty, 'measurements': measurements, 'mechanism': mechanism,
-            'duration': duration, 'energy_by_cause': energy_by_cause})
+            'duration': duration, 'energy_by_cause': energy_by_cause, 'path_error': path_error})
         return _validated(data, f'Scene.build {name}')._placed_at(Origin(Path(name)))
 
     def _placed_at(self, origin: Origin) -> 'Scene':

@@ -53,10 +53,13 @@ if TYPE_CHECKING:
         ignore_sigint_in_children, in_threads, usable_processors, worker_processes)
     from hnn_vi_ros.simulation.rescue import Fallbacks
     from hnn_vi_ros.simulation.run_samples import check_memory, record, RunSamples, Schedule
+    from hnn_vi_ros.simulation.path_error import PathError
+    from hnn_vi_ros.simulation.second_run import PathReport
     from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
     from hnn_vi_ros.simulation.system import System
     from hnn_vi_ros.simulation.trajectory.devices import batch_on, one_thread_each, record_on
-    from hnn_vi_ros.simulation.trajectory.many import BLOCK, record_block, simulate_many
+    from hnn_vi_ros.simulation.trajectory.many import (
+        BLOCK, drawn, MAX_MEASURED_STEPS, measure_alone, record_block, simulate_many)
     from hnn_vi_ros.simulation.trajectory.simulate import changed_parts, record_one, simulate
     from hnn_vi_ros.simulation.trajectory.trajectory import EnergyByCause, Trajectory
 

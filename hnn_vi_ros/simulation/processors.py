@@ -54,6 +54,50 @@ def check_interrupt() -> None:
         raise KeyboardInterrupt
 
 
+class Helper:
+    """
+    A thread that helps the thread that made it, and ends with the process.
+
+    Parameters
+    ----------
+    work : callable
+        Called in the thread; an exception of it is raised by ``join``.
+
+    """
+
+    def __init__(self, work: Callable[[], None]):
+        self._work, self._stop = work, Event()
+        self._problem: BaseException | None = None
+        self._thread = Thread(target=self._run, daemon=True)
+
+    def _run(self) -> None:
+        _own.stop = self._stop
+        try:
+            self._work()
+        except BaseException as problem:  # noqa: B902  raised by join
+            self._problem = problem
+
+    @property
+    def started(self) -> bool:
+        """Return whether the thread was started."""
+        return self._thread.ident is not None
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def join(self) -> None:
+        """Wait for the thread, if it was started, and raise its exception."""
+        if self.started:
+            self._thread.join()
+        if self._problem is not None:
+            raise self._problem
+
+    def stop(self) -> None:
+        """End the work at its next call of ``check_interrupt``, without waiting for it."""
+        self._stop.set()
+
+
 @contextmanager
 def ignore_sigint_in_children() -> Iterator[None]:
     """

@@ -76,6 +76,11 @@ class Schedule(NamedTuple):
                              f'{duration:g} s')
         return cls(0, 1, t, from_start=False)
 
+    def steps(self, step_size: float) -> int:
+        """Return the number of steps of a run."""
+        return max(self.samples * self.every, math.ceil(
+            self.rest[-1] / step_size - 1e-9) if self.rest.size else 0)
+
     def times(self, step_size: float) -> np.ndarray:
         """Return the times of all samples, shape (n,) [s]."""
         steps = np.arange(0 if self.from_start else 1, self.samples + 1) * self.every

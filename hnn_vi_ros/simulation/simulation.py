@@ -3,11 +3,11 @@
 """Simulation: the state of a scene, advanced by whole steps in compiled code."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 import math
 from operator import itemgetter
 import time
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TYPE_CHECKING
 import warnings
 
 from hnn_vi_ros.effects import (
@@ -29,6 +29,8 @@ from hnn_vi_ros.simulation.system import System
 import numpy as np
 from numpy.typing import ArrayLike
 
+if TYPE_CHECKING:
+    from hnn_vi_ros.simulation.second_run import SecondRun
 
 # Relative distance beyond which two solutions of a step count as different.
 _MAX_DISTANCE, _FIRST = 1e-8, itemgetter(0)
@@ -121,10 +123,14 @@ class Simulation:
 
     def __init__(self, hamiltonian: Hamiltonian, integrator: Integrator, step_size: float,
                  q: ArrayLike, p: ArrayLike, effects: Sequence[Effect] = (),
-                 on_failure: str = 'substep', energy_by_cause: bool = False):
+                 on_failure: str = 'substep', energy_by_cause: bool = False,
+                 warn: bool = True):
         if not (np.isfinite(step_size) and step_size > 0.0):
             raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
         self.system = system = System(hamiltonian, effects, integrator, by_joint=energy_by_cause)
+        # The run with other steps that follows this one.
+        self.second: SecondRun | None = None
+        self._parts = hamiltonian, effects, on_failure
         self._kernel, self.step_size = system.kernel, float(step_size)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
         self._rescue, self.rescue_ready = Rescue(system, on_failure), True
@@ -137,14 +143,14 @@ class Simulation:
         self.command_names, self.command_size = self.motors.names, self.motors.size
         timeout = min((getattr(effect, 'timeout', np.inf) for effect in effects
                        if NUMBERS in getattr(effect, 'takes', ())), default=np.inf)
-        if timeout < self.step_size:
+        if warn and timeout < self.step_size:
             warnings.warn(f'external_force: a command acts for whole steps of {step_size:g} s, '
                           f'longer than its timeout of {timeout:g} s; use a smaller step_size',
                           stacklevel=2)
         self.usual_gradients = system.integrator.usual_gradients
         self._follow: Loop | None = None
         self._most_followed = 1
-        if not self._kernel.compiled:
+        if warn and not self._kernel.compiled:
             warnings.warn(
                 f'{type(hamiltonian).__name__} is not compiled: plain Python or autograd computes '
                 'its gradient in every step, which is slower', stacklevel=2)
@@ -179,6 +185,7 @@ class Simulation:
         self._shape, self._momenta = q.shape, p.shape[-1]
         self.q, self.p = self._state(self._z.q), self._state(self._z.p)[..., :self._momenta]
         self.q[:], self.p[:] = q, p
+        self._start = q.copy(), p.copy()
         self.dH_dq = self._state(self._dH_dq)
         self.dH_dp = self._state(self._dH_dp)[..., :self._momenta]
         self._evaluate_gradient()
@@ -188,11 +195,32 @@ class Simulation:
         self._update_gradient()
         self._energy0 = self.energy
 
+    def follow_by(self, second: 'SecondRun | None') -> None:
+        """Have a second run follow the next steps, or none."""
+        self.second = second
+
+    def sibling(self, steps: float = 1.0, tolerances: float = 1.0) -> 'Simulation':
+        """
+        Return a simulation of the same system in the same code, with its own memory.
+
+        Parameters
+        ----------
+        steps, tolerances : float
+            Its step size, and the tolerances of its method, relative to those of this one.
+
+        """
+        hamiltonian, effects, on_failure = self._parts
+        other = Simulation(hamiltonian.copy(), self.integrator.scaled(tolerances),
+                           steps * self.step_size, *self._start, effects, on_failure, warn=False)
+        other.rescue_ready = self.rescue_ready
+        return other
+
     def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:
         """Replace numbers at the next `restart`; return False if that needs a rebuild."""
         system = self.system.with_numbers(hamiltonian, effects)
         if system is None:
             return False
+        self._parts = hamiltonian, effects, self._parts[2]
         self.system, self.hamiltonian, self.motors = system, system.hamiltonian, system.motors
         if self.ledger is not None:
             self.ledger = Ledger(system, self.q.ravel())
@@ -219,6 +247,8 @@ class Simulation:
             self.motors.command(command, q, limited)
         self._evaluate_gradient()
         self._update_gradient()
+        if self.second is not None:
+            self.second.command(command)
 
     def _change_payload(self, payload: Payload) -> None:
         """Replace the payload at constant velocities; the jump of the energy is its work."""
@@ -253,21 +283,6 @@ class Simulation:
         """
         work = self._memories[0][0] if self._memories[0] else None
         return work.kept.tally[:3].copy() if isinstance(work, PairWork) else np.zeros(3, np.int64)
-
-    @property
-    def path_step(self) -> float:
-        """Return the step size, or that of the next internal step if it is shorter [s]."""
-        work = self._memories[0][0] if self._memories[0] else None
-        if not isinstance(work, PairWork):
-            return self.step_size
-        inside = float(work.kept.control[0, 0])
-        if not inside:
-            with self._elsewhere(self.row), suppress(StepFailure):
-                # The first internal step shows it.
-                work.own_step[:], self.step_size = self.step_size, _SHORTEST
-                self.advance(1)
-                inside = float(work.kept.control[0, 0])
-        return min(self.step_size, inside or math.inf)
 
     @property
     def connected(self) -> bool:
@@ -480,18 +495,6 @@ class Simulation:
             d = self.hamiltonian.dimension
             return path[1:, :, :d], path[1:, :, d:d + self._momenta]
 
-    def neighbour(self, row: np.ndarray, dq: np.ndarray, dp: np.ndarray) -> np.ndarray:
-        """Return a row moved by (dq, dp), or rows; rotations keep their q."""
-        if row.ndim > 1:
-            return np.array([self.neighbour(*one) for one in zip(row, dq, dp, strict=True)])
-        near, n = row.copy(), self._z.q.size
-        q, p = (self._state(near[HEAD + k * n:HEAD + (k + 1) * n]) for k in (0, 1))
-        if not self.hamiltonian.rotations:
-            q += dq
-        p[..., :self._momenta] += dp
-        near[2] = -1.0
-        return near
-
     def clock_trial(self, row: np.ndarray, elapsed: float) -> tuple[np.ndarray, np.ndarray]:
         """
         Return q and p at a time after a row [s], for a method with internal steps.
@@ -542,7 +545,7 @@ class Simulation:
         attempted = self.system.effect_state.step.copy()
         loops = self.system.constraints
         sine = loops.constraints.sine if isinstance(loops, LoopManifold) else np.empty(0)
-        watched = sine.copy()
+        watched, (second, self.second) = sine.copy(), (self.second, None)
         self.put(row)
         begin = self.steps
         own = next((workspace for workspace in self._memories[self._active]
@@ -561,7 +564,7 @@ class Simulation:
             self.system.effect_state.step[:] = attempted
             self.put(now)
             sine[:] = watched
-            self._costs = costs
+            self._costs, self.second = costs, second
 
     def advance(self, n: int, until: float = math.inf) -> int:
         """
@@ -693,7 +696,39 @@ class Simulation:
     def _take(self, every: int, q_out: np.ndarray, p_out: np.ndarray, until: float = math.inf
               ) -> None:
         """Take the steps to the last sample, or up to the deadline, or raise StepFailure."""
-        done, changed, last = 0, -1, len(q_out) * every
+        done, last, begun, second = 0, len(q_out) * every, self.steps, self.second
+        if second is None or not last:
+            self._take_steps(done, last, every, q_out, p_out, until)
+        while second is not None and done < last:
+            span, recorded = second.span()
+            span = min(span, last - done)
+            if recorded:
+                self._take_recorded(second, done, span, every, q_out, p_out, until)
+            else:
+                self._take_steps(done, done + span, every, q_out, p_out, until)
+            if self.steps - begun < done + span:
+                break  # the deadline has passed
+            done += span
+        self._update_gradient()
+
+    def _take_recorded(self, second: 'SecondRun', done: int, span: int, every: int,
+                       q_out: np.ndarray, p_out: np.ndarray, until: float) -> None:
+        """Take `span` steps after step `done` as in ``_take``, and pass their states on."""
+        begun, (q, p) = self.steps, np.empty((2, span, self._z.q.size))
+        try:
+            self._take_steps(0, span, 1, q, p, until)
+        finally:
+            second.take(q[:self.steps - begun])
+        # Samples are at the steps after `done` that are whole multiples.
+        first = every - 1 - done % every
+        sampled = q[first:self.steps - begun:every], p[first:self.steps - begun:every]
+        for out, part in zip((q_out, p_out), sampled, strict=True):
+            out[done // every:done // every + len(part)] = part
+
+    def _take_steps(self, done: int, last: int, every: int, q_out: np.ndarray, p_out: np.ndarray,
+                    until: float) -> None:
+        """Take the steps after step `done` up to `last`, and record samples; see ``_take``."""
+        changed = -1
         begun, before, costs = done, self.row, self._costs
         while True:
             outcome, done, residual, spent = self._run(done, last, every, q_out, p_out)
@@ -720,7 +755,6 @@ class Simulation:
                 break
             check_interrupt()
             begun, before, costs = done, self.row, self._costs
-        self._update_gradient()
 
     def _run(self, done: int, last: int, every: int, q_out: np.ndarray, p_out: np.ndarray
              ) -> tuple[int, int, float, int]:
@@ -753,7 +787,9 @@ class Simulation:
         """Repeat the successful steps from a row, to discard all traces of a failed one."""
         self.put(row)
         self._costs = costs
-        self._take(done, *np.empty((2, 1, self._z.q.size)))
+        q, p = np.empty((2, 1, self._z.q.size))
+        self._take_steps(0, done, max(done, 1), q, p, math.inf)
+        self._update_gradient()
 
     def _change_method(self) -> None:
         """Switch to the other method, started as from an initial state."""

@@ -13,8 +13,8 @@ from hnn_vi_ros.files import one_line
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.scene import load_code, Parts, with_values
 from hnn_vi_ros.simulation import (
-    Alarm, build_at, judge_many, record_block, record_one, Schedule, System, time_between_motions,
-    Trajectory, watched, whole_steps)
+    Alarm, build_at, drawn, judge_many, MAX_MEASURED_STEPS, measure_alone, record_block,
+    record_one, Schedule, System, time_between_motions, Trajectory, watched, whole_steps)
 from hnn_vi_ros.sweeps.definition import Reduction
 from hnn_vi_ros.sweeps.plan import SweepPlan
 import numpy as np
@@ -330,9 +330,12 @@ class CachedScene:
         q, p = self.states(rows)
         simulation = self._simulation('block', q, p)
         schedule = Schedule.until(self._plan.sweep.duration, self._every, simulation)
-        q_all, p_all, alarms_of, _ = record_block(simulation, q, p, indices[0], schedule)
-        return self._several(schedule.times(simulation.step_size), q_all, p_all,
-                             [[*alarms_of] for _ in rows])
+        found = record_block(simulation, q, p, indices[0], schedule, self._all_measured)
+        for k, index in enumerate(indices):
+            if self._is_measured(index) and not self._all_measured:
+                found.alarms[k] += measure_alone(self.parts, q[k], p[k], schedule)[1]
+        return self._several(
+            schedule.times(simulation.step_size), found.q, found.p, found.alarms)
 
     def _several(self, t: np.ndarray, q: np.ndarray, p: np.ndarray,
                  alarms: list[list[Alarm]]) -> Trajectory:
@@ -376,7 +379,19 @@ class CachedScene:
         # Each index has its own noise stream.
         simulation.restart(q[0], p[0], stream=index)
         schedule = Schedule.until(self._plan.sweep.duration, self._every, simulation)
-        return replace(record_one(simulation, schedule), scene=self.parts.scene)
+        return replace(record_one(simulation, schedule, path_error=(
+            'measured' if self._is_measured(index) else 'off')), scene=self.parts.scene)
+
+    @property
+    def _all_measured(self) -> bool:
+        """Return whether the path error of all trajectories of the sweep is measured."""
+        return (self.parts.scene.path_error == 'measured'
+                and self._plan.count * self._plan.steps <= MAX_MEASURED_STEPS)
+
+    def _is_measured(self, index: int) -> bool:
+        """Return whether the path error of a trajectory is measured; see ``simulate_many``."""
+        return self._all_measured or (self.parts.scene.path_error == 'measured'
+                                      and index in drawn(self._plan.count))
 
     def _simulation(self, name: str, q: np.ndarray, p: np.ndarray) -> Any:
         """Return a cached simulation, created at the first use from this state."""

@@ -23,7 +23,6 @@ from hnn_vi_ros.simulation import (
     Alarm, BoxGuard, build, EnergyGuard, Guard, make_guards, PoleGuard, RunFacts, Simulation)
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.simulation.guards.facts import BAND_LIMIT, CHANGE_LIMIT
-from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard
 from hnn_vi_ros.simulation.guards.samples import SampleBlock
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
 import numpy as np
@@ -161,7 +160,7 @@ def simulation_of(hamiltonian: str = 'harmonic_oscillator', method: str = 'varia
         HAMILTONIANS[hamiltonian](), INTEGRATORS[method](), 0.01, q, p, effects)
 
 
-PLACED = [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, PathGuard, PoleGuard, RescueGuard]
+PLACED = [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, PoleGuard, RescueGuard]
 
 
 @pytest.mark.parametrize('simulation, expected', [
@@ -169,11 +168,11 @@ PLACED = [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, PathGuard, Pole
     (simulation_of('pendulum'), PLACED),
     (simulation_of('henon_heiles', q=(0.0, 0.1), p=(0.1, 0.0)), PLACED),
     (simulation_of('pendulum', effects=[EFFECTS['damping'](0.1)]),
-     [EnergyGuard, CostGuard, ForcedPathGuard, RescueGuard]),
+     [EnergyGuard, CostGuard, RescueGuard]),
     # Gravity beside a pendulum's own moves its separatrix, which is searched for.
     (simulation_of('pendulum', effects=[EFFECTS['gravity']('angle', 1.0, 1.0)]), PLACED),
     (build(load_scene('pendulum')),
-     [BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, PathGuard, SolutionGuard,
+     [BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, SolutionGuard,
       RescueGuard]),
 ], ids=['oscillator', 'pendulum', 'henon_heiles', 'damped', 'joined', 'learned'])
 def test_guards_are_those_that_the_scene_calls_for(simulation, expected):

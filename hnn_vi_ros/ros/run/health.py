@@ -13,7 +13,7 @@ from hnn_vi_ros.ros.recording import RunRecording
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, Status, WARN
 from hnn_vi_ros.run import Monitor, OverrunGuard, Pacer, Sampler
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Alarm, EnergyGuard, Guard, Simulation
+from hnn_vi_ros.simulation import Alarm, EnergyGuard, Guard, PathReport, Simulation
 
 STEP_FAILED = 'step failed'
 # Samples per burst above which to warn: a controller acts on the last sample of a burst only.
@@ -144,6 +144,8 @@ class RunStatus:
         The open files.
     health : Health
         Store of the alarms.
+    path_error : PathReport
+        Report of the path error.
 
     Attributes
     ----------
@@ -153,10 +155,11 @@ class RunStatus:
     """
 
     def __init__(self, scene: Scene, simulation: Simulation, sampler: Sampler,
-                 monitor: Monitor, recording: RunRecording, health: Health):
+                 monitor: Monitor, recording: RunRecording, health: Health,
+                 path_error: PathReport):
         self._scene, self._simulation, self._sampler = scene, simulation, sampler
         self._monitor, self._recording, self._health = monitor, recording, health
-        self.paused = False
+        self.paused, self._path_error = False, path_error
         self._model = _model(scene, simulation)
         # Counts at the time of the last statuses.
         self._overruns, self._rescued, self._steps = 0, 0, 0
@@ -210,6 +213,7 @@ class RunStatus:
                                     'reduce step_size')
         return Status('integrator', level, message, {
             'integrator': scene.integrator.kind, 'step_size [s]': simulation.step_size,
+            'path_error': self._path_error,
             'steps [1]': simulation.steps, 'simulated_time [s]': f'{self._sampler.time:.9g}',
             'gradients_per_step [1]': self._monitor.timing.figures.gradients_per_step,
             'gradients_of_the_costliest_step [1]': simulation.costliest[0],

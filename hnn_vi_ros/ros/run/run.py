@@ -29,7 +29,7 @@ from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run import (
     LONGEST_CALL, Monitor, OverrunGuard, Pacer, Sampler, StatusLine, with_companions)
 from hnn_vi_ros.simulation import (
-    Alarm, BoxGuard, EnergyGuard, make_guards, RescuePending, RunFacts, watched,
+    Alarm, BoxGuard, EnergyGuard, make_guards, PathReport, RescuePending, RunFacts, watched,
     WatchedSimulation)
 from rclpy.node import Node
 
@@ -97,6 +97,7 @@ class Run:
         self._status = StatusLine(node.get_logger().info)
         self._warn_of_crowd = RepetitionFilter(lambda text: self.tell(text, 'WARN'))
         self.lockstep = prepared.lockstep
+        self._path_error = PathReport(self.scene.path_error)
         monitor = self._make_monitor()
         topics.open(
             ConfiguredRun(self.simulation, monitor, prepared.box, self.scene.mechanism,
@@ -114,6 +115,7 @@ class Run:
 
     def _make_monitor(self) -> Monitor:
         sampler, settings = self.sampler, self._settings
+        self._path_error.follow(self.simulation, sampler.count(settings.duration) * sampler.every)
         facts = RunFacts(self.simulation, settings.energy_band_limit, settings.energy_change_limit)
         guards = [*make_guards(facts)]
         if settings.real_time_factor:
@@ -139,7 +141,7 @@ class Run:
             self.sampler.stamp_at, monitor.guards, self._diagnostics, self.recording,
             lambda text, level: self.tell(text, level, show=False), self._errors())
         self.status = RunStatus(scene, self.simulation, self.sampler, monitor, self.recording,
-                                self._health)
+                                self._health, self._path_error)
 
     def _tell_scene(self, report: dict[str, Any]) -> None:
         self._report = report
@@ -246,8 +248,14 @@ class Run:
         if self.at_sample:
             self._hand_out()
             if simulation.steps >= self._last_step:
+                self._finish_second_run()
                 self._stop(0, self.sampler.end)
         return taken
+
+    def _finish_second_run(self) -> None:
+        """Wait for the path error of the whole run, and report it."""
+        self._report_alarms((alarm, alarm.step) for _, alarm in self._path_error.finish())
+        self.tell(str(self._path_error), 'INFO')
 
     def _hand_out_events(self) -> None:
         """
@@ -382,6 +390,7 @@ class Run:
 
     def close(self) -> bool:
         """Close and report the files, without ROS; return True if they are complete."""
+        self._path_error.close()
         self._status.close()
         complete = self.recording.close()
         self.recording.report()

@@ -427,7 +427,7 @@ class EnergyGuard(BlockGuard):
         method = run.simulation.integrator
         yield cls(run.change_limit, run.scale, run.conservative, run.simulation if method.explicit
                   and not method.requirements.symplectic else None,
-                  dict if run.conservative or run.rows is not None
+                  dict if run.conservative or run.in_rows
                   else lambda: run.simulation.works)
 
     def allow(self, band: float, change: float) -> None:

@@ -8,7 +8,6 @@ from functools import cached_property
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.simulation.guards.scale import SampledScale
 from hnn_vi_ros.simulation.simulation import Simulation
-import numpy as np
 
 # Default limits, as shares of the energy scale: see ResolutionGuard and EnergyGuard.
 BAND_LIMIT, CHANGE_LIMIT = 0.05, 0.02
@@ -28,15 +27,15 @@ class RunFacts:
         The simulation to watch, in any state.
     band_limit, change_limit : float
         See ResolutionGuard, InvariantGuard and EnergyGuard.
-    rows : np.ndarray, shape (m, R), or None
-        See ForcedPathGuard.
+    in_rows : bool
+        True if the states of the run are rows, with works that the simulation does not have.
 
     """
 
     simulation: Simulation
     band_limit: float = BAND_LIMIT
     change_limit: float = CHANGE_LIMIT
-    rows: np.ndarray | None = None
+    in_rows: bool = False
 
     @cached_property
     def scale(self) -> SampledScale:

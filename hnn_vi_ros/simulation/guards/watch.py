@@ -15,12 +15,12 @@ from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard, judge_bl
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.facts import BAND_LIMIT, CHANGE_LIMIT, RunFacts
 from hnn_vi_ros.simulation.guards.loops import ClosureGuard, SingularGuard
-from hnn_vi_ros.simulation.guards.paths import ForcedPathGuard, PathGuard, PhaseGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.samples import GuardState, SampleBuffer
 from hnn_vi_ros.simulation.guards.steps import (
     CostGuard, DriveGuard, RescueGuard, SolutionGuard, StabilityGuard, StiffnessGuard)
 from hnn_vi_ros.simulation.run_samples import MAX_OBSERVED, RunSamples
+from hnn_vi_ros.simulation.second_run import PathGuard
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,8 +28,8 @@ from numpy.typing import ArrayLike
 # Alarms of the same step are reported in this order.
 GUARDS: tuple[type[Guard], ...] = (
     BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, StiffnessGuard, StabilityGuard, DriveGuard,
-    InvariantGuard, BarrierGuard, ForcedPathGuard, PathGuard, PhaseGuard, PoleGuard, ClosureGuard,
-    SingularGuard, SolutionGuard, RescueGuard)
+    InvariantGuard, BarrierGuard, PathGuard, PoleGuard, ClosureGuard, SingularGuard,
+    SolutionGuard, RescueGuard)
 
 
 def make_guards(run: RunFacts, kinds: tuple[type[Guard], ...] = (Guard,)) -> Iterator[Guard]:
@@ -275,7 +275,6 @@ def judge_many(simulation: Simulation, t: np.ndarray, q: np.ndarray, p: np.ndarr
                 outside[block[1]], others[block[1]] = suspects(
                     simulation, steps, q[block], p[block], energy[block], modified[block])
         for k in np.flatnonzero(outside | others):
-            # Trials of the path take longer than many trajectories.
             watch = Watch(RunFacts(simulation), kinds if others[k] else (BoxGuard,))
             watch.show(steps, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
             alarms[k] += watch.alarms
@@ -300,8 +299,8 @@ def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
             f't = {alarm.step * step_size:.9g} s: {alarm.message}', AlarmWarning, stacklevel=3)
 
 
-def watch_of_block(simulation: Simulation, rows: np.ndarray | None = None) -> Watch:
+def watch_of_block(simulation: Simulation, in_rows: bool = False) -> Watch:
     """Return the guards that apply to a block of trajectories as a whole; see judge_many."""
-    return Watch(RunFacts(simulation, rows=rows), (
-        CostGuard, RescueGuard, SolutionGuard, ForcedPathGuard,
+    return Watch(RunFacts(simulation, in_rows=in_rows), (
+        CostGuard, RescueGuard, SolutionGuard,
         *[EnergyGuard] * (not simulation.conservative)))

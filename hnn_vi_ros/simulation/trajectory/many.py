@@ -5,8 +5,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.errors import optional, StateError, StepFailure
@@ -19,8 +21,10 @@ from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.guards.watch import (
     judge_many, look_at_block, look_at_rows, tell_many, watch_of_block)
+from hnn_vi_ros.simulation.path_error import OFF, PathError
 from hnn_vi_ros.simulation.processors import in_threads, usable_processors
-from hnn_vi_ros.simulation.run_samples import MOST_NUMBERS, record, Schedule
+from hnn_vi_ros.simulation.run_samples import Commands, MOST_NUMBERS, record, Schedule
+from hnn_vi_ros.simulation.second_run import PathReport
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.simulation.trajectory.simulate import changed_parts
@@ -34,14 +38,39 @@ BLOCK = 32
 _FIRST = slice(0, 1)
 # Commands of m trajectories: rows held from sample to sample, or a function of time [s].
 ManyCommands = ArrayLike | Callable[[float], ArrayLike]
-# Samples of q and p, shape (n, m, d), alarms about the steps, and the energy by cause, shape
-# (n, m, C), if it was requested.
-Recorded = tuple[np.ndarray, np.ndarray, list[Alarm], np.ndarray | None]
+# Steps of all trajectories together up to which each of them is taken a second time; beyond, a
+# sample is: the extremes of the start, and some that are drawn.
+MAX_MEASURED_STEPS, _DRAWN = 1_000_000, 32
+
+
+class Recorded(NamedTuple):
+    """
+    Samples of a block of trajectories.
+
+    Parameters
+    ----------
+    q, p : np.ndarray, shape (n, m, d)
+        States.
+    alarms : list of list of Alarm
+        Alarms about the steps of each trajectory.
+    causes : np.ndarray, shape (n, m, C), or None
+        Energy by cause, if it was requested.
+    errors : list of PathError
+        Path error of each trajectory.
+
+    """
+
+    q: np.ndarray
+    p: np.ndarray
+    alarms: list[list[Alarm]]
+    causes: np.ndarray | None
+    errors: list[PathError]
 
 
 def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duration: float, *,
                   samples: int = 1, commands: ManyCommands | None = None,
-                  threads: int | None = None, device: str | None = None) -> Trajectory:
+                  threads: int | None = None, device: str | None = None,
+                  path_error: str | None = None) -> Trajectory:
     """
     Simulate one scene from many initial states.
 
@@ -71,6 +100,11 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
         torch device, ``'cuda'``, ``'cuda:N'`` or ``'cpu'``: take the steps in torch instead of
         compiled loops, solving each trajectory separately; see docs/how-to/scale.md. Requires an
         H of perceptrons without effects, and supports some of the methods.
+    path_error : str, optional
+        ``'measured'``, or ``'off'``; overrides the scene's. If all trajectories together take more
+        than a million steps, or on a device, or with commands, it is measured of a sample only:
+        those whose energy, speed or distance from the origin is largest or smallest at the start,
+        and 32 drawn at random.
 
     Returns
     -------
@@ -106,7 +140,7 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     check_count('samples', samples)
     if threads is not None:
         check_count('threads', threads)
-    parts = changed_parts(scene)
+    parts = changed_parts(scene, path_error=path_error)
     if parts.scene.events:
         raise ValueError('simulate_many does not support events: remove `events` from '
                          f'{parts.scene.name}, or simulate one trajectory at a time')
@@ -118,10 +152,11 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     else:
         run.step(threads)
     energies = run.energies()
+    run.measure(commands)
     tell_many(run.alarms, run.step_size)
     return Trajectory(run.t, run.q, run.p, energies, run.parts.hamiltonian.coordinates,
                       tuple(map(tuple, run.alarms)), scene=parts.scene,
-                      energy_by_cause=run.energy_by_cause)
+                      energy_by_cause=run.energy_by_cause, path_error=tuple(run.errors))
 
 
 class _Many:
@@ -145,6 +180,8 @@ class _Many:
         Alarms about the steps of each trajectory.
     failures : dict of int to StepFailure or StateError
         Failures of trajectories.
+    errors : list of PathError
+        Path errors of the trajectories.
     energy_by_cause : EnergyByCause or None
         Filled in by step and follow, if requested.
 
@@ -165,6 +202,8 @@ class _Many:
         self.q[0], self.p[0] = q0, p0
         self.alarms: list[list[Alarm]] = [[] for _ in q0]
         self.failures: dict[int, StepFailure | StateError] = {}
+        self._measured = parts.scene.path_error == 'measured'
+        self.errors = [PathError.unmeasured(OFF)] * self.count
         self.energy_by_cause: EnergyByCause | None = None
         if parts.scene.energy_by_cause:
             ledger = self.simulation().ledger
@@ -181,12 +220,13 @@ class _Many:
         _, hamiltonian, integrator, effects = self.parts
         size = BLOCK if System(hamiltonian, effects, integrator, by_joint=(
             self.parts.scene.energy_by_cause)).batched else 1
+        together = self._measured and self.count * self._steps <= MAX_MEASURED_STEPS
 
         def take(simulation: Simulation, block: slice, samples: int) -> Recorded:
             return record_block(
                 simulation, self.q[0, block], self.p[0, block], block.start,
                 Schedule(0, 1, self.t[1:samples + 1]) if self._share or not self._every else
-                Schedule(samples, self._every, np.empty(0)))
+                Schedule(samples, self._every, np.empty(0)), together)
         in_blocks(self.count, size, threads, lambda first: self._kept(take, size))
 
     def follow(self, commands: ManyCommands, threads: int | None, device: str | None) -> None:
@@ -259,14 +299,15 @@ class _Many:
         def put(block: slice, samples: int) -> None:
             simulation = cached.pop() if cached else self.simulation(
                 slice(block.start, min(block.stop, block.start + size)))
-            q, p, alarms, causes = take(simulation, block, samples)
+            found = take(simulation, block, samples)
             # One that failed is not used again.
             cached.append(simulation)
-            self.q[:samples + 1, block], self.p[:samples + 1, block] = q, p
+            self.q[:samples + 1, block], self.p[:samples + 1, block] = found.q, found.p
             if self.energy_by_cause is not None:
-                self.energy_by_cause.values[:samples + 1, block] = causes
-            for own in self.alarms[block]:
+                self.energy_by_cause.values[:samples + 1, block] = found.causes
+            for own, alarms in zip(self.alarms[block], found.alarms, strict=True):
                 own += alarms
+            self.errors[block] = found.errors
 
         def attempt(block: slice) -> None:
             try:
@@ -301,6 +342,67 @@ class _Many:
         found[:, kept] = judge_many(simulation, self.t, self.q[:, kept], self.p[:, kept],
                                     [self.alarms[k] for k in kept])
         return found
+
+
+    @property
+    def _steps(self) -> int:
+        """Return the number of steps of a trajectory."""
+        return (self.t.size - 1) * self._every + int(self.t[-1] / self.step_size) * (
+            not self._every)
+
+    def measure(self, commands: ManyCommands | None) -> None:
+        """Simulate a sample of the trajectories again, alone, to measure their path errors."""
+        if not self._measured or any(error.reason != OFF for error in self.errors):
+            return
+        rows = self._sample()
+        self.errors = [PathError.unmeasured(f'{len(rows)} of {self.count} trajectories were '
+                                            'measured, and not this one')] * self.count
+        schedule = Schedule(0, 1, self.t[1:]) if self._share or not self._every else Schedule(
+            self.t.size - 1, self._every, np.empty(0))
+        for k in rows:
+            self.errors[k], alarms = measure_alone(
+                self.parts, self.q[0, k], self.p[0, k], schedule, _of_one(commands, k))
+            self.alarms[k] += alarms
+
+    def _sample(self) -> list[int]:
+        """Return the indices of the trajectories whose path error is measured."""
+        if self.count * self._steps <= MAX_MEASURED_STEPS:
+            return [k for k in range(self.count) if k not in self.failures]
+        q, p, hamiltonian = self.q[0], self.p[0], self.parts.hamiltonian
+        speed = np.linalg.norm(hamiltonian.gradient(q, p)[1], axis=1)
+        measures = hamiltonian.energy(q, p), speed, np.linalg.norm(q, axis=1)
+        ends = [int(end) for values in measures for end in (np.argmin(values), np.argmax(values))]
+        return sorted({*drawn(self.count), *ends} - set(self.failures))
+
+
+def measure_alone(parts: Parts, q: np.ndarray, p: np.ndarray, schedule: Schedule,
+                  commands: Commands | None = None) -> tuple[PathError, list[Alarm]]:
+    """Simulate a trajectory again, alone; return its path error, and the alarm about it."""
+    simulation, report = build_at(parts, q, p), PathReport('measured')
+    report.follow(simulation, schedule.steps(simulation.step_size), period=None)
+    # A failure is known already.
+    with suppress(StepFailure, StateError):
+        record(simulation, schedule, commands)
+    alarms = [alarm for _, alarm in report.finish()]
+    return report.errors()[0], alarms
+
+
+@cache
+def drawn(count: int) -> frozenset[int]:
+    """Return the indices of the trajectories that are drawn of `count` to be measured."""
+    generator = np.random.default_rng(0)
+    return frozenset(generator.choice(count, min(count, _DRAWN), replace=False).tolist())
+
+
+def _of_one(commands: ManyCommands | None, k: int) -> Commands | None:
+    """Return the commands of one trajectory; see ``simulate``."""
+    if commands is None or not callable(commands):
+        return None if commands is None else np.asarray(commands)[k]
+
+    def command(time: float) -> np.ndarray:
+        found = np.asarray(commands(time))
+        return found[k] if found.ndim > 1 else found
+    return command
 
 
 def _initial_states(q: ArrayLike, p: ArrayLike, hamiltonian: Hamiltonian) -> list[np.ndarray]:
@@ -340,7 +442,7 @@ def _checked_numbers(name: str, values: Any, shapes: list[tuple[int, ...]]) -> n
 
 
 def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
-                 schedule: Schedule) -> Recorded:
+                 schedule: Schedule, path_error: bool = False) -> Recorded:
     """
     Record samples of trajectories that step together.
 
@@ -354,11 +456,13 @@ def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: i
         Number of the noise stream.
     schedule : Schedule
         Schedule of the samples.
+    path_error : bool, optional
+        Measure the path errors.
 
     Returns
     -------
-    tuple
-        See Recorded; if no work is done, ``judge_many`` provides the alarms about energies.
+    Recorded
+        If no work is done, ``judge_many`` provides the alarms about energies.
 
     Raises
     ------
@@ -368,10 +472,15 @@ def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: i
     """
     simulation.restart(q, p, stream=stream)
     watch = watch_of_block(simulation)
+    report = PathReport('measured' if path_error else 'off')
+    report.follow(simulation, schedule.steps(simulation.step_size), period=None)
     found = record(simulation, schedule, observe=watch.observe)
     watch.update(look_at_block(simulation))
     causes = None if found.causes is None else found.causes[:, None]
-    return found.q, found.p, watch.alarms, causes
+    alarms = [watch.alarms for _ in range(len(q))]
+    for k, alarm in report.finish():
+        alarms[k].append(alarm)
+    return Recorded(found.q, found.p, alarms, causes, report.errors(len(q)))
 
 
 def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
@@ -392,8 +501,8 @@ def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: in
 
     Returns
     -------
-    tuple
-        See Recorded.
+    Recorded
+        The samples.
 
     Raises
     ------
@@ -408,7 +517,7 @@ def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: in
         # Loops may have moved it.
         first.append(np.append(simulation.q, simulation.p))
     rows = np.array(begun)
-    watch = watch_of_block(simulation, rows)
+    watch = watch_of_block(simulation, in_rows=True)
     states, width = [np.array(first)], q.shape[1]
     watch.update(look_at_rows(simulation, rows, states[0][:, :width], states[0][:, width:]))
     causes = [_causes(simulation, rows)]
@@ -417,8 +526,9 @@ def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: in
         watch.update(look_at_rows(simulation, rows, states[-1][:, :width], states[-1][:, width:]))
         causes.append(_causes(simulation, rows))
     path = np.array(states)
-    return (path[..., :width], path[..., width:], watch.alarms,
-            None if simulation.ledger is None else np.array(causes))
+    return Recorded(path[..., :width], path[..., width:], [watch.alarms for _ in rows],
+                    None if simulation.ledger is None else np.array(causes),
+                    [PathError.unmeasured(OFF)] * len(rows))
 
 
 def _causes(simulation: Simulation, rows: np.ndarray) -> list[np.ndarray | None]:

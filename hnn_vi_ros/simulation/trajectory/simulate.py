@@ -6,22 +6,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-import math
 from pathlib import Path
 from typing import Any
-import warnings
 
-from hnn_vi_ros.errors import listed, StepFailure
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.scene import Choice, load_scene, Parts, Scene
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.construction import build, resolve
 from hnn_vi_ros.simulation.events import watched
-from hnn_vi_ros.simulation.guards.bands import ResolutionGuard
-from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.watch import judge, tell, Watch
 from hnn_vi_ros.simulation.run_samples import Commands, record, Schedule
+from hnn_vi_ros.simulation.second_run import PathReport
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.trajectory.trajectory import EnergyByCause, Trajectory
 import numpy as np
@@ -29,61 +25,6 @@ from numpy.typing import ArrayLike
 
 # An initial state.
 State = tuple[ArrayLike, ArrayLike] | Mapping[str, ArrayLike]
-# Maximum gradients of `name_step`, as a share of a calibration run: tenths of a second.
-_MAX_GRADIENT_SHARE = 0.1
-
-
-def name_step(alarms: Sequence[Alarm], simulation: Simulation,
-              repeat: Callable[[float], Sequence[Alarm]]) -> list[Alarm]:
-    """
-    Return the alarms of a run, with a sufficient step size added to that of ResolutionGuard.
-
-    The energy error does not predict this step size: at any step size that does not resolve the
-    motion, the error is as large as the energy scale. The run is therefore repeated with a half
-    of its step size, a quarter and so on; no step size is added if this takes more gradients than
-    can be evaluated in some tenths of a second, or if the method is adaptive.
-
-    Parameters
-    ----------
-    alarms : sequence of Alarm
-        Alarms of the run.
-    simulation : Simulation
-        Simulation at the end of the run.
-    repeat : callable
-        Function that repeats the run at another step size [s] and returns its alarms.
-
-    """
-    named = list(alarms)
-    for k, alarm in enumerate(alarms):
-        if alarm.kind == ResolutionGuard.kind and not simulation.integrator.tolerances:
-            step = _resolving_step(simulation, repeat)
-            if step is not None:
-                named[k] = alarm._replace(
-                    message=f'{alarm.message}; step_size {step:g} resolves this run')
-    return named
-
-
-def _resolving_step(simulation: Simulation, repeat: Callable[[float], Sequence[Alarm]]
-                    ) -> float | None:
-    h, cost = simulation.step_size, simulation.gradients
-    if simulation.usual_gradients:
-        # Ignore extra gradients of steps that are hard to solve: shorter ones do not need them.
-        cost = min(cost, simulation.steps * simulation.usual_gradients)
-    most = _MAX_GRADIENT_SHARE * InitialValueProblem(
-        simulation.hamiltonian, (), simulation.q, simulation.p).gradients
-    while (cost := 2 * cost) <= most:
-        h *= 0.5
-        # Round down to two significant digits.
-        digit = 10.0 ** (math.floor(math.log10(h)) - 1)
-        h = float(f'{math.floor(h / digit * (1.0 + 1e-12)) * digit:.2g}')
-        with warnings.catch_warnings(), np.errstate(all='ignore'):
-            warnings.simplefilter('ignore')
-            try:
-                if all(alarm.kind != ResolutionGuard.kind for alarm in repeat(h)):
-                    return h
-            except StepFailure:
-                continue
-    return None
 
 
 def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *more: ArrayLike,
@@ -92,7 +33,7 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
              effects: Sequence[Mapping[str, Any]] | None = None,
              commands: Commands | None = None, every: int = 1,
              times: Sequence[float] | np.ndarray | None = None,
-             energy_by_cause: bool = False) -> Trajectory:
+             energy_by_cause: bool = False, path_error: str | None = None) -> Trajectory:
     """
     Simulate ``(scene, duration)`` or ``(H, q, p, duration, step_size)``, without ROS.
 
@@ -128,6 +69,8 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
         they may lie between steps. Cannot be combined with commands, which are held per sample.
     energy_by_cause : bool, optional
         Account for the energy by cause, as ``energy_by_cause: true`` of a scene does.
+    path_error : str, optional
+        ``'measured'``, or ``'off'``; overrides the scene's. See PathError.
 
     Returns
     -------
@@ -138,9 +81,8 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
     Warns
     -----
     AlarmWarning
-        A guard found the run unreliable; ``alarms`` of the trajectory contains the alarm. For an
-        under-resolved run the warning recommends a step size, if one is found within some tenths
-        of a second.
+        A guard found the run unreliable; ``alarms`` of the trajectory contains the alarm. If the
+        path is not resolved, the warning recommends a step size.
 
     Raises
     ------
@@ -180,20 +122,14 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
         check_seconds('duration', duration)
     if times is not None and commands is not None:
         raise ValueError('times and commands cannot both be given: use every with commands')
-    parts = changed_parts(scene, step_size, integrator, initial_state, effects, energy_by_cause)
+    parts = changed_parts(scene, step_size, integrator, initial_state, effects, energy_by_cause,
+                          path_error)
     simulation = watched(build(parts), parts.scene)
     end = parts.scene.duration if duration is None else duration
     schedule = Schedule.at(times, end) if times is not None else Schedule.until(
         end, int(every), simulation)
-    found = record_one(simulation, schedule, commands)
-
-    def repeat(h: float) -> tuple[Alarm, ...]:
-        # Sample at whole steps only, which suffices: states between steps are expensive.
-        other = build(parts._replace(scene=parts.scene.with_overrides(h)))
-        whole = Schedule.until(float(found.t[-1]), int(every) if times is None else 1, other)
-        return record_one(other, whole).alarms
-
-    tell(name_step(found.alarms, simulation, repeat), simulation.step_size)
+    found = record_one(simulation, schedule, commands, parts.scene.path_error)
+    tell(list(found.alarms), simulation.step_size)
     return replace(found, scene=parts.scene)
 
 
@@ -207,23 +143,23 @@ def _once(name: str, given: Mapping[str, Any], value: Any) -> Any:
 def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = None,
                   integrator: Choice | None = None, initial_state: State | None = None,
                   effects: Sequence[Mapping[str, Any]] | None = None,
-                  energy_by_cause: bool = False) -> Parts:
+                  energy_by_cause: bool = False, path_error: str | None = None) -> Parts:
     """Return the parts of a resolved scene with overrides applied; see ``simulate``."""
+    more = ({'energy_by_cause': True} if energy_by_cause else {}) | (
+        {'path_error': path_error} if path_error else {})
     if isinstance(scene, Parts):
-        if energy_by_cause:
-            scene = scene._replace(scene=scene.scene.changed({'energy_by_cause': energy_by_cause}))
+        if more:
+            scene = scene._replace(scene=scene.scene.changed(more))
         if all(value is None for value in (step_size, integrator, initial_state, effects)):
             return scene
         scene = scene.scene
     scene = _scene(scene).with_overrides(
         step_size, integrator, _state(initial_state), _listed(effects))
-    if energy_by_cause:
-        scene = scene.changed({'energy_by_cause': energy_by_cause})
-    return resolve(scene)
+    return resolve(scene.changed(more) if more else scene)
 
 
-def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | None = None
-               ) -> Trajectory:
+def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | None = None,
+               path_error: str = 'measured') -> Trajectory:
     """
     Simulate one trajectory without emitting warnings.
 
@@ -235,6 +171,8 @@ def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | 
         Schedule of the samples.
     commands : callable or array, optional
         See ``simulate``.
+    path_error : str, optional
+        ``'measured'``, or ``'off'``.
 
     Returns
     -------
@@ -247,14 +185,21 @@ def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | 
         See ``simulate``.
 
     """
-    facts = RunFacts(simulation)
-    watch = Watch(facts)
-    found = record(simulation, schedule, commands, watch.observe)
-    energy, alarms = judge(found, watch)
+    report = PathReport(path_error)
+    report.follow(simulation, schedule.steps(simulation.step_size), period=0.0)
+    watch = Watch(RunFacts(simulation))
+    try:
+        found = record(simulation, schedule, commands, watch.observe)
+        energy, alarms = judge(found, watch)
+        alarms = sorted([*alarms, *(alarm for _, alarm in report.finish())],
+                        key=lambda alarm: alarm.step)
+    finally:
+        report.close()
     return Trajectory(found.t, found.q, found.p, energy, simulation.hamiltonian.coordinates,
                       tuple(alarms), tuple(event for event in getattr(simulation, 'events', ())
                                            if event.t <= found.t[-1]), work=found.work,
-                      energy_by_cause=by_cause(simulation, found.t, found.causes))
+                      energy_by_cause=by_cause(simulation, found.t, found.causes),
+                      path_error=report.errors()[0])
 
 
 def by_cause(simulation: Simulation, t: np.ndarray, causes: np.ndarray | None

@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 import json
+from operator import attrgetter
 import os
 from pathlib import Path
 from typing import Any, final, NamedTuple, Self, TextIO, TYPE_CHECKING
@@ -20,6 +21,7 @@ from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.guards.base import Alarm
+from hnn_vi_ros.simulation.path_error import OFF
 from hnn_vi_ros.simulation.run_samples import record, Schedule
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
@@ -97,6 +99,8 @@ class Trajectory:
         at some samples of runs with more than 10 000. None if no effect does work.
     energy_by_cause : EnergyByCause or None
         Work, stored energy and heat of each effect, if requested.
+    path_error : PathError, or tuple of PathError
+        Error of the path; for m trajectories a tuple of m. None if unknown.
 
     Examples
     --------
@@ -116,6 +120,7 @@ class Trajectory:
     scene: Scene | None = None
     work: np.ndarray | None = None
     energy_by_cause: EnergyByCause | None = None
+    path_error: Any = None
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -243,6 +248,7 @@ class Trajectory:
             scene = scene.with_overrides(initial_state={'q': q[0], 'p': p[0]})
         return replace(
             self, q=q, p=p, energy=self.energy[:, index], alarms=self.alarms[index], scene=scene,
+            path_error=self.path_error and self.path_error[index],
             energy_by_cause=causes and causes._replace(values=causes.values[:, index]))
 
     def of(self, names: Sequence[str] | None) -> Self:
@@ -592,7 +598,18 @@ class Trajectory:
 
     def __repr__(self) -> str:
         alarms = [f'alarms: {", ".join(self.alarm_kinds())}'] if self.alarm_kinds() else []
-        return f'Trajectory({"; ".join([self.title, ", ".join(self.facts()), *alarms])})'
+        parts = [self.title, ', '.join(self.facts()), *self._path_facts(), *alarms]
+        return f'Trajectory({"; ".join(parts)})'
+
+    def _path_facts(self) -> list[str]:
+        """Return the path error in a line, for m trajectories the largest; [] if it is off."""
+        errors = [self.path_error] if self.q.ndim == 2 else list(self.path_error or ())
+        errors = [error for error in errors if error is not None and error.reason != OFF]
+        measured = [error for error in errors if len(error.value)]
+        if not measured or self.q.ndim == 2:
+            return list(map(str, errors[:1]))
+        worst = max(measured, key=attrgetter('largest'))
+        return [f'{worst}, in the worst of {len(measured)} trajectories that were measured']
 
 
 def _data_frame(t: np.ndarray, data: dict[str, np.ndarray], attributes: dict[str, Any]

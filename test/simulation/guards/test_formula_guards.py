@@ -8,7 +8,6 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import (
     build, judge_block, make_guards, PoleGuard, record_one, RunFacts, Schedule, Simulation)
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard
-from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.saddles import SaddleSearch
 from hnn_vi_ros.simulation.guards.samples import SampleBlock
 import numpy as np
@@ -101,18 +100,18 @@ def test_motion_that_is_resolved_next_to_a_pole_is_not_told(formula, names, q, p
 
 
 @pytest.mark.parametrize('method, h, told', [
-    ('generalized_leapfrog', 0.3, True), ('generalized_leapfrog', 0.2, False),
-    ('implicit_midpoint', 0.2, True), ('implicit_midpoint', 0.15, False),
-    ('discrete_gradient', 0.2, True), ('variational_euler', 0.3, True),
-    ('variational_euler', 0.09, False), ('gauss4', 1.4, True), ('gauss4', 0.8, False)])
-def test_path_guard_tells_where_a_quarter_of_a_turn_is_lost_in_a_hundred(method, h, told):
+    ('generalized_leapfrog', 0.25, True), ('generalized_leapfrog', 0.15, False),
+    ('implicit_midpoint', 0.18, True), ('implicit_midpoint', 0.1, False),
+    ('discrete_gradient', 0.18, True), ('variational_euler', 0.25, True),
+    ('variational_euler', 0.09, False), ('gauss4', 1.2, True), ('gauss4', 0.8, False)])
+def test_path_guard_tells_where_a_tenth_of_the_amplitude_is_lost_in_ten_turns(method, h, told):
     """The frequency is off by h^2 / 24 (explicit), h^2 / 12 (midpoint) and h^4 / 720 (gauss4)."""
     simulation = simulation_of('p_q^2 / 2 + q^2 / 2', 'q', method, h, [1.0], [0.0])
-    assert (PathGuard.kind in kinds(simulation, 50)) == told
+    assert ('path not resolved' in kinds(simulation, int(20.0 * np.pi / h))) == told
 
 
 @pytest.mark.parametrize('length', [1, 7])
-@pytest.mark.parametrize('name', ['path', 'pole', 'saddle'])
+@pytest.mark.parametrize('name', ['pole', 'saddle'])
 def test_samples_in_parts_show_what_they_show_together(name, length):
     simulation = simulation_of(SPHERICAL, 'theta phi', 'gauss4', 0.1, [1.0, 0.0], [0.0, 1e-8])
     block = block_of(simulation, 60)
@@ -122,8 +121,7 @@ def test_samples_in_parts_show_what_they_show_together(name, length):
             return [(int(part.step[i]), e) for part in blocks for i, e in search.take(part)]
     else:
         def find(blocks):
-            guard = (PathGuard(simulation) if name == 'path'
-                     else PoleGuard(simulation.hamiltonian))
+            guard = PoleGuard(simulation.hamiltonian)
             return [alarm for part in blocks for alarm in judge_block([guard], part)]
     assert find(parts_of(block, length)) == find([block])
 

@@ -11,7 +11,6 @@ from hnn_vi_ros.simulation import BoxGuard, look, RunFacts, Simulation, Watch
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.simulation.guards.bands import ResolutionGuard
 from hnn_vi_ros.simulation.guards.facts import BAND_LIMIT
-from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.watch import energies_of
 import numpy as np
 from plain_systems import kepler, Motion, MOTIONS, pendulum
@@ -62,9 +61,9 @@ def test_guards_are_silent_where_resolved_and_speak_within_a_period_where_not(na
             alarms, (energy, modified) = simulate(motion, method, motion.period / steps, 1.0)
             # Random networks have a box, which no data were in.
             case = method, steps
-            # What is judged here is the energy: not the path, nor on which side of a saddle it is.
+            # What is judged here is the energy, not on which side of a saddle the motion is.
             said = [alarm.kind for alarm in alarms if alarm.kind not in (
-                BoxGuard.kind, PathGuard.kind, 'saddle not resolved')]
+                BoxGuard.kind, 'saddle not resolved')]
             band = np.ptp(energy) / scale
             judged = band if np.isnan(modified).any() else np.ptp(modified) / scale
             if len(energy) <= steps:

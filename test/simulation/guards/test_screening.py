@@ -8,7 +8,6 @@ from helpers import long
 from hnn_vi_ros import load_scene, simulate_many
 from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.simulation import build, RunFacts, Watch
-from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.watch import energies_of, suspects
 import numpy as np
 import pytest
@@ -35,8 +34,7 @@ def shown(name: str, integrator: str, step_size: float, steps: int, every: int
     for k in range(60):
         watch = Watch(RunFacts(simulation))
         watch.show(times, (q[:, k], p[:, k]), (energy[:, k], modified[:, k]))
-        # Paths are tried of single trajectories.
-        alarmed.append(any(alarm.kind != PathGuard.kind for alarm in watch.alarms))
+        alarmed.append(bool(watch.alarms))
     outside, others = suspects(simulation, times, q, p, energy, modified)
     return outside | others, np.array(alarmed)
 
@@ -72,10 +70,7 @@ def test_who_raises_an_alarm_is_suspect_among_others_who_do_not():
     assert 0 < alarmed.sum() < 60 and (suspect | ~alarmed).all()
 
 
-def test_paths_of_trajectories_that_only_leave_the_training_box_are_not_tried(monkeypatch):
-    def tried(*_):
-        raise AssertionError('the path is tried')
-    monkeypatch.setattr(PathGuard, 'take', tried)
+def test_trajectory_that_only_leaves_the_training_box_raises_no_other_alarm():
     scene = load_scene('pendulum')
     with pytest.warns(AlarmWarning, match='out of the training box in 1 of 2'):
         simulate_many(scene, [[0.1], [3.0]], [[0.0], [2.5]], 1.0)

@@ -1,0 +1,438 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Path error of a run, from the distances between it and repetitions with other steps."""
+
+from dataclasses import dataclass
+import math
+
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.phase_space import column_units
+import numpy as np
+
+# Path error over amplitude at which a path is lost, above which an alarm may be raised, and below
+# which the path counts as accurate.
+LOST, LIMIT, ACCURATE = 1.0, 0.1, 0.01
+# Smaller path errors are rounding errors.
+_ROUNDING = 1e-12
+# Largest error over the distance of a run with looser tolerances, measured with dry friction.
+_TOLERANCE_BOUND = 3.0
+# Reason of a run whose path error nobody asked for.
+OFF = 'path_error is off'
+# Turns during which a path must be kept; in chaos, where it cannot be kept for long, one.
+_TURNS, _CHAOTIC_TURNS = 10.0, 1.0
+# Amplitudes below these shares of the largest one in the same unit, and of the largest coordinate,
+# are those of a coordinate at rest, and rounding errors.
+_MIN_AMPLITUDE_SHARE, _MIN_RELATIVE_AMPLITUDE = 1e-3, 1e-9
+# Distances above this share of the amplitude no longer grow as those of small errors do.
+_MAX_RATIO_DISTANCE = 0.2
+# Growth of the error, as a logarithm, in the second half of a time, and the least share of it in
+# the quarter before, for chaos. Regular motions reach log 2^3, since errors grow as t^3 at most.
+_MIN_CHAOTIC_GROWTH, _MIN_EARLIER_SHARE = 5.0, 0.25
+# Number of instants of a series of distances; beyond twice as many, every second is dropped.
+_INSTANTS = 256
+
+
+class ComparedMotion:
+    """
+    Coordinates of m trajectories in the form in which they are compared.
+
+    Rotations are compared by their angles, all other coordinates by their values.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H of one trajectory.
+    turning : np.ndarray, shape (d,)
+        Mask of the columns of q that are periodic angles.
+    start : np.ndarray, shape (m, d)
+        q at the start.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian, turning: np.ndarray, start: np.ndarray):
+        self._rotations, self.start = hamiltonian.rotations, start
+        inside = {first + i for first in self._rotations for i in range(4)}
+        self._scalars = [k for k in range(hamiltonian.dimension) if k not in inside]
+        units = column_units(hamiltonian.coordinates)[0]
+        own = [units[k] for k in self._scalars] + ['rad'] * len(self._rotations)
+        self._groups = [np.flatnonzero(np.array(own) == unit) for unit in dict.fromkeys(own)]
+        self.turning = np.append(turning[self._scalars], np.ones(len(self._rotations), bool))
+
+    def values(self, q: np.ndarray) -> np.ndarray:
+        """Return the values of q, (k, m, d), whose ranges are amplitudes; shape (k, m, f)."""
+        return np.concatenate([q[..., self._scalars], *(
+            2.0 * _angle(q, self.start, first) for first in self._rotations)], axis=-1)
+
+    def distances(self, q: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Return the distances of two paths, each of shape (k, m, d); shape (k, m, f)."""
+        apart = np.concatenate([
+            np.abs(q[..., self._scalars] - other[..., self._scalars]),
+            *(_angle(q, other, first) for first in self._rotations)], axis=-1)
+        # A full turn of a periodic angle is as far as its error can go.
+        apart[..., self.turning] = np.minimum(apart[..., self.turning], math.pi)
+        return apart
+
+    def floor(self, amplitude: np.ndarray, largest: np.ndarray) -> np.ndarray:
+        """Return the least amplitude that counts, given the largest value; shape (..., f)."""
+        floor = np.empty_like(amplitude)
+        for group in self._groups:
+            floor[..., group] = np.maximum(
+                _MIN_AMPLITUDE_SHARE * amplitude[..., group].max(axis=-1, keepdims=True),
+                _MIN_RELATIVE_AMPLITUDE * largest[..., group].max(axis=-1, keepdims=True))
+        return floor
+
+
+def _angle(q: np.ndarray, other: np.ndarray, first: int) -> np.ndarray:
+    """Return the angle between two rotations, given by four columns from `first` on."""
+    product = np.abs((q[..., first:first + 4] * other[..., first:first + 4]).sum(
+        axis=-1, keepdims=True))
+    return 2.0 * np.arccos(np.minimum(product, 1.0))
+
+
+class Range:
+    """Lowest and highest values of a path so far, each of shape (m, f)."""
+
+    def __init__(self, start: np.ndarray):
+        self._low = self._high = start
+
+    def add(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return amplitude and largest magnitude up to each of the next instants, (k, m, f)."""
+        low = np.minimum.accumulate(np.concatenate([self._low[None], values]))[1:]
+        high = np.maximum.accumulate(np.concatenate([self._high[None], values]))[1:]
+        if len(values):
+            self._low, self._high = low[-1], high[-1]
+        return 0.5 * (high - low), np.maximum(np.abs(low), np.abs(high))
+
+
+class Separation:
+    """
+    Largest distance so far of two paths over their amplitude so far, at instants.
+
+    The amplitude of a coordinate is half of its range, of the path where it is smaller. The first
+    instants are compared with the amplitude after them, since a motion from rest has hardly any at
+    first.
+
+    Parameters
+    ----------
+    motion : ComparedMotion
+        Form of the comparison.
+    first : int
+        Number of the first instants.
+
+    Attributes
+    ----------
+    steps : list of int
+        Steps of the instants since the start.
+    values : list of np.ndarray, shape (m,)
+        Largest of the coordinates at each instant.
+    last : np.ndarray, shape (m,)
+        The last of them.
+    apart : np.ndarray, shape (m, f)
+        Largest distance of each coordinate.
+
+    """
+
+    def __init__(self, motion: ComparedMotion, first: int):
+        self._motion, self._first = motion, first
+        start = motion.values(motion.start[None])[0]
+        self._ranges, self.apart = (Range(start), Range(start)), np.zeros_like(start)
+        self._amplitude = np.ones_like(start)
+        self.steps, self.values = list[int](), list[np.ndarray]()
+        self.last = np.zeros(len(start))
+        self._waiting: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self._spacing, self._seen = 1, 0
+
+    def add(self, steps: np.ndarray, q: np.ndarray, other: np.ndarray, end: bool = False) -> None:
+        """Add the next instants of both paths, (k, m, d); `end` if no others follow."""
+        self._waiting.append((steps, q, other))
+        if self._first and not end and sum(
+                len(part) for part, _, _ in self._waiting) < self._first:
+            return
+        steps, q, other = (np.concatenate(parts) for parts in zip(*self._waiting, strict=True))
+        self._waiting = []
+        if not len(steps):
+            return
+        amplitude, largest = self._ranges[0].add(self._motion.values(q))
+        second, _ = self._ranges[1].add(self._motion.values(other))
+        amplitude = np.minimum(amplitude, second)
+        for part in (amplitude, largest):
+            part[:self._first] = part[min(self._first, len(part)) - 1]
+        self._first = 0
+        turning = self._motion.turning
+        amplitude[..., turning] = np.minimum(amplitude[..., turning], math.pi)
+        amplitude = np.maximum(amplitude, self._motion.floor(amplitude, largest))
+        apart = np.maximum.accumulate(np.concatenate([
+            self.apart[None], self._motion.distances(q, other)]))[1:]
+        self.apart, self._amplitude = apart[-1], amplitude[-1]
+        with np.errstate(invalid='ignore', divide='ignore', over='ignore'):
+            found = np.where(apart > 0.0, apart / amplitude, 0.0).max(axis=-1)
+        # Not a number: a path has diverged.
+        found = np.where(np.isnan(found), np.inf, found)
+        self.last = found[-1]
+        for step, value in zip(steps.tolist(), found, strict=True):
+            if self._seen % self._spacing == 0:
+                self.steps.append(step)
+                self.values.append(value)
+            self._seen += 1
+        while len(self.steps) > 2 * _INSTANTS:
+            self.steps, self.values = self.steps[1::2], self.values[1::2]
+            self._spacing *= 2
+
+    def share(self, apart: np.ndarray) -> np.ndarray:
+        """Return the largest of other distances, (m, f), over the last amplitude, shape (m,)."""
+        with np.errstate(invalid='ignore', divide='ignore'):
+            return np.where(apart > 0.0, apart / self._amplitude, 0.0).max(axis=-1)
+
+    def finish(self) -> None:
+        """Compare the instants that still wait for others."""
+        d = self._motion.start.shape
+        self.add(np.empty(0, int), np.empty((0, *d)), np.empty((0, *d)), end=True)
+
+    def at(self, row: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return steps and values of a trajectory, each of shape (k,)."""
+        return np.array(self.steps), np.array([value[row] for value in self.values])
+
+
+class Turns:
+    """
+    Number of turns of m trajectories: length of the path over four amplitudes.
+
+    Attributes
+    ----------
+    ends : np.ndarray, shape (2, m)
+        First step at which a coordinate has made one turn, and at which all that have made one
+        have made ten; inf before.
+
+    """
+
+    def __init__(self, motion: ComparedMotion):
+        self._motion = motion
+        start = motion.values(motion.start[None])
+        self._range, self._last, self._length = Range(start[0]), start, np.zeros_like(start)
+        self.ends = np.full((2, start.shape[1]), np.inf)
+
+    @property
+    def counted(self) -> bool:
+        """Return whether all trajectories have made their turns."""
+        return bool(np.isfinite(self.ends[1]).all())
+
+    def add(self, step: int, q: np.ndarray) -> None:
+        """Add the states after the next steps, (n, m, d), of which `step` is the first."""
+        values = self._motion.values(q)
+        path = np.concatenate([self._last, values])
+        length = self._length + np.abs(np.diff(path, axis=0)).cumsum(axis=0)
+        self._last, self._length = values[-1:], length[-1:]
+        amplitude, largest = self._range.add(values)
+        moves = amplitude >= self._motion.floor(amplitude, largest)
+        # A quarter turn of an angle that goes around.
+        around = self._motion.turning & (amplitude > math.pi)
+        with np.errstate(invalid='ignore', divide='ignore'):
+            turns = length / (4.0 * np.where(around, 0.5 * math.pi, amplitude))
+        oscillates = moves & (turns >= _CHAOTIC_TURNS)
+        slowest = np.where(oscillates, turns, np.inf).min(axis=-1)
+        for ends, least in zip(self.ends, (_CHAOTIC_TURNS, _TURNS), strict=True):
+            made = (slowest >= least) & oscillates.any(axis=-1)
+            first = np.where(made.any(axis=0), step + made.argmax(axis=0), np.inf)
+            np.copyto(ends, np.minimum(ends, first))
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """
+    Steps or tolerances with which a run is repeated, and the errors that the distances show.
+
+    Parameters
+    ----------
+    factors : tuple of float
+        Step sizes, or tolerances, of the second and the third run, relative to those of the run.
+    strides : tuple of (int, int)
+        Steps of the run between common instants with each of them.
+    own : tuple of (int, int)
+        Steps of each of them between these.
+    exponents : tuple of (float, float)
+        Least and largest exponent of the factors in the error: the order of the method, seen.
+    adaptive : bool
+        The factors are those of tolerances.
+
+    """
+
+    factors: tuple[float, float]
+    strides: tuple[int, int]
+    own: tuple[int, int]
+    exponents: tuple[float, float]
+    adaptive: bool = False
+
+    @property
+    def bound(self) -> float:
+        """Return the largest error over the distance of the second run: that of order one."""
+        return _TOLERANCE_BOUND if self.adaptive else 1.0 / abs(self.factors[0] - 1.0)
+
+    @property
+    def _ratio(self) -> float:
+        """Return the smaller of two successive factors over the larger."""
+        return self.factors[0] if self.factors[0] < 1.0 else 1.0 / self.factors[0]
+
+    def exponent(self, second: np.ndarray, third: np.ndarray) -> np.ndarray:
+        """
+        Return the exponents seen in the distances D, G of a run from the second and third one.
+
+        With errors C f^a of runs with the factors 1, f > 1 and 1 / f:
+
+            D = C (f^a - 1),  G = C (1 - f^-a),  D / G = f^a,
+
+        and with the factors 1, 1 / 2 and 1 / 4: G / D = 1 + 2^-a.
+        """
+        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+            power = second / third if self.factors[0] > 1.0 else 1.0 / np.maximum(
+                third / second - 1.0, 0.0)
+            seen = np.log(power) / -math.log(self._ratio)
+        low, high = self.exponents
+        return np.clip(np.where(np.isnan(seen), high, seen), low, high)
+
+    def error(self, second: np.ndarray, third: np.ndarray, exponent: np.ndarray) -> np.ndarray:
+        """Return the errors: G / (1 - f^-a), or D / (1 - 2^-a); see ``exponent``."""
+        return (third if self.factors[0] > 1.0 else second) / (1.0 - self._ratio ** exponent)
+
+
+@dataclass(frozen=True)
+class PathError:
+    """
+    Error of the path of a run, relative to the amplitude of its coordinates.
+
+    The run was taken again with other steps (see SecondRun). The error at a time is the largest so
+    far of a coordinate q over half of the range of that coordinate so far.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (k,)
+        Times [s].
+    value : np.ndarray, shape (k,)
+        Error up to each time [1]: a bound, or an estimate, right within a factor of about two.
+    estimated : bool
+        True for an estimate.
+    chaotic : float
+        Time in which the error doubles, if the motion is chaotic [s]; NaN if not.
+    needed : float
+        Time until which the path must be kept for the run to be called right [s]: ten turns of
+        the slowest coordinate that oscillates, one in chaos; inf before.
+    exponent : float
+        Exponent of the step size, or of the tolerance, in the error; NaN for a bound.
+    reason : str
+        Reason that it was not measured; then there are no times.
+
+    """
+
+    t: np.ndarray
+    value: np.ndarray
+    estimated: bool = False
+    chaotic: float = math.nan
+    needed: float = math.inf
+    exponent: float = math.nan
+    reason: str = ''
+
+    @classmethod
+    def unmeasured(cls, reason: str) -> 'PathError':
+        """Return the path error of a run in which it was not measured."""
+        return cls(np.empty(0), np.empty(0), reason=reason)
+
+    @property
+    def largest(self) -> float:
+        """Return the error at the end, or where the comparison ended; NaN if not measured."""
+        return float(self.value[-1]) if len(self.value) else math.nan
+
+    def until(self, error: float) -> float:
+        """Return the time until which the error stays below a value [s]; inf if to the end."""
+        beyond = self.value > error
+        return float(self.t[beyond.argmax()]) if beyond.any() else math.inf
+
+    @property
+    def lost(self) -> float:
+        """Return the time [s] at which the error exceeds 10 % while it must not; NaN if none."""
+        time = self.until(LIMIT)
+        return time if self.estimated and time < self.needed else math.nan
+
+    def __str__(self) -> str:
+        if self.reason or not len(self.value):
+            return f'path error not measured: {self.reason or "too few steps were taken"}'
+        if not self.estimated:
+            return f'path error below {_share(self.largest)} of the amplitude'
+        accurate = self.until(ACCURATE)
+        since = '' if math.isinf(accurate) else f', below 1 % until {accurate:.3g} s'
+        if not math.isnan(self.chaotic):
+            return (f'chaotic: the path error doubles every {self.chaotic:.2g} s'
+                    f'{since.replace(", below", " and is below")}')
+        if self.largest >= LOST:
+            return f'the path is lost at {self.until(LOST * (1.0 - 1e-9)):.3g} s{since}'
+        return (f'path error {_share(self.largest)} of the amplitude at {self.t[-1]:.3g} s'
+                f'{since}')
+
+
+def _share(share: float) -> str:
+    """Return a share rounded up to one digit, or in per cent."""
+    if share >= ACCURATE:
+        return f'{100.0 * share:.2g} %'
+    return f'{max(share, _ROUNDING):.1g}'
+
+
+def path_error_of(repetition: Repetition, step_size: float, origin: int, early: float,
+                  second: Separation, third: Separation | None, turns: Turns, row: int
+                  ) -> PathError:
+    """
+    Return the path error of a trajectory from its distances.
+
+    Parameters
+    ----------
+    repetition : Repetition
+        How the run was repeated.
+    step_size : float
+        Step size of the run [s].
+    origin : int
+        Steps of the run before the start of the comparison.
+    early : float
+        Distance from a run with h / 2 in the first steps, over the amplitude.
+    second, third : Separation
+        Distances from the second and from the third run, if there was one.
+    turns : Turns
+        Turns of the run.
+    row : int
+        Index of the trajectory.
+
+    """
+    steps, value = second.at(row)
+    ten = float(turns.ends[1, row])
+    if third is None:
+        return PathError((origin + steps) * step_size,
+                         np.maximum(repetition.bound * value, 2.0 * early),
+                         needed=(origin + ten) * step_size)
+    at, finer = third.at(row)
+    known = np.searchsorted(steps, at, side='right') - 1
+    coarser = np.where(known < 0, value[:1] if len(value) else np.inf, value[known] if len(
+        value) else np.inf)
+    exponents = repetition.exponent(coarser, finer)
+    # Large distances no longer grow as the errors do: the exponent is the last one seen before.
+    small = np.flatnonzero(coarser <= _MAX_RATIO_DISTANCE)
+    exponents = np.where(coarser > _MAX_RATIO_DISTANCE, exponents[small[-1]] if small.size else
+                         repetition.exponents[0], exponents)
+    error = np.maximum(repetition.error(coarser, finer, exponents),
+                       early / (1.0 - 0.5 ** repetition.exponents[1]))
+    # Behind a lost path nothing is known.
+    end = int((error >= LOST).argmax()) + 1 if (error >= LOST).any() else len(error)
+    at, error, exponents = at[:end], error[:end], exponents[:end]
+    doubling = _doubling(at, error)
+    ends = turns.ends[0 if not math.isnan(doubling) else 1, row]
+    return PathError((origin + at) * step_size, error, True, doubling * step_size,
+                     (origin + float(ends)) * step_size,
+                     float(exponents[-1]) if len(exponents) else math.nan)
+
+
+def _doubling(steps: np.ndarray, error: np.ndarray) -> float:
+    """Return the number of steps in which an error that grows exponentially doubles, or NaN."""
+    if not len(error) or error[-1] <= ACCURATE:
+        return math.nan
+    end = steps[int((error > LIMIT).argmax())] if error[-1] > LIMIT else steps[-1]
+    logs = [math.log(max(float(error[max(np.searchsorted(steps, time, side='right') - 1, 0)]),
+                         1e-300)) for time in (0.25 * end, 0.5 * end, end)]
+    earlier, growth = np.diff(logs)
+    if growth > _MIN_CHAOTIC_GROWTH and earlier > _MIN_EARLIER_SHARE * growth:
+        return float(0.5 * end * math.log(2.0) / growth)
+    return math.nan
