@@ -8,7 +8,7 @@ from hashlib import sha256
 import math
 import re
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from hnn_vi_ros.errors import did_you_mean, listed
 from hnn_vi_ros.hamiltonians.argument_order import TIME, TIME_DEPENDENT, TIMES
@@ -41,6 +41,13 @@ class AnalyticHamiltonian(Hamiltonian):
     names: ClassVar[Sequence[str]]
     formula: ClassVar[str]
     constants: Mapping[str, float] = MappingProxyType({})
+
+    def copy(self) -> Self:
+        """Return the same function for use in another thread: its code has no workspace."""
+        other = super().copy()
+        if self.time is None:
+            other.kernel = self.kernel
+        return other
 
     @cached_property
     def kernel(self) -> Kernel:

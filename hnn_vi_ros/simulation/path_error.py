@@ -12,6 +12,8 @@ import numpy as np
 # Path error over amplitude at which a path is lost, above which an alarm may be raised, and below
 # which the path counts as accurate.
 LOST, LIMIT, ACCURATE = 1.0, 0.1, 0.01
+# The limit of a run of so few steps that a motion from rest has hardly developed.
+FEW_STEPS_LIMIT = 0.25
 # Smaller path errors are rounding errors.
 _ROUNDING = 1e-12
 # Largest error over the distance of a run with looser tolerances, measured with dry friction.
@@ -312,6 +314,8 @@ class PathError:
         True for an estimate.
     chaotic : float
         Time in which the error doubles, if the motion is chaotic [s]; NaN if not.
+    limit : float
+        Error that is an alarm before the time `needed`.
     needed : float
         Time until which the path must be kept for the run to be called right [s]: ten turns of
         the slowest coordinate that oscillates, one in chaos; inf before.
@@ -326,6 +330,7 @@ class PathError:
     value: np.ndarray
     estimated: bool = False
     chaotic: float = math.nan
+    limit: float = LIMIT
     needed: float = math.inf
     exponent: float = math.nan
     reason: str = ''
@@ -347,8 +352,8 @@ class PathError:
 
     @property
     def lost(self) -> float:
-        """Return the time [s] at which the error exceeds 10 % while it must not; NaN if none."""
-        time = self.until(LIMIT)
+        """Return the time [s] at which the error exceeds its limit too early; NaN if none."""
+        time = self.until(self.limit)
         return time if self.estimated and time < self.needed else math.nan
 
     def __str__(self) -> str:
@@ -375,8 +380,8 @@ def _share(share: float) -> str:
 
 
 def path_error_of(repetition: Repetition, step_size: float, origin: int, early: float,
-                  second: Separation, third: Separation | None, turns: Turns, row: int
-                  ) -> PathError:
+                  second: Separation, third: Separation | None, turns: Turns, row: int,
+                  limit: float = LIMIT) -> PathError:
     """
     Return the path error of a trajectory from its distances.
 
@@ -396,6 +401,8 @@ def path_error_of(repetition: Repetition, step_size: float, origin: int, early: 
         Turns of the run.
     row : int
         Index of the trajectory.
+    limit : float, optional
+        Error that is an alarm.
 
     """
     steps, value = second.at(row)
@@ -403,7 +410,7 @@ def path_error_of(repetition: Repetition, step_size: float, origin: int, early: 
     if third is None:
         return PathError((origin + steps) * step_size,
                          np.maximum(repetition.bound * value, 2.0 * early),
-                         needed=(origin + ten) * step_size)
+                         limit=limit, needed=(origin + ten) * step_size)
     at, finer = third.at(row)
     known = np.searchsorted(steps, at, side='right') - 1
     coarser = np.where(known < 0, value[:1] if len(value) else np.inf, value[known] if len(
@@ -420,7 +427,7 @@ def path_error_of(repetition: Repetition, step_size: float, origin: int, early: 
     at, error, exponents = at[:end], error[:end], exponents[:end]
     doubling = _doubling(at, error)
     ends = turns.ends[0 if not math.isnan(doubling) else 1, row]
-    return PathError((origin + at) * step_size, error, True, doubling * step_size,
+    return PathError((origin + at) * step_size, error, True, doubling * step_size, limit,
                      (origin + float(ends)) * step_size,
                      float(exponents[-1]) if len(exponents) else math.nan)
 

@@ -4,6 +4,7 @@
 
 from collections import deque
 from collections.abc import Iterator
+from contextlib import suppress
 import math
 from threading import Event
 from typing import cast, NamedTuple
@@ -14,8 +15,8 @@ from hnn_vi_ros.simulation.guards.base import Alarm, Guard, StateGuard
 from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.samples import Observed
 from hnn_vi_ros.simulation.path_error import (
-    ACCURATE, ComparedMotion, LIMIT, LOST, OFF, path_error_of, PathError, Repetition, Separation,
-    Turns)
+    ACCURATE, ComparedMotion, FEW_STEPS_LIMIT, LIMIT, LOST, OFF, path_error_of, PathError,
+    Repetition, Separation, Turns)
 from hnn_vi_ros.simulation.processors import Helper
 from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
 import numpy as np
@@ -23,6 +24,8 @@ import numpy as np
 KIND = 'path not resolved'
 # Number of steps of the first stretch, and maximum number of coordinates stored for it.
 _MAX_STEPS, _MAX_NUMBERS = 1_000_000, 2**23
+# Steps below which a motion from rest has hardly developed.
+_MIN_JUDGED_STEPS = 52
 # Steps up to which a run is short: it is repeated with h / 2 and h / 4.
 _SHORT = 104
 # First steps, with which the amplitude after them is compared.
@@ -102,6 +105,16 @@ class _Other:
             # The steps of the run itself succeeded.
             self.ended, self.failed = True, float(self._steps[0]) if len(self._steps) else 0.0
 
+    def alone(self, step_size: float, row: np.ndarray, samples: int, every: int) -> np.ndarray:
+        """Return q of a run of another step size, before this one begins; both from a row."""
+        simulation, own = self._simulation, self._simulation.step_size
+        simulation.step_size = step_size
+        try:
+            return simulation.record(samples, every)[0]
+        finally:
+            simulation.step_size = own
+            simulation.put(row)
+
     def _gather(self, items: 'list[_Block | Command]') -> None:
         """Take the next blocks, up to a command, as steps and states to be compared."""
         blocks = list[_Block]()
@@ -160,9 +173,11 @@ class _Stretch:
         self._items: list[_Block | Command] = []
         self._turned = deque[tuple[int, np.ndarray]]()
         self.second, self.third = self._other(0), cast(_Other | None, None)
-        # Fast motions decay between the first common instants.
-        self._early = None if 1 in repetition.strides or repetition.adaptive else _Other(
-            simulation, simulation.sibling(0.5), self._row, 1, 2, Separation(self._motion, _SHORT))
+        # Fast motions decay between the first common instants: distances from a run with h / 2,
+        # and the first states until they are compared with it.
+        self._early = np.zeros_like(self._motion.values(q[None])[0])
+        self._first: list[np.ndarray] | None = (
+            None if 1 in repetition.strides or repetition.adaptive else [])
         self._told = set[int]()
 
     def _other(self, k: int) -> _Other:
@@ -178,8 +193,9 @@ class _Stretch:
         first, self.taken = self.taken, self.taken + len(q)
         self._items.append(_Block(first, self.taken, {
             stride: q[stride - 1 - first % stride::stride].copy()
-            for stride in self._repetition.strides} | (
-                {} if self._early is None else {1: q[:max(0, _SHORT - first)].copy()})))
+            for stride in self._repetition.strides}))
+        if self._first is not None and first < _SHORT:
+            self._first.append(q[:_SHORT - first].copy())
         if not self.turns.counted:
             self._turned.append((first + 1, q.copy()))
         self.over = self.over or self.taken >= self.most
@@ -193,10 +209,14 @@ class _Stretch:
         turned = [self._turned.popleft() for _ in range(len(self._turned))]
         if turned:
             self.turns.add(turned[0][0], np.concatenate([q for _, q in turned]))
-        for other in (self.second, *([self._early] if self._early is not None else [])):
-            other.follow(self._items)
-            if end:
-                other.separation.finish()
+        if self._first is not None:
+            if self.taken < _SHORT and not end:
+                return
+            self._compare_first(np.concatenate(self._first))
+            self._first = None
+        self.second.follow(self._items)
+        if end:
+            self.second.separation.finish()
         if self.third is None and (
                 not math.isnan(self.second.failed)
                 or (self._repetition.bound * self.second.separation.last > ACCURATE).any()):
@@ -208,14 +228,22 @@ class _Stretch:
         other = self.second if self.third is None else self.third
         self.over = self.over or other.ended or (self._until_turned and self.turns.counted)
 
+    def _compare_first(self, q: np.ndarray) -> None:
+        """Compare the first states with those of a run with h / 2."""
+        separation = Separation(self._motion, len(q))
+        with suppress(StepFailure, RescuePending):
+            other = self.second.alone(0.5 * self._simulation.step_size, self._row, len(q), 2)
+            separation.add(np.arange(len(q)), q, other.reshape(q.shape), end=True)
+        self._early = separation.apart
+
     def error(self, row: int) -> PathError:
         """Return the path error of a trajectory."""
         second = self.second.separation
-        early = 0.0 if self._early is None else float(
-            second.share(self._early.separation.apart)[row])
+        early = float(second.share(self._early)[row])
         return path_error_of(
             self._repetition, self._simulation.step_size, self.origin, early, second,
-            None if self.third is None else self.third.separation, self.turns, row)
+            None if self.third is None else self.third.separation, self.turns, row,
+            LIMIT if self.taken >= _MIN_JUDGED_STEPS else FEW_STEPS_LIMIT)
 
     def alarms(self, row: int) -> Iterator[Alarm]:
         """Yield the alarm of a trajectory, once."""
@@ -236,13 +264,13 @@ def _alarm(error: PathError, repetition: Repetition, h: float, end: float) -> Al
     until = error.t <= error.needed
     size, last = float(error.value[until].max()), float(error.t[until][-1])
     # Errors grow at least in proportion to time, also after the comparison has ended.
-    factor = (LIMIT / size / max(1.0, min(error.needed, end) / last)) ** (1.0 / error.exponent)
+    factor = (error.limit / size / max(1.0, min(error.needed, end) / last)) ** (1.0 / error.exponent)
     what = 'a much smaller step_size'
     if factor >= _LEAST_FACTOR:
         what = (f'tolerances {factor:.1g} times as large' if repetition.adaptive else
                 f'step_size {_rounded(h * factor):g}')
     off = f'by {100.0 * size:.2g} % of' if size < LOST else 'by more than'
-    return Alarm(KIND, round(error.lost / h), min(size, LOST), LIMIT, (
+    return Alarm(KIND, round(error.lost / h), min(size, LOST), error.limit, (
         f'the path is off {off} its amplitude at {last:.3g} s; use {what}, or a method of higher '
         'order'), '1')
 
