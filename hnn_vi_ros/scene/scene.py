@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from keyword import iskeyword
 import os
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from hnn_vi_ros.effects import Effect, EffectError, EFFECTS, gear_effects
 from hnn_vi_ros.errors import (
@@ -25,7 +25,7 @@ from hnn_vi_ros.scene.choices import (
     LearnedChoice, MeasurementsChoice, PythonChoice, UncertaintyChoice)
 from hnn_vi_ros.scene.origin import Origin
 import numpy as np
-from pydantic import BaseModel, Field, PrivateAttr
+from pydantic import BeforeValidator, BaseModel, Field, PrivateAttr
 
 # A part of a scene that is selected by its kind.
 Choice = str | Mapping[str, Any] | BaseModel
@@ -75,7 +75,9 @@ class Scene(StrictModel):
         'run all members of an ensemble beside their mean, and report their spread'))
     measurements: MeasurementsChoice | None = Field(None, description=(
         'sensors whose readings are published in place of exact values'))
-    path_error: Literal['measured', 'off'] = Field('measured', description=(
+    # YAML reads the word off as false.
+    path_error: Annotated[Literal['measured', 'off'], BeforeValidator(
+        lambda value: 'off' if value is False else value)] = Field('measured', description=(
         'measured: the run is taken again with other steps, and reports the error of its path; '
         'off: it is taken once'))
     energy_by_cause: bool = Field(False, description=(

@@ -264,7 +264,8 @@ def _alarm(error: PathError, repetition: Repetition, h: float, end: float) -> Al
     until = error.t <= error.needed
     size, last = float(error.value[until].max()), float(error.t[until][-1])
     # Errors grow at least in proportion to time, also after the comparison has ended.
-    factor = (error.limit / size / max(1.0, min(error.needed, end) / last)) ** (1.0 / error.exponent)
+    size_at_end = size * max(1.0, min(error.needed, end) / last)
+    factor = (error.limit / size_at_end) ** (1.0 / error.exponent)
     what = 'a much smaller step_size'
     if factor >= _LEAST_FACTOR:
         what = (f'tolerances {factor:.1g} times as large' if repetition.adaptive else

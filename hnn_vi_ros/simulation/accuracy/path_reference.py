@@ -165,7 +165,9 @@ def best_reference(problem: InitialValueProblem, horizon: float, base: float, kn
         The path; without states if none can be determined.
 
     """
-    instants = Instants.of(horizon, base, _MIN_SLOW_INSTANTS)
+    # Errors peak between few instants.
+    instants = Instants.of(horizon, base, _MIN_INSTANTS if limit >= _SLOW_LIMIT else
+                           _MIN_SLOW_INSTANTS)
     found = None
     # Random effects draw different numbers at each step size.
     if not any(effect.random for effect in problem.effects):
