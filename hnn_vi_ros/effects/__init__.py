@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.effects.kernels import add_effect, add_forces
     from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
     from hnn_vi_ros.effects.learned_friction import LearnedFriction
+    from hnn_vi_ros.effects.knots import CutAtKnots
     from hnn_vi_ros.effects.loops import ClosedChains, LoopManifold
     from hnn_vi_ros.effects.manifold import Manifold
     from hnn_vi_ros.effects.payload_changes import PayloadChanges

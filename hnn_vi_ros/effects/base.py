@@ -66,6 +66,9 @@ class EffectState(NamedTuple):
         Expiry time of the wrench on a link [s], part of snapshots of scenes that have one.
     step : np.ndarray, shape (1,)
         Size of the attempted step [s], not part of snapshots; 1 before the first step.
+    part : np.ndarray, shape (1,)
+        A time within the part of the step that is being taken [s], NaN between steps; not part of
+        snapshots. See CutAtKnots.
     reference : Reference
         The reference that servos follow.
 
@@ -80,6 +83,7 @@ class EffectState(NamedTuple):
     resting: np.ndarray
     expiry: np.ndarray
     step: np.ndarray
+    part: np.ndarray
     reference: Reference
 
     @classmethod
@@ -88,7 +92,7 @@ class EffectState(NamedTuple):
         return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects),
                    np.zeros(dimension + 1), np.zeros(3, dtype=np.int64),
                    np.zeros((dimension, dimension)), np.zeros(effects), np.zeros(1), np.ones(1),
-                   Reference.empty(dimension, knots))
+                   np.full(1, np.nan), Reference.empty(dimension, knots))
 
     def reset(self, stream: int, time: float = 0.0,
               held: Mapping[str, np.ndarray] | None = None) -> None:
@@ -108,7 +112,7 @@ class EffectState(NamedTuple):
         for array in (self.clock, self.work, self.pending, self.command, self.draws,
                       self.resting, self.expiry, *self.reference):
             array[...] = 0
-        self.clock[0], self.draws[2], self.step[0] = time, stream, 1.0
+        self.clock[0], self.draws[2], self.step[0], self.part[0] = time, stream, 1.0, np.nan
         if held is not None:
             self.command[...] = held['live.command']
             self.expiry[...] = held.get('wrench.expiry', 0.0)
@@ -175,6 +179,8 @@ class Effect(ABC):
         Frequency of a force that oscillates in time [Hz], 0 for none.
     stiff : bool
         True if it has a ``fastest_rate``, which steps should resolve.
+    cuts_at_knots : bool
+        True if it jumps at the knots of the reference, where steps are cut; see CutAtKnots.
     model : Checkpoint or None
         Model with its networks, if it is an effect of one.
     excludes : mapping of Place to str
@@ -199,6 +205,7 @@ class Effect(ABC):
     internal: ClassVar[bool] = False
     frequency: float = 0.0
     stiff: ClassVar[bool] = False
+    cuts_at_knots: bool = False
     model: 'Checkpoint | None' = None
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
 

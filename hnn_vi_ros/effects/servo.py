@@ -13,6 +13,7 @@ from hnn_vi_ros.effects.commands import (
     printable, Reference, ServoTarget, VELOCITY)
 from hnn_vi_ros.effects.drives import find_drive
 from hnn_vi_ros.effects.gravity_compensation import Compensated, GravityModelKind
+from hnn_vi_ros.effects.knots import knot_before, with_rounding
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians import (
     check_finite, check_names_once, check_not_negative, check_positive)
@@ -45,7 +46,7 @@ class ServoParameters(NamedTuple):
     ----------
     columns : np.ndarray of int64, shape (n,)
         Columns of the joints in q.
-    reference, clock
+    reference, clock, part
         See EffectState.
     command : np.ndarray
         See EffectState; without plain numbers, one that has expired.
@@ -64,6 +65,7 @@ class ServoParameters(NamedTuple):
     reference: Reference
     clock: np.ndarray
     command: np.ndarray
+    part: np.ndarray
     delay: float
     speed: float
     rate_limit: float
@@ -176,6 +178,7 @@ class Servo(Compensated, Force, Commanded):
         check_names_once(coordinates=coordinates)
         self.names, self.delay, self.speed = coordinates, float(delay), float(speed)
         self.rate_limit = math.inf if rate_limit is None else float(rate_limit)
+        self.cuts_at_knots = self.delay > 0.0 or self.rate_limit < math.inf
         self.takes = frozenset({POSITION, VELOCITY, PATH})
         self.values: dict[str, float | list[float]] = {
             'stiffness': stiffness, 'damping': damping, 'effort_limit': limit,
@@ -190,6 +193,7 @@ class Servo(Compensated, Force, Commanded):
         """
         other = copy(self)
         other.numbers = other.feels_command = True
+        other.cuts_at_knots = False
         other.takes, other.delay, other.rate_limit = frozenset({NUMBERS}), 0.0, math.inf
         return other
 
@@ -200,8 +204,9 @@ class Servo(Compensated, Force, Commanded):
         joints = [coordinates[i] for i in columns]
         own = (per_coordinate(joints, name, value) for name, value in self.values.items())
         command = state.command if self.numbers else np.full(1, -math.inf)
-        return ServoParameters(columns, state.reference, state.clock, command, self.delay,
-                               self.speed, self.rate_limit, no_compensation(columns.size), *own)
+        return ServoParameters(
+            columns, state.reference, state.clock, command, state.part, self.delay, self.speed,
+            self.rate_limit, no_compensation(columns.size), *own)
 
     def prepare(self, command: Command, parameters: ServoParameters, q: np.ndarray
                 ) -> Callable[[], None]:
@@ -218,7 +223,7 @@ class Servo(Compensated, Force, Commanded):
 
     def servo_target(self, parameters: ServoParameters) -> ServoTarget:
         """Return the present targets of the joints."""
-        return _target(parameters, self.names, parameters.clock[0])
+        return _target(parameters, self.names, _read_at(parameters, parameters.clock[0]))
 
     def joints(self, parameters: ServoParameters) -> np.ndarray:
         """Return the columns of the joints."""
@@ -229,11 +234,12 @@ class Servo(Compensated, Force, Commanded):
     def add_force(parameters: ServoParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add f = g + P tanh(2 g / P) - b v, the first two within limits, and its friction."""
-        own, segment = parameters, _segment_at(parameters.reference, t)
+        own, read_at = parameters, _read_at(parameters, t)
+        segment = knot_before(own.reference, read_at)
         own.gravity.fill(own.gravity.model, q, own.gravity.forces)
         for k in range(own.columns.size):
             i, force = own.columns[k], 0.0
-            position, rate, _ = _target_at(own, k, segment, t)
+            position, rate, _ = _target_at(own, k, segment, read_at, t)
             if not math.isnan(position):
                 force += own.stiffness[k] * (position - (q[i] + own.offset[k]))
             if not math.isnan(rate):
@@ -246,21 +252,16 @@ class Servo(Compensated, Force, Commanded):
 
 
 @inlined
-def _segment_at(reference: Reference, t: float) -> int:
-    """Return the last knot of the path that is not after a time; 0 before all of them."""
-    # The count may come from a damaged file and must not exceed the knots.
-    low, high = 0, min(reference.extent[0], reference.knots.shape[0]) - 1
-    while low < high:
-        middle = (low + high + 1) // 2
-        if reference.knots[middle, 0] <= t:
-            low = middle
-        else:
-            high = middle - 1
-    return low
+def _read_at(own: ServoParameters, t: float) -> float:
+    """Return a time between the knots that a time belongs to."""
+    if not _waits(own):
+        return t
+    return with_rounding(t) if math.isnan(own.part[0]) else own.part[0]
 
 
 @inlined
-def _target_at(own: ServoParameters, k: int, segment: int, t: float) -> tuple[float, float, float]:
+def _target_at(own: ServoParameters, k: int, segment: int, read_at: float, t: float
+               ) -> tuple[float, float, float]:
     """Return the target position, velocity and acceleration of joint k; NaN for none."""
     reference, i = own.reference, own.columns[k]
     if own.clock[0] < own.command[own.command.size - 1]:
@@ -268,7 +269,7 @@ def _target_at(own: ServoParameters, k: int, segment: int, t: float) -> tuple[fl
         return (number, 0.0, 0.0) if abs(number) <= LARGEST else (np.nan, np.nan, 0.0)
     mode = reference.modes[i]
     if mode == _ON_PATH:
-        return _along(reference, segment, i, t)
+        return _along(reference, segment, i, read_at, t)
     if mode == _AT_POSITION:
         return reference.targets[0, i], reference.targets[1, i], 0.0
     if mode == _AT_VELOCITY:
@@ -277,13 +278,15 @@ def _target_at(own: ServoParameters, k: int, segment: int, t: float) -> tuple[fl
 
 
 @inlined
-def _along(reference: Reference, segment: int, i: int, t: float) -> tuple[float, float, float]:
+def _along(reference: Reference, segment: int, i: int, read_at: float, t: float
+           ) -> tuple[float, float, float]:
     """Return a coordinate of the path and its derivatives, in the segment after a knot."""
     knots, d = reference.knots, reference.modes.size
     q0, v0, a0 = knots[segment, 1 + i], knots[segment, 1 + d + i], knots[segment, 1 + 2 * d + i]
     if math.isnan(a0):
         return q0, v0, 0.0
-    if segment + 1 >= min(reference.extent[0], knots.shape[0]) or t < knots[segment, 0]:
+    if segment + 1 >= min(reference.extent[0], knots.shape[0]) \
+            or read_at < knots[segment, 0]:
         # The path is at rest after its end and before its start.
         return q0, 0.0, 0.0
     q1, v1, a1 = (knots[segment + 1, 1 + i], knots[segment + 1, 1 + d + i],
@@ -299,8 +302,8 @@ def _along(reference: Reference, segment: int, i: int, t: float) -> tuple[float,
 
 def _target(own: ServoParameters, names: Sequence[str], t: float) -> ServoTarget:
     """Return the targets of joints with these names at a time."""
-    segment = _segment_at(own.reference, t)
-    targets = np.array([_target_at(own, k, segment, t) for k in range(own.columns.size)])
+    segment = knot_before(own.reference, t)
+    targets = np.array([_target_at(own, k, segment, t, t) for k in range(own.columns.size)])
     on_path = bool((_bends(own, segment) > -math.inf).any())
     return ServoTarget(names, own.columns, targets.T, on_path)
 
@@ -353,6 +356,7 @@ def _prepare_targets(command: JointCommand, own: ServoParameters, names: Sequenc
     return put
 
 
+@inlined
 def _waits(own: ServoParameters) -> bool:
     """Return whether commands of positions are kept in the knots."""
     return own.delay > 0.0 or own.rate_limit < math.inf
@@ -366,7 +370,7 @@ def _row(own: ServoParameters, t: float) -> np.ndarray:
         row[columns] = own.start
         row[d + columns] = np.where(np.isnan(own.start), math.nan, 0.0)
     else:
-        segment = _segment_at(reference, t)
+        segment = knot_before(reference, t)
         row, bends = reference.knots[segment].copy(), _bends(own, segment)
         for part, values in enumerate(_target(own, (), t).targets):
             row[part * d + columns] = values
@@ -385,7 +389,7 @@ def _waiting(own: ServoParameters) -> tuple[np.ndarray, int]:
     if not reference.extent[0]:
         return np.array([_row(own, own.clock[0]), _row(own, at)]), 1
     knots, d = reference.knots[:reference.extent[0]], reference.modes.size
-    active, last = (_segment_at(reference, t) for t in (own.clock[0], at))
+    active, last = (knot_before(reference, t) for t in (own.clock[0], at))
     begin, bends = _row(own, at), _bends(own, last)
     rows = [*knots[active:last + 1], begin, *knots[last + 1:]]
     if not np.isnan(bends).all():

@@ -678,7 +678,7 @@ class Simulation:
             for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
         return {name: array for place, group in groups.items()
                 for name, array in arrays_of(place, group)
-                if name not in ('live.step', 'live.expiry')
+                if name not in ('live.step', 'live.part', 'live.expiry')
                 } | self.system.changing
 
     def _evaluate_gradient(self) -> None:

@@ -11,8 +11,8 @@ from typing import Any, cast, NamedTuple
 import warnings
 
 from hnn_vi_ros.effects import (
-    Account, add_effect, add_forces, ClosedChains, Command, Commanded, contents, Effect,
-    effect_name, EffectError, EFFECTS, EffectState, EFFORT, Force, Joined, JointCommand,
+    Account, add_effect, add_forces, ClosedChains, Command, Commanded, contents, CutAtKnots,
+    Effect, effect_name, EffectError, EFFECTS, EffectState, EFFORT, Force, Joined, JointCommand,
     JointPath, LINK_WRENCH, LoopManifold, Manifold, NUMBERS, OBSERVATION, PAYLOAD,
     PayloadChanges, Place, ServoTarget, StepLayer, TimeDrive, with_arrays, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
@@ -338,7 +338,8 @@ class System:
         if not hamiltonian.canonical or hamiltonian.rotations:
             self._check_coordinates(hamiltonian, integrator)
         self._places = [effect.place(integrator) for effect in effects]
-        self.layered = any(place > Place.NODES for place in self._places)
+        self._cuts_at_knots = any(effect.cuts_at_knots for effect in effects)
+        self.layered = self._cuts_at_knots or any(place > Place.NODES for place in self._places)
         self.commanded = any(isinstance(effect, Commanded) or effect.random for effect in effects)
         self._check_together()
         self._check(integrator, hamiltonian)
@@ -389,7 +390,8 @@ class System:
                 if not _assign(self._parameters[i], other._parameters[i]):
                     return None
                 other._parameters[i] = self._parameters[i]
-        if other._places != self._places or not refill(self.kernel, other.kernel):
+        if other._places != self._places or other._cuts_at_knots != self._cuts_at_knots \
+                or not refill(self.kernel, other.kernel):
             return None
         other.kernel, other.integrator = self.kernel, self.integrator
         if isinstance(self.constraints, LoopManifold):
@@ -615,6 +617,8 @@ class System:
                     continue  # the first constraint represents all
                 kind, settings = self.constraints.kind, self.constraints.constraints
             integrator = Wrapped(integrator, kind, (settings, self.effect_state, i))
+        if self._cuts_at_knots:
+            integrator = Wrapped(integrator, CutAtKnots, (self.effect_state,))
         if self._taken or around:
             internal = [i for i in self._taken if self._effects[i].internal]
             more = sum(own.size - 1 for own in self.joints.values())

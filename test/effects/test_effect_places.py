@@ -20,7 +20,7 @@ import pytest
 
 # What every effect is made of, and what solves all constraints together, or keeps loops closed.
 BASES = {
-    'registry', 'base', 'commands', 'kernels', 'loops', 'manifold', 'payload_changes',
+    'registry', 'base', 'commands', 'kernels', 'knots', 'loops', 'manifold', 'payload_changes',
     'time_drive', 'wrapped'}
 
 

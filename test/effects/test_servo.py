@@ -408,12 +408,12 @@ def test_joint_that_follows_nothing_yet_starts_its_ramp_where_it_is():
 
 
 def random_command(rng: np.random.Generator) -> JointCommand | JointPath:
-    """Return positions, a path of degree 3 or 5, one of positions, or none."""
-    kind, t = rng.integers(6), np.cumsum(rng.uniform(0.02, 0.2, 3))
+    """Return positions, a path of degree 3 or 5, one of positions, or none, with whole steps."""
+    kind, t = rng.integers(6), np.cumsum(rng.integers(2, 13, 3)) / 64.0
     if kind < 3:
         return command(('x', 'y', 'xy')[rng.integers(3)], *rng.normal(size=2))
     points = [rng.normal(size=3), np.array([*rng.normal(size=2), 0.0]), rng.normal(size=3)]
-    return path(t, *points[:kind - 2], names='yx', delay=rng.uniform(-0.01, 0.1)) \
+    return path(t, *points[:kind - 2], names='yx', delay=rng.integers(-1, 7) / 64.0) \
         if rng.integers(5) else path([], [], names='xy')
 
 
@@ -437,6 +437,48 @@ def test_paths_and_commands_act_after_their_delay_in_any_order(seed):
         for simulation in (late, other):
             simulation.advance(1)
         assert late.q == pytest.approx(other.q, abs=1e-9)
+
+
+def after_steps(integrator: str, n: int, delay: float) -> tuple[np.ndarray, float]:
+    """Return q and p of a pendulum each tenth of a second, with n steps in it, and the balance."""
+    simulation = servo('angle', h=0.1 / n, integrator=integrator, system='pendulum', q=0.2,
+                       position=[0.2], delay=delay)
+    found = []
+    for target in (1.2, -0.8):
+        simulation.set_command(command(['angle'], position=target, velocity=0.5))
+        found.append(np.hstack(simulation.record(10, n)))
+    return np.vstack(found), abs(simulation.energy_balance)
+
+
+@pytest.mark.parametrize('delay', [0.25, 0.263, 0.007])
+@pytest.mark.parametrize('integrator, n', [
+    ('variational_euler', 16), ('symplectic_euler', 16), ('implicit_midpoint', 4),
+    ('generalized_leapfrog', 4), ('rk4', 4), ('gauss4', 4), ('yoshida4', 4), ('kahan_li8', 2)])
+def test_method_keeps_its_order_with_any_delay(integrator, n, delay):
+    """Delays of whole steps, with a fraction of a step, and of less than a step."""
+    exact, balance = after_steps('gauss16', 2, delay)
+    # Steps of any size end at the times when commands act.
+    again, _ = after_steps('gauss16', 1, delay)
+    assert again == pytest.approx(exact, abs=1e-11)
+    assert balance < 1e-12
+    errors = [np.abs(after_steps(integrator, k * n, delay)[0] - exact).max() for k in (1, 2)]
+    assert np.log2(errors[0] / errors[1]) > INTEGRATORS[integrator]().order - 0.35
+
+
+@pytest.mark.parametrize('integrator', ['generalized_leapfrog', 'rk4', 'variational_euler'])
+def test_delay_of_whole_steps_gives_the_bits_of_later_commands(integrator):
+    """Steps of .1 s are rounded, so that commands act a rounding before or after a step ends."""
+    late, other = (servo('x', h=0.1, integrator=integrator, delay=delay, position=[0.1])
+                   for delay in (0.3, 0.0))
+    for step in range(40):
+        late.set_command(command('x', position=np.sin(step)))
+        if step >= 3:
+            other.set_command(command('x', position=np.sin(step - 3)))
+        assert late.motors.servo_target.targets.tolist() \
+            == other.motors.servo_target.targets.tolist()
+        late.advance(1)
+        other.advance(1)
+        assert (late.q.tolist(), late.p.tolist()) == (other.q.tolist(), other.p.tolist())
 
 
 def test_more_commands_than_wait_for_a_delay_are_refused():
