@@ -10,6 +10,7 @@ import os
 from pathlib import Path
 import re
 import sys
+import warnings
 
 from hnn_vi_ros.errors import ModelError, prefixed, SceneError, StepFailure
 from hnn_vi_ros.files import (
@@ -71,12 +72,19 @@ def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
         tree = built({})
         # Rotors change how fast the robot falls, but not its equilibrium.
         rest = resting_state(tree)
-        rotors = missing_rotors(tree, rest)
+        rotors, own = missing_rotors(tree, rest), rates(tree, rest)[1]
         tree = built(rotors)
     held = '; '.join(f'{name} at {value:g}' for name, value in tree.robot.locked.items()
                      if name not in locked)
     for title, content in (
             ('moves', ', '.join(joint.name for joint in tree.joints)),
+            ('rotor inertia of the URDF', '; '.join(
+                f'{joint.name} {joint.rotor:.3g} {joint.units.rotor}' for joint in tree.joints
+                if joint.rotor and joint.name not in rotors)),
+            ('rotor inertia guessed (see rotor_inertia in the scene)', '; '.join(
+                f'{joint.name} {rotors[joint.name]:g} {joint.units.rotor}, beside {inertia:.2g} '
+                'of its links' for joint, inertia in zip(tree.joints, own, strict=True)
+                if joint.name in rotors)),
             ('follows', '; '.join(followers_of(tree))),
             ('closes', ', '.join(dict.fromkeys(tree.loops.names)) if tree.loops else ''),
             ('fixed (see locked in the scene)', why_fixed), ('fixed with its leader', held)):
@@ -85,8 +93,11 @@ def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
     name = file if file.startswith(SCHEME) else os.path.relpath(urdf, out.parent)
     text = scene_text(name, out, tree, locked, rotors, rest)
     write_new_scene(out, text, force)
-    scene = load_scene(out)
-    step_size = resolving_step(scene)
+    with warnings.catch_warnings():
+        # Those with a line of the URDF were raised above.
+        warnings.filterwarnings('ignore', r'.*:\d+: ')
+        scene = load_scene(out)
+        step_size = resolving_step(scene)
     if step_size != scene.step_size:
         write_new_scene(out, text.replace(f'\nstep_size: {scene.step_size:g} ',
                                           f'\nstep_size: {step_size:g} '), True)

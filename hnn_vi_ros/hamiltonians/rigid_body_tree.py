@@ -47,7 +47,8 @@ class RigidBodyTree(Hamiltonian):
         The fixed link; links that are not behind it are ignored. Default: the root of the tree.
     rotor_inertia : dict of str to float, optional
         Inertias of the rotors behind joints, reduced to the joint, that is multiplied by the
-        square of the gear ratio [kg m2], [kg].
+        square of the gear ratio; by default those of `drake:rotor_inertia` in the URDF [kg m2],
+        [kg].
     loops : list of ClosingJoint, optional
         Joints that close chains of the tree, kept with RATTLE; by default those of `loop_joint`,
         `drake:ball_constraint`, and `joint` in `gazebo` of the URDF, and [] for none.

@@ -186,6 +186,17 @@ def test_new_scene_tells_what_a_joint_follows(tmp_path, capsys, mimic, told):
     assert capsys.readouterr().err.split('\n', 1)[1] == f'{told}\n'
 
 
+def test_guessed_inertia_of_a_rotor_is_printed(tmp_path, capsys):
+    """A tool of 4e-4 kg m2 on an arm of 1.55 kg m2."""
+    inertia = 'ixx="{0}" ixy="0" ixz="0" iyy="{0}" iyz="0" izz="{0}"'
+    text = chain([4.0, 0.25], [0.5, 0.0]).replace(inertia.format(0), inertia.format(0.3), 1)
+    text = text.replace(inertia.format(0), inertia.format(4e-4))
+    new_scene(tmp_path, text)
+    assert capsys.readouterr().err.splitlines()[1] == (
+        'rotor inertia guessed (see rotor_inertia in the scene): j2 0.002 kg m2, beside 0.0004 of '
+        'its links')
+
+
 # As exports of CAD have limits where none were set.
 NO_ROOM = '<limit lower="0" upper="0" effort="0" velocity="0"/>'
 

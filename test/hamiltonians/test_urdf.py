@@ -153,6 +153,54 @@ def test_elements_of_other_tools_and_repeated_ones_are_told(old, new):
         assert other.joints[name].limits == joint.limits
 
 
+HIP, BASE = '<axis xyz="1 2 -2"/>', '<link name="base"/>'
+
+
+@pytest.mark.parametrize('old, new', [
+    (HIP, f'{HIP}<xacro:insert_block name="origin"/>'), (HIP, f'{HIP}<pose>0 0 1 0 0 0</pose>'),
+    (BASE, f'<link name="base"><visual><inertial><mass value="1"/>{INERTIA}</inertial></visual>'
+     '</link>'),
+    ('<dynamics damping="2.5" friction="0.5"/>', '<dynamics><damping>2.5</damping></dynamics>'),
+    (HIP, f'<origin>0 0 1</origin>{HIP}'), (HIP, f'{HIP}<joint_properties damping="1"/>'),
+    ('<dynamics ', '<dynamics mu_viscous="2" mu_coulomb="1" '),
+    ('<dynamics ', '<dynamics spring_stiffness="50" spring_reference="0.2" '),
+    (BASE, f'{BASE}<gazebo reference="hip"><springStiffness>30</springStiffness></gazebo>'),
+    (BASE, f'{BASE}<gazebo reference="base"><turnGravityOff>true</turnGravityOff></gazebo>'),
+    (BASE, f'{BASE}<gazebo><plugin name="m" filename="x.so"><joint>hip</joint><mimicJoint>tail'
+     '</mimicJoint></plugin></gazebo>'),
+    (BASE, f'{BASE}<ros2_control name="s" type="system"><joint name="tail"><param name="mimic">hip'
+     '</param></joint></ros2_control>'),
+    (BASE, f'{BASE}<transmission name="t"><actuator name="m"><mechanicalReduction>100'
+     '</mechanicalReduction></actuator><joint name="hip"/></transmission>'),
+    (BASE, f'{BASE}<transmission name="t"><drake:rotor_inertia value="-1"/><joint name="hip"/>'
+     '</transmission>'),
+    # These mean nothing.
+    (BASE, f'{BASE}<gazebo reference="hip"><springStiffness>0</springStiffness></gazebo>'
+     '<transmission><actuator name="m"><mechanicalReduction>1</mechanicalReduction></actuator>'
+     '</transmission>')])
+def test_text_below_the_root_that_means_something_is_answered_in_one_line(tmp_path, old, new):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        replaced(tmp_path, old, new, 'xmlns:xacro="x" xmlns:drake="x" ')
+    assert_message('; '.join(str(warning.message) for warning in caught) or 'no warning')
+
+
+@pytest.mark.parametrize('given, expected', [({}, 160.0**2 * 3.46e-4), ({'j1': 0.5}, 0.5)])
+@pytest.mark.parametrize('place', ['</robot>', '<axis xyz="0 1 0"/>'])
+def test_rotor_inertia_of_drake_counts_times_the_ratio_squared(tmp_path, given, expected, place):
+    rotor = '<drake:gear_ratio value="160"/><drake:rotor_inertia value="3.46e-4"/>'
+    if place == '</robot>':
+        rotor = ('<transmission name="t"><actuator name="m"><mechanicalReduction>160'
+                 f'</mechanicalReduction>{rotor}</actuator><joint name="j1"/></transmission>')
+    text = chain([1.0], [1.0])
+    assert place in text
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        robot = build(tmp_path, text.replace(place, f'{rotor}{place}'), **{
+            **PLAIN, 'rotor_inertia': given})
+    assert robot.masses(np.zeros((1, 1))).item() == pytest.approx(1.0 + expected, rel=1e-15)
+
+
 def test_axis_of_a_joint_that_does_not_move_may_lack_its_direction(tmp_path):
     for axis in ('<axis/>', '<axis xyz="0 0 0"/>'):
         text = TREE.replace('<parent link="hand"/>', f'<parent link="hand"/>{axis}', 1)

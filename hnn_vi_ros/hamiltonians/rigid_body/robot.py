@@ -154,6 +154,8 @@ class Joint:
         Static friction [N m] or [N].
     mimic : Mimic or None
         The joint that this one follows.
+    rotor : float
+        Inertia of its rotor, reduced to the joint [kg m2] or [kg].
 
     """
 
@@ -169,6 +171,7 @@ class Joint:
     damping: float
     friction: float
     mimic: Mimic | None
+    rotor: float = 0.0
 
     @property
     def units(self) -> JointUnits:

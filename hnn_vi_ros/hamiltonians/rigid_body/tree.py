@@ -71,7 +71,8 @@ def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, flo
     base : str
         The fixed link.
     rotor_inertia : mapping of str to float
-        Inertias of rotors behind joints, reduced to the joint [kg m2] or [kg].
+        Inertias of rotors behind joints, reduced to the joint, in place of those of the robot
+        [kg m2] or [kg].
 
     Raises
     ------
@@ -113,7 +114,8 @@ def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, flo
         following = Following(np.array([order.index(end.joint) for end in ends]),
                               *np.array([end[1:] for end in ends]).T.copy())
         places = [*range(len(driven))]
-    bodies = builder.bodies(places, [rotor_inertia.get(name, 0.0) for name in driven], gravity)
+    bodies = builder.bodies(places, [rotor_inertia.get(name, joint.rotor)
+                                     for name, joint in driven.items()], gravity)
     if not all(np.isfinite(part).all() for part in (*bodies, *(following or ()))):
         raise ModelError(f'{robot.links[base].place}: products of numbers beyond this link '
                          'overflow; check their units')

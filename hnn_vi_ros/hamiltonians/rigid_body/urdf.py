@@ -19,6 +19,8 @@ from hnn_vi_ros.files import Element, MAX_XML_BYTES, parse_xml, read_limited
 from hnn_vi_ros.hamiltonians.rigid_body.closures import closures_in, is_closure
 from hnn_vi_ros.hamiltonians.rigid_body.elements import (
     frame_in, name_of, number_of, only_child, place_of, vector_of)
+from hnn_vi_ros.hamiltonians.rigid_body.extensions import (
+    below, EXTENSION, extensions_in, has_meaning, MEANINGS, rotors_in)
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Inertial, Joint, Limits, Link, Mimic, Robot, SLIDING, TURNING)
 import numpy as np
@@ -31,8 +33,7 @@ _MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
 _MIMIC = {'multiplier': 1.0, 'offset': 0.0}
 # Version 1.0 has no quaternions; 1.2 requires both limits of a joint, or none.
 _VERSIONS = ('1.0', '1.1', '1.2')
-# Elements with physical meaning: their attributes, and their child elements. Others, such as
-# <visual>, <gazebo>, <transmission> and <drake:...>, are ignored.
+# Elements with physical meaning: their attributes, and their child elements.
 _ATTRIBUTES: dict[str, tuple[str, ...]] = {
     'robot': ('name', 'version'), 'link': ('name', 'type'), 'joint': ('name', 'type'),
     'inertial': (), 'mass': ('value',), 'inertia': _MOMENTS,
@@ -42,8 +43,11 @@ _ATTRIBUTES: dict[str, tuple[str, ...]] = {
     'mimic': ('joint', *_MIMIC), 'calibration': (
         'rising', 'falling', 'reference_position'), 'safety_controller': (
         'soft_lower_limit', 'soft_upper_limit', 'k_position', 'k_velocity')}
-# Further elements of robots without physical meaning; others are reported.
-_KNOWN = ('material', 'gazebo', 'transmission', 'ros2_control', 'sensor', 'mujoco')
+# Further elements without physical meaning by their parents; others are reported.
+_KNOWN: dict[str, tuple[str, ...]] = {
+    'robot': ('material', 'gazebo', 'transmission', 'ros2_control', 'sensor', 'mujoco'),
+    'link': ('visual', 'collision', 'contact', 'material', 'origin', 'sensor'),
+    'joint': ('drake:rotor_inertia', 'drake:gear_ratio')}
 # Other formats, and tools that write URDFs of them.
 _FORMATS = {'sdf': ('SDF', 'sdf2urdf of pysdf'),
             'mujoco': ('MJCF', 'the Python package mjcf-urdf-simple-converter')}
@@ -57,6 +61,10 @@ _FOREIGN: dict[str, tuple[str, ...]] = {
     'link': ('concave',), 'joint': ('dont_collapse',), 'inertia': ('iyx', 'izx', 'izy'),
     'axis': ('rpy',), 'limit': ('command_effort', 'current', 'gear_velocity', 'twist'),
     'dynamics': ('D', 'K', 'mu_coulomb', 'mu_viscous', 'spring_reference', 'spring_stiffness')}
+# Elements that have attributes alone.
+_LEAVES = _ATTRIBUTES.keys() - _ELEMENTS.keys()
+# Elements of SDF with a meaning that URDF writes otherwise.
+_HINTS = {'pose': ', of SDF; write <origin xyz="..." rpy="..."/>'}
 # Words with a meaning in one place are misplaced elsewhere.
 _WORDS = {*_ATTRIBUTES, *(name for names in _ATTRIBUTES.values() for name in names)}
 # Prefixes of the attributes of tools that read URDFs, on any element.
@@ -91,7 +99,7 @@ def parse_urdf(text: bytes, where: str) -> Robot:
                          'docs/how-to/sdf-and-mjcf.md')
     if root.tag != 'robot':
         raise ModelError(f'{where}:{root.line}: not a URDF: <{root.tag}>, expected <robot>')
-    macro = next((child for child in root.children if child.tag.startswith('xacro:')), None)
+    macro = next((one for one in below(root) if one.tag.startswith('xacro:')), None)
     if macro is not None:
         raise ModelError(f'{where}:{macro.line}: <{macro.tag}>: this is a xacro file; convert it '
                          'to a URDF with: xacro FILE > robot.urdf')
@@ -103,11 +111,14 @@ def parse_urdf(text: bytes, where: str) -> Robot:
     if version not in _VERSIONS:
         raise ModelError(f'{where}:{root.line}: robot version={version[:40]!r} is not supported; '
                          f'valid: {", ".join(_VERSIONS)}')
-    foreign = [*_foreign(root, where, version)]
-    if foreign:
-        warnings.warn(f'{foreign[0]}{f" and {len(foreign) - 1} more" * (len(foreign) > 1)}: '
-                      'extensions of other tools, ignored', stacklevel=4)
-    joints = [_joint(element, where, version) for element in between]
+    foreign: dict[str, list[str]] = {}
+    for place, remark in (*_foreign(root, where, version), *extensions_in(root, where)):
+        foreign.setdefault(remark, []).append(place)
+    for remark, places in foreign.items():
+        warnings.warn(f'{places[0]}{f" and {len(places) - 1} more" * (len(places) > 1)}: {remark}',
+                      stacklevel=4)
+    rotors = rotors_in(root, where)
+    joints = [_joint(element, where, version, rotors) for element in between]
     _check_names([name_of(element, where) for element in links], 'link', where)
     _check_names([joint.name for joint in joints], 'joint', where)
     carried: dict[str, list[Joint]] = {name_of(element, where): [] for element in links}
@@ -151,42 +162,53 @@ def _read(path: Path) -> bytes:
                          'package://PACKAGE/PATH') from problem
 
 
-def _foreign(element: Element, where: str, version: str, label: str = 'robot') -> Iterator[str]:
+def _foreign(element: Element, where: str, version: str, label: str = 'robot'
+             ) -> Iterator[tuple[str, str]]:
     """
-    Yield the attributes of other tools.
+    Yield the attributes and elements of other tools, each with a remark.
 
     Raise for other unknown attributes, and for misspelt or misplaced elements.
     """
     tag, place = element.tag, f'{where}:{element.line}: {label}'
     valid, inside = _ATTRIBUTES[tag], _ELEMENTS.get(tag, ())
-    for name in element.attributes:
+    for name, value in element.attributes.items():
         # Attributes with a namespace are of other tools.
         if name in (*valid, *_FOREIGN.get(tag, ()), 'xmlns') or ':' in name:
+            if tag == 'dynamics' and has_meaning(name, value):
+                yield f'{place}: attribute {name!r}', MEANINGS[name]
             continue
         hint = did_you_mean(name, valid, 0.6)
         if name.startswith(_TOOLS) or (
                 tag in ('robot', 'link', 'joint') and not hint and name not in _WORDS):
-            yield f'{place}: attribute {name[:60]!r}'
+            yield f'{place}: attribute {name[:60]!r}', EXTENSION
         else:
             raise ModelError(f'{place}: unknown attribute {name[:60]!r}{hint}; valid: '
                              f'{listed(valid) or "none"}')
     if 'quat_xyzw' in element.attributes and version == '1.0':
         raise ModelError(f'{place}: quat_xyzw needs version 1.1, but the version of this file is '
                          '1.0; write <robot version="1.1">, or use rpy instead')
+    inner = next((child.tag for child in element.children if child.tag in valid), element.text)
+    if tag in _LEAVES and inner:
+        raise ModelError(f'{place}: {inner[:40]!r} in <{tag}> is not read; URDF has attributes: '
+                         f'{listed(valid)}')
     for child in element.children:
-        if tag == 'robot' and child.tag not in (*inside, *_KNOWN) and not (
-                is_closure(child.tag) or did_you_mean(child.tag.lower(), inside)):
-            yield f'{where}:{child.line}: {label}: element <{child.tag[:60]}>'
+        at = f'{where}:{child.line}: {label}'
+        misplaced = next((one for one in below(child) if one.tag == 'inertial'), None)
         if child.tag in inside:
             named = f'{child.tag} {child.attributes.get("name", "")!r}'
             yield from _foreign(child, where, version,
                                 named if tag == 'robot' else f'{label}: {child.tag}')
         elif is_closure(child.tag) and tag == 'robot':
             continue
-        elif (hint := did_you_mean(child.tag.lower(), inside)) or (
+        elif (hint := _HINTS.get(child.tag) or did_you_mean(child.tag.lower(), inside)) or (
                 child.tag in _ATTRIBUTES and (tag, child.tag) != ('link', 'origin')):
-            raise ModelError(f'{where}:{child.line}: {label}: unknown element '
-                             f'<{child.tag[:60]}>{hint}; valid: {listed(inside) or "none"}')
+            raise ModelError(f'{at}: unknown element <{child.tag[:60]}>{hint}; valid: '
+                             f'{listed(inside) or "none"}')
+        elif misplaced is not None and tag == 'link':
+            raise ModelError(f'{where}:{misplaced.line}: {label}: <inertial> in <{child.tag}>; '
+                             'move it into the link')
+        elif child.tag not in _KNOWN.get(tag, ()):
+            yield f'{at}: element <{child.tag[:60]}>', EXTENSION
 
 
 def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
@@ -217,7 +239,7 @@ def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
     return roots[0]
 
 
-def _joint(element: Element, where: str, version: str) -> Joint:
+def _joint(element: Element, where: str, version: str, rotors: Mapping[str, float]) -> Joint:
     name, place = name_of(element, where), place_of(element, where)
     kind = element.attributes.get('type')
     if not kind:
@@ -236,7 +258,8 @@ def _joint(element: Element, where: str, version: str) -> Joint:
                  _limits(limit, place, version == '1.2' and kind in ('revolute', SLIDING)),
                  damping, friction, None if mimic is None else Mimic(
                      mimic.attributes['joint'], *(number_of(mimic, key, place, default=default)
-                                                  for key, default in _MIMIC.items())))
+                                                  for key, default in _MIMIC.items())),
+                 rotors.get(name, 0.0))
 
 
 def _end(element: Element, end: str, place: str) -> str:
