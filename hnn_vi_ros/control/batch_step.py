@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps of many states with held commands, using the method and the effects of a scene."""
 
+from copy import copy
+from functools import cached_property
 from pathlib import Path
 from threading import RLock
 
@@ -10,7 +12,7 @@ from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.simulation import (
     ActingEffects, check_count, check_effects, check_numbers, CommandLaw, derivative,
-    DifferentiableRun, in_threads, resolve, Simulation, usable_processors)
+    DifferentiableRun, in_threads, resolve, Simulation, System, usable_processors)
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -235,6 +237,17 @@ class BatchStep:
         def along(unit: np.ndarray, size: float) -> np.ndarray:
             return derivative(lambda step: self.field(z, command + step * unit, time), size)
         return by_z, np.array([*map(along, np.eye(command.size), sizes)]).T
+
+    @cached_property
+    def frictionless(self) -> 'BatchStep':
+        """Return these steps with a field without passive effects, whose forces vanish at rest."""
+        effects = [effect for effect in self._parts.effects if not effect.passive]
+        if len(effects) == len(self._parts.effects):
+            return self
+        other, hamiltonian = copy(self), self._parts.hamiltonian
+        other._system = System(hamiltonian, effects, self._parts.integrator)
+        other._acting = ActingEffects(other._system, hamiltonian, effects, self._h)
+        return other
 
     def _enter(self, z: ArrayLike, u: ArrayLike, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Apply a command from a time on; return q and p with the channels of forces."""

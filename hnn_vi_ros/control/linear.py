@@ -84,7 +84,7 @@ def find_equilibrium(scene: Model, near: ArrayLike, free: Sequence[str] | None =
         A name is not that of a coordinate, or ``near`` is not d finite numbers.
 
     """
-    steps = _steps(scene)
+    steps = _steps(scene).frictionless
     d, names = steps.dimension, [one.name for one in steps.hamiltonian.coordinates]
     chosen = names if free is None else list(free)
     if set(chosen) - set(names):

@@ -115,6 +115,20 @@ def test_a_of_a_small_pendulum_has_the_slope_of_its_friction(speed):
     assert a[1, 1] == pytest.approx(-slope, rel=1e-6)
 
 
+@pytest.mark.parametrize('friction', [
+    {'kind': 'joint_friction', 'damping': {'x': 0.1, 'y': 0.1}, 'friction': {'x': 0.1, 'y': 0.2}},
+    {'kind': 'damping', 'rate': 0.1}])
+@pytest.mark.parametrize('near', [[0.3, 1.5, 0.1], [0.0, -1.6, 0.1], [1.0, -1.5, 0.2]])
+def test_friction_does_not_move_the_equilibria_of_an_arm(friction, near):
+    """No force acts on x, the angle about the vertical, whose friction has rounding alone."""
+    H = ('p_x^2/(2*(0.1 + cos(y)^2)) + (p_y^2 + 4*p_z^2 - 2*p_y*p_z*cos(y - z))/(2*(2 - cos(y - z)'
+         '^2)) + 9*sin(y) + 3*sin(z)')
+    (z, u), (plain, _) = (find_equilibrium(formula(H, near, 'rad', *effects), near)
+                          for effects in ([friction], []))
+    assert np.array_equal(z, plain) and not u.size
+    assert np.abs(np.cos(z[1:3])).max() < 1e-15 and z[0] == near[0]
+
+
 @pytest.mark.parametrize(('load', 'fade'), [(0.3, 0.0), (0.0, 0.05), (0.0, 0.0)])
 def test_b_is_the_derivative_by_commands_that_are_more_than_forces(load, fade, tmp_path):
     force, gain = {'kind': 'external_force', 'coordinates': ['angle']}, 1.0
