@@ -19,6 +19,7 @@ from hnn_vi_ros.control.hover import Hover
 from hnn_vi_ros.control.ilqr import Ilqr, Regulator
 from hnn_vi_ros.control.linear import find_equilibrium, momentum, velocity
 from hnn_vi_ros.control.mppi import Mppi
+from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import (
     DataError, did_you_mean, listed, prefixed, SceneError, UnsupportedSystem)
 from hnn_vi_ros.files import find_yaml, KeyPlaces, read_yaml, StrictModel
@@ -395,6 +396,8 @@ class Assignment(NamedTuple):
         Prediction of the state at which a command will act.
     numbers : tuple of str
         Coordinates of the scene's whole command, including those that are not inputs.
+    left_out : tuple of str
+        Effects of the scene with rigid stops, which the model lacks: stops have no derivatives.
 
     """
 
@@ -404,6 +407,7 @@ class Assignment(NamedTuple):
     controller: Controller
     prediction: 'CommandPrediction'
     numbers: Sequence[str]
+    left_out: Sequence[str]
 
     @property
     def limits(self) -> np.ndarray:
@@ -536,13 +540,14 @@ def assign(task: str | Path, scene: str | Path | Scene = '', lockstep: bool = Fa
     own = next((effect.coordinates for effect in scene.effects
                 if effect.kind == 'external_force'), None) or [*loaded.inputs]
     numbers = [*own, *(name for name in loaded.inputs if name not in own)]
-    return Assignment(loaded, model, parts.hamiltonian, controller, prediction, numbers)
+    left_out = [effect.kind for effect in scene.effects if EFFECTS[effect.kind].stops]
+    return Assignment(loaded, model, parts.hamiltonian, controller, prediction, numbers, left_out)
 
 
 def _scene_of_task(scene: Scene, task: Task) -> Scene:
-    """Return the scene with a task's inputs as commands, and with the task's step size."""
+    """Return the scene without stops, with a task's inputs as commands, and its step size."""
     others = [effect.model_dump(by_alias=True) for effect in scene.effects
-              if effect.kind != 'external_force']
+              if effect.kind != 'external_force' and not EFFECTS[effect.kind].stops]
     force = {'kind': 'external_force', 'coordinates': [*task.inputs], 'timeout': 1e6}
     scene = scene.changed({'effects': [*others, force]})
     return scene if task.stepping is None else scene.with_overrides(

@@ -132,6 +132,10 @@ class ControllerNode(ManagedNode):
         assignment: Assignment = await self.in_thread(
             lambda: _compile_controller(assign(settings.task, settings.scene, settings.lockstep)))
         self._assignment = assignment
+        if assignment.left_out:
+            self.get_logger().warning(
+                f'the model of the controller lacks {listed(assignment.left_out)}: rigid stops '
+                'have no derivatives; use soft_wall to plan with them')
         # For a task with a long period, the states between two answers are not a silence.
         self._silence = max(assignment.task.silence, assignment.task.period)
         self._time = assignment.task.plan_time or assignment.task.period

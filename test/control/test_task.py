@@ -5,6 +5,7 @@
 import json
 
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.commands.new_scene import write_scene
 from hnn_vi_ros.control import assign, BatchStep, velocity
 from hnn_vi_ros.control.task import CommandPrediction, load_task, Task
 from hnn_vi_ros.errors import DataError
@@ -13,6 +14,7 @@ from hnn_vi_ros.simulation import build
 from messages import refused
 import numpy as np
 import pytest
+from urdf_robots import chain
 import yaml
 
 GOOD = yaml.safe_load(shipped_file('task', 'swing_up').read_text())
@@ -29,6 +31,27 @@ def test_every_shipped_task_names_its_schema_and_a_scene_that_takes_its_inputs(n
     scene = load_scene(path if path.is_file() else task.scene)
     force, = (effect for effect in scene.effects if effect.kind == 'external_force')
     assert set(task.inputs) <= set(force.coordinates) and task.silence >= force.timeout
+
+
+def test_a_controller_takes_the_scene_that_is_written_for_an_arm(tmp_path):
+    """Its stops and its dry friction, about an axis on which no weight acts, included."""
+    limit = '<limit lower="-3" upper="3" effort="9" velocity="9"/>'
+    text = chain([1.0, 1.0], [0.5, 0.5]).replace('"continuous">', f'"revolute">{limit}').replace(
+        '<axis xyz="0 1 0"/>', '<axis xyz="0 0 1"/><dynamics damping="0.1" friction="0.2"/>', 1)
+    (tmp_path / 'arm.urdf').write_text(text.replace('<origin xyz="0 0 -0.5"/>',
+                                                    '<origin xyz="0.5 0 -0.5"/>', 1))
+    scene = write_scene(str(tmp_path / 'arm.urdf'), tmp_path / 'arm.yaml')
+    assert [effect.kind for effect in load_scene(scene).effects] == [
+        'joint_friction', 'joint_limits']
+    (tmp_path / 'task.yaml').write_text(yaml.safe_dump({
+        'scene': 'arm.yaml', 'inputs': {'j1': 9.0, 'j2': 9.0}, 'period': load_scene(
+            scene).step_size, 'goal': {'near': {'j1': 0.5, 'j2': 2.0}, 'held': True},
+        'controller': {'kind': 'lqr'}}))
+    assigned = assign(tmp_path / 'task.yaml')
+    assert assigned.left_out == ['joint_limits']
+    # At the goal the command is the weight of the second bob alone.
+    u = assigned.controller(np.array([0.5, 2.0]), np.zeros(2), 0.0)
+    assert u == pytest.approx([0.0, 9.81 * 0.5 * np.sin(2.0)], abs=1e-9)
 
 
 def test_schema_of_tasks_is_the_shipped_one():
