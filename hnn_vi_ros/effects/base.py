@@ -60,8 +60,10 @@ class EffectState(NamedTuple):
         The linear vector potential of all magnetic fields, c A(q) = gauge q. The kinetic momentum
         M v is p - gauge q.
     resting : np.ndarray, shape (K,)
-        Internal variable of each effect: x of an InternalForce, and for an effect with rigid
-        stops the sum of 2^k over the stops k on which coordinates rest. Bags have this name.
+        Internal variable x of each effect that is an InternalForce. Bags have this name.
+    on_stops : np.ndarray of int64, shape (E, S)
+        1 for each of the S stops of each of the E effects on which a coordinate rests; E = 0 if no
+        effect has rigid stops.
     expiry : np.ndarray, shape (1,)
         Expiry time of the wrench on a link [s], part of snapshots of scenes that have one.
     step : np.ndarray, shape (1,)
@@ -81,18 +83,21 @@ class EffectState(NamedTuple):
     draws: np.ndarray
     gauge: np.ndarray
     resting: np.ndarray
+    on_stops: np.ndarray
     expiry: np.ndarray
     step: np.ndarray
     part: np.ndarray
     reference: Reference
 
     @classmethod
-    def empty(cls, effects: int, dimension: int, knots: int = 0) -> 'EffectState':
-        """Return the state before the first step, with space for this many knots of a path."""
+    def empty(cls, effects: int, dimension: int, knots: int = 0,
+              stops: tuple[int, int] = (0, 0)) -> 'EffectState':
+        """Return the state before the first step, with space for knots of a path and stops."""
         return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects),
                    np.zeros(dimension + 1), np.zeros(3, dtype=np.int64),
-                   np.zeros((dimension, dimension)), np.zeros(effects), np.zeros(1), np.ones(1),
-                   np.full(1, np.nan), Reference.empty(dimension, knots))
+                   np.zeros((dimension, dimension)), np.zeros(effects),
+                   np.zeros(stops, dtype=np.int64), np.zeros(1), np.ones(1), np.full(1, np.nan),
+                   Reference.empty(dimension, knots))
 
     def reset(self, stream: int, time: float = 0.0,
               held: Mapping[str, np.ndarray] | None = None) -> None:
@@ -110,7 +115,7 @@ class EffectState(NamedTuple):
 
         """
         for array in (self.clock, self.work, self.pending, self.command, self.draws,
-                      self.resting, self.expiry, *self.reference):
+                      self.resting, self.on_stops, self.expiry, *self.reference):
             array[...] = 0
         self.clock[0], self.draws[2], self.step[0], self.part[0] = time, stream, 1.0, np.nan
         if held is not None:

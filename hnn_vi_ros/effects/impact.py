@@ -57,4 +57,4 @@ class Impact(RigidContact):
         """Return the stop."""
         column = coordinate_index(coordinates, self.coordinate)
         return Stops.of(np.array([column]), np.array([self.position]), np.array([self.sign]),
-                        self.restitution, state.pending.size)
+                        self.restitution, state)

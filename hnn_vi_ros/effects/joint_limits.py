@@ -68,4 +68,4 @@ class JointLimits(RigidContact):
         if not places.size:
             raise ValueError('no joint of the URDF has limits; give lower or upper')
         return Stops.of(places, np.array(ends)[rows, places], 1.0 - 2.0 * rows, self.restitution,
-                        state.pending.size)
+                        state)

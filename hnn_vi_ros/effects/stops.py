@@ -63,8 +63,10 @@ class Stops(NamedTuple):
     nodes, counts, widths : np.ndarray, shape (W, 66, 5), (W, 2), (W, 3)
         One ``Search`` for each stop.
     kept : np.ndarray, shape (4, K)
-        Copies of the pending work and the resting stops of the K effects, before the present part
-        of the step and before the step.
+        Copies of the pending work and the internal variables of the K effects, before the present
+        part of the step and before the step.
+    kept_on : np.ndarray of int, shape (2, E, S)
+        Copies of EffectState.on_stops, likewise.
     cuts : np.ndarray, shape (1,)
         Impacts so far, including impacts in trials.
 
@@ -78,14 +80,17 @@ class Stops(NamedTuple):
     counts: np.ndarray
     widths: np.ndarray
     kept: np.ndarray
+    kept_on: np.ndarray
     cuts: np.ndarray
 
     @classmethod
     def of(cls, columns: np.ndarray, positions: np.ndarray, signs: np.ndarray,
-           restitution: float, effects: int) -> 'Stops':
-        """Return W stops with their workspace, in a scene with this number of effects."""
+           restitution: float, state: EffectState) -> 'Stops':
+        """Return W stops with their workspace, in a scene with this state."""
         return cls(columns, positions, signs, restitution, *Search.several(columns.size),
-                   np.zeros((4, effects)), np.zeros(1, dtype=np.int64))
+                   np.zeros((4, state.pending.size)),
+                   np.zeros((2, *state.on_stops.shape), dtype=np.int64),
+                   np.zeros(1, dtype=np.int64))
 
 
 class Rates(NamedTuple):
@@ -226,29 +231,29 @@ def stop(step: Step, high: bool) -> Step:
         _, stops, state, effect = options
         work, inside = memory[-1], memory[:-1]
         copy_point(z, work.start)
-        first = draws = _save_account(state, stops.kept, 2)
+        resting = state.on_stops[effect]
+        first = draws = _save_account(state, stops, 2)
         rest, rounding, impacts, total, met = h, 0.0, 0, 0, -1
         while True:
-            _begin(kernel, stops, state.resting[effect], work, met, high)
+            _begin(kernel, stops, resting, work, met, high)
             outcome, met, part, rounding, residual, gradients = fly(
                 kernel, rest, h, options, z1, memory, rounding, draws)
             total += gradients
             rest -= part
-            done, resting = 0.0, state.resting[effect]
+            done = 0.0
             if outcome == OK:
-                done, resting = _hold(kernel, z1, stops, work)
+                done = _hold(kernel, z1, stops, resting, work)
                 if met >= 0:
                     ends = (impacts > _MAX_FOLLOWED * stops.columns.size
                             and part <= _SHORTEST_FLIGHT * h)
-                    done, resting = _bounce(
+                    done = _bounce(
                         kernel, z1, stops, work, met, done, resting, ends, rest, h, rounding)
             if np.isnan(done) or impacts > MOST_IMPACTS:
                 outcome = NO_IMPACT
             if outcome != OK:
-                _restore_account(state, stops.kept, 2, first)
+                _restore_account(state, stops, 2, first)
                 return outcome, residual, total
             state.pending[effect] += done
-            state.resting[effect] = resting
             if met < 0:
                 return OK, residual, total
             stops.cuts[0] += 1
@@ -256,7 +261,7 @@ def stop(step: Step, high: bool) -> Step:
                 return OK, residual, total
             impacts += 1
             copy_point(z1, work.start)
-            draws = _save_account(state, stops.kept, 0)
+            draws = _save_account(state, stops, 0)
             discard_history(inside)
     return stopping
 
@@ -275,18 +280,18 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
         coordinate rests on it.
         """
         inner, stops, state, effect = options
-        work, inside = memory[-1], memory[:-1]
+        work, inside, resting = memory[-1], memory[:-1], state.on_stops[effect]
         # The stops are searched one after another, each only up to the earliest impact so far.
         wanted, until, met, tries, total = rest, rest, -1, 0, 0
-        at = _next_free(state.resting[effect], 0, stops.columns.size)
+        at = _next_free(resting, 0, stops.columns.size)
         while True:
             outcome, residual, gradients = step(kernel, wanted, inner, work.start, z1, inside)
             total += gradients
             if outcome != OK:
                 break
             again = False
-            if state.resting[effect] > 0.0:
-                again = _push(kernel, wanted, z1, stops, state.resting[effect], work, tries)
+            if resting.any():
+                again = _push(kernel, wanted, z1, stops, resting, work, tries)
                 tries += 1
                 if tries > _MAX_PUSHES * (stops.columns.size + 1):
                     outcome = NO_IMPACT
@@ -298,7 +303,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
                 total += 1
                 have = wanted
                 action, wanted, until, met, at, rounding = _find_impact(
-                    stops, state.resting[effect], z1, work.rates, have, until, met, at, h,
+                    stops, resting, z1, work.rates, have, until, met, at, h,
                     rounding, high)
                 if action == LOST:
                     outcome = NO_IMPACT
@@ -307,48 +312,48 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
                     break
                 tries = 0
                 _remove_impulses(kernel, work)
-            _restore_account(state, stops.kept, 0, draws)
+            _restore_account(state, stops, 0, draws)
             # Solutions of trials of another length are bad initial guesses for the next one.
             discard_history(inside)
         if outcome == OK and not until > 0.0:
             _remove_impulses(kernel, work)
             copy_point(work.start, z1)
-            _restore_account(state, stops.kept, 0, draws)
+            _restore_account(state, stops, 0, draws)
             for k in range(stops.columns.size):
-                work.touch[k] = _ON if _is_resting(state.resting[effect], k) else _OFF
+                work.touch[k] = _ON if resting[k] else _OFF
         return outcome, met, until, rounding, residual, total
     return fly
 
 
 @inlined
-def _is_resting(resting: float, k: int) -> bool:
-    """Return True if stop k belongs to a set encoded as a sum of 2^k."""
-    return (int(resting) >> k) & 1 == 1
-
-
-@inlined
-def _next_free(resting: float, k: int, count: int) -> int:
+def _next_free(resting: np.ndarray, k: int, count: int) -> int:
     """Return the first stop from k on that nothing rests on; ``count`` if there is none."""
-    while k < count and _is_resting(resting, k):
+    while k < count and resting[k]:
         k += 1
     return k
 
 
 @called
-def _save_account(state: EffectState, kept: np.ndarray, last: int) -> int:
+def _save_account(state: EffectState, stops: Stops, last: int) -> int:
     """Copy the account of the effects to rows 0 to ``last``; return the random numbers drawn."""
     # Copied element by element: for slices, numba also compiles error messages.
     for row in range(0, last + 1, 2):
         for k in range(state.pending.size):
-            kept[row, k], kept[row + 1, k] = state.pending[k], state.resting[k]
+            stops.kept[row, k], stops.kept[row + 1, k] = state.pending[k], state.resting[k]
+        for k in range(state.on_stops.shape[0]):
+            for i in range(state.on_stops.shape[1]):
+                stops.kept_on[row // 2, k, i] = state.on_stops[k, i]
     return state.draws[1]
 
 
 @called
-def _restore_account(state: EffectState, kept: np.ndarray, row: int, draws: int) -> None:
+def _restore_account(state: EffectState, stops: Stops, row: int, draws: int) -> None:
     """Restore the account of the effects before a part of the step (row 0) or the step (2)."""
     for k in range(state.pending.size):
-        state.pending[k], state.resting[k] = kept[row, k], kept[row + 1, k]
+        state.pending[k], state.resting[k] = stops.kept[row, k], stops.kept[row + 1, k]
+    for k in range(state.on_stops.shape[0]):
+        for i in range(state.on_stops.shape[1]):
+            state.on_stops[k, i] = stops.kept_on[row // 2, k, i]
     state.draws[1] = draws
 
 
@@ -384,8 +389,8 @@ def _fill_held_rates(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWor
 
 
 @called
-def _begin(kernel: Kernel, stops: Stops, resting: float, work: StopsWork, met: int, high: bool
-           ) -> None:
+def _begin(kernel: Kernel, stops: Stops, resting: np.ndarray, work: StopsWork, met: int,
+           high: bool) -> None:
     """Begin a part of the step: release all stops, and begin the search of the free ones."""
     start, rates, count = work.start, work.rates, stops.columns.size
     for i in range(start.p.size):
@@ -395,7 +400,7 @@ def _begin(kernel: Kernel, stops: Stops, resting: float, work: StopsWork, met: i
     for k in range(count):
         c, sign = stops.columns[k], stops.signs[k]
         work.touch[k], work.impulse[k] = _OFF, 0.0
-        if _is_resting(resting, k):
+        if resting[k]:
             continue
         distance, slope = sign * (start.q[c] - stops.positions[k]), sign * rates.dH_dp[c]
         bend = sign * rates.product_p[c] if high else 0.0
@@ -408,7 +413,7 @@ def _begin(kernel: Kernel, stops: Stops, resting: float, work: StopsWork, met: i
 
 
 @called
-def _find_impact(stops: Stops, resting: float, z: PhasePoint, rates: Rates, have: float,
+def _find_impact(stops: Stops, resting: np.ndarray, z: PhasePoint, rates: Rates, have: float,
                  until: float, met: int, at: int, h: float, rounding: float, high: bool
                  ) -> tuple[int, float, float, int, int, float]:
     """
@@ -418,7 +423,7 @@ def _find_impact(stops: Stops, resting: float, z: PhasePoint, rates: Rates, have
     earliest impact so far, the stop to continue with, and the rounding of a distance.
     """
     while at < stops.columns.size:
-        if _is_resting(resting, at):
+        if resting[at]:
             at += 1
             continue
         c, sign = stops.columns[at], stops.signs[at]
@@ -444,10 +449,9 @@ def _find_impact(stops: Stops, resting: float, z: PhasePoint, rates: Rates, have
 
 @called
 def _bounce(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: int, done: float,
-            resting: float, ends: bool, rest: float, h: float, rounding: float
-            ) -> tuple[float, float]:
+            resting: np.ndarray, ends: bool, rest: float, h: float, rounding: float) -> float:
     """
-    Reverse the velocity at the stop that was met; return the work so far [J] and resting stops.
+    Reverse the velocity at the stop that was met; return the work so far [J].
 
     A coordinate that rests on another stop stays there if the impact drives it into the stop, and
     leaves otherwise. The coordinate that hits comes to rest if e = 0, if ``ends``, or if the
@@ -463,10 +467,10 @@ def _bounce(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: i
     work.touch[met], work.target[met] = _ON, -stops.restitution * z.dH_dp[c]
     for _ in range(n + 1):
         if not _project_to_stops(kernel, z, stops, work):
-            return np.nan, resting
+            return np.nan
         driven = False
         for k in range(n):
-            if _is_resting(resting, k) and work.touch[k] == _OFF \
+            if resting[k] and work.touch[k] == _OFF \
                     and stops.signs[k] * z.dH_dp[stops.columns[k]] < -_MIN_DRIVEN_SHARE * speed:
                 work.touch[k], driven = _ON, True
         if not driven:
@@ -476,28 +480,28 @@ def _bounce(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork, met: i
     for k in range(n):
         i = stops.columns[k]
         pull, leaving = -stops.signs[k] * work.rates.product_p[i], stops.signs[k] * z.dH_dp[i]
-        if _is_resting(resting, k) and leaving > _MIN_DRIVEN_SHARE * speed:
+        if resting[k] and leaving > _MIN_DRIVEN_SHARE * speed:
             if _is_short(leaving, pull, rest, h, rounding):
                 work.touch[k], kept = _ON, True
             else:
-                resting -= 2.0 ** k
+                resting[k] = 0
     if kept and not _project_to_stops(kernel, z, stops, work):
-        return np.nan, resting
+        return np.nan
     stays = stops.restitution == 0.0 or (
         ends and (stops.restitution < 1.0 or speed * h <= rounding)) or _is_short(
             max(0.0, sign * z.dH_dp[c]), -sign * work.rates.product_p[c],
             (1.0 - stops.restitution) * rest, h, rounding)
     if stays:
         work.target[met] = 0.0
-        resting += 2.0 ** met
+        resting[met] = 1
         if not _project_to_stops(kernel, z, stops, work):
-            return np.nan, resting
-    return done + energy_of(kernel, z) - before, resting
+            return np.nan
+    return done + energy_of(kernel, z) - before
 
 
 @called
 def _fill_pressed_rates(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork,
-                        resting: float, least: float) -> None:
+                        resting: np.ndarray, least: float) -> None:
     """
     Touch resting stops that no coordinate leaves faster than ``least``; fill rates under forces.
 
@@ -506,7 +510,7 @@ def _fill_pressed_rates(kernel: Kernel, z: PhasePoint, stops: Stops, work: Stops
     """
     n = work.touch.size
     for k in range(n):
-        if _is_resting(resting, k) and stops.signs[k] * z.dH_dp[stops.columns[k]] <= least:
+        if resting[k] and stops.signs[k] * z.dH_dp[stops.columns[k]] <= least:
             work.touch[k] = _ON
     while True:
         _fill_masses(kernel, z, stops, work)
@@ -549,8 +553,8 @@ def _remove_impulses(kernel: Kernel, work: StopsWork) -> None:
 
 
 @called
-def _push(kernel: Kernel, h: float, z: PhasePoint, stops: Stops, resting: float, work: StopsWork,
-          tries: int) -> bool:
+def _push(kernel: Kernel, h: float, z: PhasePoint, stops: Stops, resting: np.ndarray,
+          work: StopsWork, tries: int) -> bool:
     """
     Change momenta at the beginning of a step so that resting coordinates end on their stops.
 
@@ -564,7 +568,7 @@ def _push(kernel: Kernel, h: float, z: PhasePoint, stops: Stops, resting: float,
     grown = False
     for k in range(touch.size):
         gap[0, k] = stops.signs[k] * (z.q[stops.columns[k]] - stops.positions[k])
-        if _is_resting(resting, k) and touch[k] == _OFF and gap[0, k] <= 0.0:
+        if resting[k] and touch[k] == _OFF and gap[0, k] <= 0.0:
             touch[k], gap[2, k], grown = _ON, -gap[0, k], True
     enough, any_on, shift = True, False, 0.0
     for i in range(kernel.dimension - kernel.channels):
@@ -674,16 +678,16 @@ def _update(work: StopsWork) -> None:
 
 
 @called
-def _hold(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork) -> tuple[float, float]:
-    """Remove the velocities of held coordinates; return the work [J] and the resting stops."""
-    resting, pushed = 0.0, False
+def _hold(kernel: Kernel, z: PhasePoint, stops: Stops, resting: np.ndarray, work: StopsWork
+          ) -> float:
+    """Remove the velocities of held coordinates, which then rest; return the work [J]."""
+    held, pushed = False, False
     for k in range(work.touch.size):
         work.target[k] = 0.0
-        if work.touch[k] == _ON:
-            resting += 2.0 ** k
-        pushed = pushed or work.impulse[k] != 0.0
-    if resting == 0.0:
-        return 0.0, 0.0
+        resting[k] = 1 if work.touch[k] == _ON else 0
+        held, pushed = held or work.touch[k] == _ON, pushed or work.impulse[k] != 0.0
+    if not held:
+        return 0.0
     done = -energy_of(kernel, z)
     if pushed:
         done += energy_of(kernel, work.start)
@@ -692,8 +696,8 @@ def _hold(kernel: Kernel, z: PhasePoint, stops: Stops, work: StopsWork) -> tuple
             work.start.p[i], work.p[i] = work.p[i], work.start.p[i]
         done -= energy_of(kernel, work.start)
     if not _project_to_stops(kernel, z, stops, work):
-        return np.nan, resting
-    return done + energy_of(kernel, z), resting
+        return np.nan
+    return done + energy_of(kernel, z)
 
 
 @called

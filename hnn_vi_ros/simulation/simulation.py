@@ -679,6 +679,7 @@ class Simulation:
         return {name: array for place, group in groups.items()
                 for name, array in arrays_of(place, group)
                 if name not in ('live.step', 'live.part', 'live.expiry')
+                and (array.size or name != 'live.on_stops')
                 } | self.system.changing
 
     def _evaluate_gradient(self) -> None:

@@ -322,7 +322,9 @@ class System:
         self._effects, self.method, self._by_joint = list(effects), integrator, by_joint
         self.effect_state = effect_state or EffectState.empty(
             len(effects) * (hamiltonian.dimension if by_joint else 1), hamiltonian.dimension,
-            sum(one.knots for one in effects))
+            sum(one.knots for one in effects),
+            (len(effects), 2 * hamiltonian.dimension) if any(one.stops for one in effects)
+            else (0, 0))
         kinds = [effect_name(effect) for effect in effects]
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
                        for index, kind in enumerate(kinds)]

@@ -241,6 +241,22 @@ def test_step_with_more_impacts_than_can_be_followed_fails(monkeypatch):
     assert (simulation.q[0], simulation.p[0], simulation.work) == (1e-4, 0.0, 0.0)
 
 
+@pytest.mark.parametrize('count', [54, 70])
+def test_any_number_of_stops_holds_what_rests_on_them(count):
+    """Masses fly at 1 m/s to stops of their own; the first and the last also have weight."""
+    names, starts = [f'x{i}' for i in range(count)], np.linspace(0.795, 0.105, count)
+    simulation = Simulation(
+        HAMILTONIANS['free_particle'](1.0, names), INTEGRATORS['stormer_verlet'](), 0.1, starts,
+        -np.ones(count), [EFFECTS['potential'](f'{G}*x0 + {G}*{names[-1]}'),
+                          EFFECTS['joint_limits'](lower=dict.fromkeys(names, 0.0))], 'stop')
+    for steps in range(1, 10):
+        simulation.advance(1)
+        t = 0.1 * steps
+        flies = starts - t - np.where(np.isin(names, [names[0], names[-1]]), 0.5 * G * t * t, 0.0)
+        assert np.array_equal(simulation.q > 0.0, flies > 0.0) and (simulation.q >= 0.0).all()
+        assert not simulation.p[flies < 0.0].any()
+
+
 def test_joints_at_rest_on_stops_are_held_while_others_hit_theirs(tmp_path):
     """Eight joints that share a mass matrix fall: resting ones leave, return, and are held."""
     for seed in range(78, 86):
