@@ -51,9 +51,11 @@ class PairState(NamedTuple):
     ----------
     count : np.ndarray, shape (1,)
         1 if the other arrays are valid, 0 before the first step.
-    clock : np.ndarray, shape (n, 3)
-        Time of the end of the last internal step minus that of the clock [s], its rounding error,
-        and the length of that internal step [s].
+    clock : np.ndarray, shape (n, 2)
+        Time of the end of the last internal step minus that of the clock [s], and its rounding
+        error.
+    length : np.ndarray, shape (n,)
+        Length of that internal step [s].
     control : np.ndarray, shape (n, 2)
         Proposed size of the next internal step [s], and error of the last one over its tolerance.
     tally : np.ndarray, shape (5,)
@@ -70,6 +72,7 @@ class PairState(NamedTuple):
 
     count: np.ndarray  # type: ignore[assignment]  # not tuple.count
     clock: np.ndarray
+    length: np.ndarray
     control: np.ndarray
     tally: np.ndarray
     end: PhasePoint
@@ -99,9 +102,11 @@ class PairWork(NamedTuple):
         New state and its gradient.
     stage : PhasePoint
         The last stage; its gradients are those of trajectories under way, one after another.
-    trial : np.ndarray, shape (n, 4)
-        Size of the internal step [s]; 1 if it ends at the clock, if it follows a rejected one, if
-        it passes the clock.
+    size : np.ndarray, shape (n,)
+        Size of the internal step [s].
+    at_clock, ends, passes, rejected : np.ndarray of int64, shape (n,)
+        1 if internal steps end at the clock, if this one does, if it passes the clock, if it
+        follows a rejected one.
     streaks : np.ndarray, shape (n, 2)
         Consecutive steps beyond and within the limit of stability.
     active : np.ndarray, shape (n,)
@@ -117,7 +122,11 @@ class PairWork(NamedTuple):
     slopes_p: np.ndarray
     new: PhasePoint
     stage: PhasePoint
-    trial: np.ndarray
+    size: np.ndarray
+    at_clock: np.ndarray
+    ends: np.ndarray
+    passes: np.ndarray
+    rejected: np.ndarray
     streaks: np.ndarray
     active: np.ndarray
 
@@ -125,14 +134,16 @@ class PairWork(NamedTuple):
     def empty(cls, n: int, dtype: type = np.float64) -> 'PairWork':
         """Return the workspace for n coordinates, before the first step."""
         kept = PairState(
-            np.zeros(1, dtype=np.int64), np.zeros((n, 3), dtype), np.zeros((n, 2), dtype),
+            np.zeros(1, dtype=np.int64), np.zeros((n, 2), dtype), np.zeros(n, dtype),
+            np.zeros((n, 2), dtype),
             np.zeros(5, dtype=np.int64), PhasePoint.empty(n, dtype),
             *np.zeros((2, 8, n), dtype), *np.zeros((2, n), dtype))
         slopes: np.ndarray = np.zeros((2, _SLOPES, n), dtype)
+        flags = np.zeros((4, n), dtype=np.int64)
         return cls(kept, np.zeros(2), np.ones(1), np.zeros(1, dtype=np.int64), slopes[0],
                    slopes[1], PhasePoint.empty(n, dtype), PhasePoint.empty(n, dtype),
-                   np.zeros((n, 4)), np.zeros((n, 2), dtype=np.int64),
-                   np.zeros(n, dtype=np.int64))
+                   np.zeros(n), flags[0], flags[1], flags[2], flags[3],
+                   np.zeros((n, 2), dtype=np.int64), np.zeros(n, dtype=np.int64))
 
 
 class Dop853(Integrator):
@@ -214,7 +225,7 @@ class Dop853(Integrator):
 def _begin(kernel: Kernel, options: PairOptions, z: PhasePoint, work: PairWork, a: int) -> int:
     """Prepare the trajectory from index a on; return the number of gradients."""
     kept, b, n = work.kept, a + kernel.dimension, a + kernel.dimension - kernel.channels
-    clock, control, trial = kept.clock[a], kept.control[a], work.trial[a]
+    clock, control = kept.clock[a], kept.control[a]
     end, new = part_of(kept.end, a, b), part_of(work.new, a, b)
     continues = kept.count[0] > 0
     if not continues and a > 0:
@@ -222,11 +233,11 @@ def _begin(kernel: Kernel, options: PairOptions, z: PhasePoint, work: PairWork, 
     for i in range(a, n):
         continues = continues and z.q[i] == kept.out_q[i] and z.p[i] == kept.out_p[i]
     at_clock = work.ends_at_clock[0] > 0 or (kept.count[0] > 0 and not continues)
-    trial[1], trial[2], trial[3] = 1.0 if at_clock else 0.0, 0.0, 0.0
+    work.at_clock[a], work.rejected[a], work.passes[a] = 1 if at_clock else 0, 0, 0
     gradients = 0
     if not continues:
         copy_point(part_of(z, a, b), end)
-        clock[0], clock[1], clock[2] = 0.0, 0.0, 0.0
+        clock[0], clock[1], kept.length[a] = 0.0, 0.0, 0.0
     if not continues or (at_clock and clock[0] == 0.0):
         kernel.gradient(kernel.parameters, end.q, end.p, end.dH_dq, end.dH_dp)
         gradients += 1
@@ -257,10 +268,10 @@ def _to_clock(kernel: Kernel, h: float, options: PairOptions, work: PairWork) ->
         for r in range(count):
             a = active[r]
             size = min(kept.control[a, 0], _LONGEST * longest)
-            clock, trial = kept.clock[a], work.trial[a]
-            ends = trial[1] > 0.0 and clock[0] + size * (1.0 + _END_SHARE) >= until
-            trial[0] = until - clock[0] if ends else size
-            trial[3] = 1.0 if ends else 0.0
+            clock = kept.clock[a]
+            ends = work.at_clock[a] > 0 and clock[0] + size * (1.0 + _END_SHARE) >= until
+            work.size[a] = until - clock[0] if ends else size
+            work.ends[a] = 1 if ends else 0
             for k in _places(a, d):
                 work.slopes_q[0, k], work.slopes_p[0, k] = kept.end.dH_dp[k], kept.end.dH_dq[k]
         for i in range(1, _NEW):
@@ -269,27 +280,27 @@ def _to_clock(kernel: Kernel, h: float, options: PairOptions, work: PairWork) ->
         accepted = 0
         for r in range(count):
             a = active[r]
-            control, trial, size = kept.control[a], work.trial[a], work.trial[a, 0]
+            control, size = kept.control[a], work.size[a]
             error = _error(kernel, options, work, a)
             if not error <= 1.0:
                 if not size > _SHORTEST * longest:
                     return (ENDLESS if math.isfinite(error) else NOT_FINITE), gradients
                 # Not finite: NaN fails every comparison.
                 factor = _SAFETY * error ** -0.125 if error < math.inf else _LEAST
-                control[0], trial[2] = size * max(factor, _LEAST), 1.0
+                control[0], work.rejected[a] = size * max(factor, _LEAST), 1
                 kept.tally[1] += 1
                 continue
             factor = _SAFETY * max(error, 1e-12) ** -_ALPHA * control[1] ** _BETA
-            factor = min(max(factor, _LEAST), 1.0 if trial[2] > 0.0 else _MOST)
-            if trial[3] > 0.0:
+            factor = min(max(factor, _LEAST), 1.0 if work.rejected[a] > 0 else _MOST)
+            if work.ends[a] > 0:
                 # A step that ends early says little about those that do not.
                 control[0] = max(control[0], size * factor)
                 kept.clock[a, 0], kept.clock[a, 1] = until, 0.0
             else:
                 control[0], control[1] = size * factor, max(error, _LEAST_ERROR)
                 kept.clock[a, 0], kept.clock[a, 1] = plus(kept.clock[a, 0], kept.clock[a, 1], size)
-            kept.clock[a, 2], trial[2] = size, 0.0
-            trial[3] = 1.0 if kept.clock[a, 0] > h else 0.0
+            kept.length[a], work.rejected[a] = size, 0
+            work.passes[a] = 1 if kept.clock[a, 0] > h else 0
             active[accepted] = a
             accepted += 1
         _fill_gradients(kernel, work, accepted, work.new, work.new.dH_dq, work.new.dH_dp)
@@ -297,7 +308,7 @@ def _to_clock(kernel: Kernel, h: float, options: PairOptions, work: PairWork) ->
         for r in range(accepted):
             a = active[r]
             _note_stiffness(kernel, work, a)
-            if not work.trial[a, 3] > 0.0:
+            if not work.passes[a] > 0:
                 copy_point(part_of(work.new, a, a + d), part_of(kept.end, a, a + d))
     return ENDLESS, gradients
 
@@ -307,7 +318,7 @@ def _store(kernel: Kernel, h: float, z1: PhasePoint, work: PairWork, a: int) -> 
     """Fill the state at the clock, from which the time counts from now on."""
     kept, b, n = work.kept, a + kernel.dimension, a + kernel.dimension - kernel.channels
     clock, end = kept.clock[a], kept.end
-    share = 1.0 - (clock[0] - h) / clock[2]
+    share = 1.0 - (clock[0] - h) / kept.length[a]
     for i in range(a, b):
         if clock[0] > h:
             z1.q[i], z1.q_carry[i] = dense_value(kept.path_q, share, i), 0.0
@@ -413,7 +424,7 @@ def _stage(kernel: Kernel, i: int, tableau: PairTableau, work: PairWork, count: 
     end, stage = work.kept.end, work.stage
     for r in range(count):
         a = work.active[r]
-        size = work.trial[a, 0]
+        size = work.size[a]
         for k in _places(a, kernel.dimension):
             stage.q[k] = end.q[k] + size * _sum(weights, work.slopes_q, first, i, k)
             stage.p[k] = end.p[k] - size * _sum(weights, work.slopes_p, first, i, k)
@@ -423,7 +434,7 @@ def _stage(kernel: Kernel, i: int, tableau: PairTableau, work: PairWork, count: 
 @inlined
 def _error(kernel: Kernel, options: PairOptions, work: PairWork, a: int) -> float:
     """Fill the new state of a trajectory; return the error of the step over the tolerance."""
-    tableau, n, size = options.tableau, kernel.dimension - kernel.channels, work.trial[a, 0]
+    tableau, n, size = options.tableau, kernel.dimension - kernel.channels, work.size[a]
     weights, end, new = tableau.stages[_NEW], work.kept.end, work.new
     fifth, third = 0.0, 0.0
     for k in _places(a, kernel.dimension):
@@ -462,7 +473,7 @@ def _note_stiffness(kernel: Kernel, work: PairWork, a: int) -> None:
         force += (new.dH_dq[k] - work.slopes_p[last, k]) ** 2
         velocity += (new.dH_dp[k] - work.slopes_q[last, k]) ** 2
     tally[0] += 1
-    if work.trial[a, 0] ** 4 * force * velocity > _STABLE ** 4 * change_q * change_p:
+    if work.size[a] ** 4 * force * velocity > _STABLE ** 4 * change_q * change_p:
         streak[0], streak[1] = streak[0] + 1, 0
         if streak[0] >= _STIFF_STEPS:
             tally[2] += 1
@@ -482,7 +493,7 @@ def _set_paths(kernel: Kernel, tableau: PairTableau, work: PairWork) -> int:
     path_q, path_p, d, count = work.kept.path_q, work.kept.path_p, kernel.dimension, 0
     end, new = work.kept.end, work.new
     for a in range(0, end.q.size, d):
-        if work.trial[a, 3] > 0.0:
+        if work.passes[a] > 0:
             work.active[count] = a
             count += 1
             for k in range(a, a + d):
@@ -491,7 +502,7 @@ def _set_paths(kernel: Kernel, tableau: PairTableau, work: PairWork) -> int:
         _stage(kernel, i, tableau, work, count)
     for r in range(count):
         a = work.active[r]
-        size = work.trial[a, 0]
+        size = work.size[a]
         for k in _places(a, d):
             _set_ends(path_q, k, end.q[k], new.q[k], size * end.dH_dp[k], size * new.dH_dp[k])
             _set_ends(path_p, k, end.p[k], new.p[k], -size * end.dH_dq[k], -size * new.dH_dq[k])

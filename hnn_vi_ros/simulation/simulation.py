@@ -605,7 +605,7 @@ class Simulation:
                 # In the shortest step of the clock an internal step is taken, if needed.
                 work.own_step[:], self.step_size = (h, h - time), _SHORTEST
                 self.advance(1)
-                lead, _, length = kept.clock[0]
+                lead, length = kept.clock[0, 0], kept.length[0]
                 self.step_size = min(lead, h - time)
                 begin = 1.0 - lead / length
                 parts.append(np.hstack([path_in_legendre(
