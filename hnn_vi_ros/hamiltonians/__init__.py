@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.hamiltonians.argument_order import call_order, TIMES
+    from hnn_vi_ros.hamiltonians.arguments import Arguments, read_arguments, TIMES
     from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
     from hnn_vi_ros.hamiltonians.expressions import GRAMMAR, Graph, Reader, SWITCHES
     from hnn_vi_ros.hamiltonians.formula import Formula

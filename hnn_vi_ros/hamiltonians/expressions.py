@@ -80,11 +80,14 @@ class Graph:
         ``('product', a, b)``, ``('over', a, b)`` for a / b, ``('power', a, n)`` with an integer n
         > 1, ``('raised', a, b)`` for any power, ``('atan2', a, b)``, ``('where', c, a, b)`` for a
         where c > 0 and b elsewhere, and ``(function, a)``.
+    refusals : list of str
+        Why operations on symbols of the graph were refused.
 
     """
 
     def __init__(self) -> None:
         self.nodes: list[tuple[Any, ...]] = []
+        self.refusals: list[str] = []
         self._known: dict[tuple[Any, ...], int] = {}
 
     def _node(self, *node: Any) -> int:

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 from hnn_vi_ros.files import StrictModel
-from hnn_vi_ros.hamiltonians.argument_order import TIME
+from hnn_vi_ros.hamiltonians.arguments import TIME
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.expressions import Graph
 from hnn_vi_ros.hamiltonians.straight_code import check_names, graph_kernel, NAME, read_hamiltonian

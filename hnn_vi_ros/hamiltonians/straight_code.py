@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
 from hnn_vi_ros.errors import did_you_mean, listed
-from hnn_vi_ros.hamiltonians.argument_order import TIME, TIME_DEPENDENT, TIMES
+from hnn_vi_ros.hamiltonians.arguments import TIME, TIME_DEPENDENT, TIMES
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.expressions import FUNCTIONS, Graph, Reader
 from hnn_vi_ros.hamiltonians.parameters import check_finite

@@ -10,10 +10,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 import math
-from typing import Any, cast
-import warnings
+from typing import Any, NoReturn
 
-from hnn_vi_ros.hamiltonians.argument_order import call_order, TIME
+from hnn_vi_ros.hamiltonians.arguments import Arguments, read_arguments, TIME
 from hnn_vi_ros.hamiltonians.expressions import CALLS, COMPARISONS, Graph
 import numpy as np
 
@@ -23,9 +22,7 @@ class Untraceable(TypeError, AttributeError):
 
 
 def _refused(what: str) -> Callable[..., Any]:
-    def refuse(*_operands: Any) -> None:
-        raise Untraceable(f'{what} needs values of q and p')
-    return refuse
+    return lambda one, *_others: one._refuse(f'{what} needs values of q and p')
 
 
 def _compared(sign: str) -> Callable[['Symbol', Any], Any]:
@@ -33,7 +30,7 @@ def _compared(sign: str) -> Callable[['Symbol', Any], Any]:
 
 
 def _combined(name: str) -> Callable[['Symbol', Any], Any]:
-    return lambda one, other: _on_symbols(name)(one, other)
+    return lambda *parts: _on_symbols(name)(*parts)
 
 
 class Symbol:
@@ -41,6 +38,11 @@ class Symbol:
 
     def __init__(self, graph: Graph, node: int):
         self.graph, self.node = graph, node
+
+    def _refuse(self, why: str) -> NoReturn:
+        # An `except` of the function may hide the error.
+        self.graph.refusals.append(why)
+        raise Untraceable(why)
 
     def _made(self, make: Callable[[int, int], int], other: Any) -> Any:
         if isinstance(other, np.ndarray):
@@ -98,6 +100,9 @@ class Symbol:
         name, plain = ufunc.__name__, [_object_array(one) for one in inputs]
         if name in _SMOOTH or name in _OF_SYMBOLS:
             ufunc = np.frompyfunc(_on_symbols(name), ufunc.nin, 1)
+        elif not any('O' in types for types in ufunc.types):
+            next(one for one in np.ravel(_object_array(self)) if isinstance(one, Symbol))._refuse(
+                f'no formula contains {name}')
         if 'out' in options:
             options['out'] = tuple(map(_object_array, options['out']))
         found = getattr(ufunc, method)(*plain, **options)
@@ -106,6 +111,7 @@ class Symbol:
     __radd__, __rmul__, __hash__ = __add__, __mul__, None  # type: ignore[assignment]
     __lt__, __le__, __gt__, __ge__ = map(_compared, ('<', '<=', '>', '>='))
     __and__, __or__ = _combined('logical_and'), _combined('logical_or')
+    __invert__ = _combined('invert')
     # Operations on values: a branch would be taken for all values.
     __eq__, __ne__ = _refused('=='), _refused('!=')
     __mod__ = __rmod__ = _refused('%')
@@ -117,11 +123,17 @@ class Symbol:
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         """Return the method that numpy calls for its function of this name."""
+        if name in _REDUCTIONS:
+            return getattr(_as_symbols(_object_array(self)), name)
         if name not in _SMOOTH and name not in _OF_SYMBOLS:
+            if isinstance(getattr(np, name, None), np.ufunc):
+                self._refuse(f'no formula contains {name}')
             raise Untraceable(f'no formula contains {name}')
         return partial(_on_symbols(name), self)
 
 
+# Methods of numpy's numbers and arrays.
+_REDUCTIONS = 'sum', 'prod', 'mean', 'max', 'min', 'item', 'copy'
 # Names in numpy: functions of one number, and of others, as nodes.
 _SMOOTH = {CALLS[name].__name__: name for name in CALLS if name != 'versine'}
 _OF_SYMBOLS: dict[str, Callable[..., int]] = {
@@ -133,6 +145,7 @@ _OF_SYMBOLS: dict[str, Callable[..., int]] = {
     'less': COMPARISONS['<'], 'less_equal': COMPARISONS['<='],
     'logical_and': Graph.product, 'bitwise_and': Graph.product, 'where': Graph.where,
     'logical_or': Graph.largest, 'bitwise_or': Graph.largest,
+    **dict.fromkeys(('logical_not', 'invert'), lambda g, x: g.minus(g.number(1.0), x)),
     # Symbols are real numbers.
     'conjugate': lambda g, x: x, 'float_power': Graph.raised,
     'exp2': lambda g, x: g.raised(g.number(2.0), x),
@@ -202,10 +215,17 @@ def _inverse(a: Any) -> Any:
         np.delete(np.delete(a, k, axis=0), i, axis=1)) / whole for k in rows] for i in rows]))
 
 
+def _select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
+    for condition, choice in zip(conditions[::-1], choices[::-1], strict=True):
+        default = np.where(condition, choice, default)
+    return default
+
+
 _MAX_ROWS = 4
 # Functions of numpy that do not ask the symbols in an array, with those for symbols.
 _WITHOUT_DISPATCH: dict[tuple[Any, str], Callable[..., Any]] = {
     (np, 'where'): _elementwise('where'), (np, 'clip'): _elementwise('clip'),
+    (np, 'select'): _select,
     (np.linalg, 'norm'): _norm, (np.linalg, 'det'): lambda a: _determinant(_object_array(a)),
     (np.linalg, 'inv'): lambda a: _inverse(_object_array(a)),
     (np.linalg, 'solve'): lambda a, b: np.linalg.inv(a) @ _as_symbols(np.asarray(b))}
@@ -260,19 +280,19 @@ def trace(function: Callable[..., Any], q: Any) -> tuple[list[str], str]:
         raise ValueError(f'H is the torch module {type(function).__name__}: write it to a file '
                          'with hnn_vi_ros.export, and name that in hamiltonian: {kind: hnn, model:'
                          ' FILE} of a scene')
-    single, (order, timed, remark) = np.ndim(q) == 0, call_order(function)
+    single, arguments = np.ndim(q) == 0, read_arguments(function)
+    if not arguments.order:
+        raise ValueError('H of one argument: expected H(q, p), or H(q, p, t) with the time t')
     graph, ends = Graph(), [''] if single else range(1, len(q) + 1)
     halves = [[Symbol(graph, graph.name(f'{half}{end}')) for end in ends] for half in 'qp']
     given = [own[0] if single else np.array(own, dtype=object).view(_Symbols) for own in halves]
     try:
         with _symbolic_numpy():
-            made = np.asarray(function(*given[::order or 1], *[
-                Symbol(graph, graph.name(TIME))] * timed), dtype=object)
+            made = np.asarray(arguments.call(
+                function, given, Symbol(graph, graph.name(TIME))), dtype=object)
+        if graph.refusals:
+            raise Untraceable(graph.refusals[0])
     except Exception as problem:  # noqa: B902  the user's code may raise any
-        if isinstance(problem, TypeError) and not cast(Any, problem.__traceback__).tb_next:
-            # The call itself failed, before the function began.
-            raise ValueError(f'{problem}: H takes (q, p), or (q, p, t) with the time t; bind '
-                             'other arguments with functools.partial') from problem
         told: BaseException | None = problem
         while told is not None and not isinstance(told, Untraceable):
             # numpy reports its own errors instead.
@@ -287,9 +307,7 @@ def trace(function: Callable[..., Any], q: Any) -> tuple[list[str], str]:
                          'the coordinates')
     if not isinstance(root := made.item(), Symbol):
         raise ValueError(f'H returns {root!r:.60}, which depends on neither q nor p')
-    _compare(function, order or 1, timed, graph, root.node, np.array(q, dtype=np.float64))
-    if remark:
-        warnings.warn(remark, stacklevel=2)
+    _compare(function, arguments, graph, root.node, np.array(q, dtype=np.float64))
     return [f'q{end}' for end in ends], graph.formula(root.node)
 
 
@@ -299,7 +317,7 @@ def trace(function: Callable[..., Any], q: Any) -> tuple[list[str], str]:
 _STATES, _TOLERANCE = 100, 1e-6
 
 
-def _compare(function: Callable[..., Any], order: int, timed: bool, graph: Graph, root: int,
+def _compare(function: Callable[..., Any], arguments: Arguments, graph: Graph, root: int,
              start: np.ndarray) -> None:
     """Raise ValueError unless a formula has the values of its function, with numbers."""
     chance, names = np.random.default_rng(0), [node[1] for node in graph.nodes[:2 * start.size]]
@@ -314,8 +332,8 @@ def _compare(function: Callable[..., Any], order: int, timed: bool, graph: Graph
         values = graph.values([root], known)
         with np.errstate(all='ignore'):
             try:
-                own = complex(np.asarray(function(*(
-                    half.copy()[()] for half in state[::order]), *[t] * timed)).item())
+                own = complex(np.asarray(arguments.call(
+                    function, [half.copy()[()] for half in state], t)).item())
             except Exception as problem:  # noqa: B902  the user's code may raise any
                 raise ValueError(f'H raises {type(problem).__name__} with numbers: '
                                  f'{" ".join(str(problem).split())}') from problem

@@ -10,11 +10,11 @@ from typing import NoReturn
 
 from hnn_vi_ros.errors import listed, ModelError, prefixed
 from hnn_vi_ros.files import in_plain_words, one_line
-from hnn_vi_ros.hamiltonians import call_order
+from hnn_vi_ros.hamiltonians import read_arguments
 from hnn_vi_ros.learning.graph_of_module import graph_of, PivotWatch, UntranslatedModule
 from hnn_vi_ros.models import (
     Box, Builder, Checkpoint, complete_checkpoint, CoordinateCard, graph_data, GraphHamiltonian,
-    ModelCard, read_graph, save_checkpoint)
+    ModelCard, read_graph, rows_of, save_checkpoint)
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.version import __version__
 import numpy as np
@@ -43,8 +43,8 @@ def export(module: torch.nn.Module, path: str | Path, coordinates: Sequence[str 
     ----------
     module : torch.nn.Module
         A module that maps a tensor of shape (n, 2 d), with rows (q, p), to one number H [J] a row;
-        or q and p, of shape (n, d) each; if its arguments are named (p, q), it is called so.
-        A further last argument t is the time, of shape (n, 1) [s].
+        or q and p, of shape (n, d) each, in the order of its arguments, which have such names.
+        An argument t is the time, of shape (n, 1) [s].
         A copy of it in float64 and in evaluation mode is exported.
     path : str or Path
         The file to write, which ends in .safetensors.
@@ -118,14 +118,13 @@ def graph_model(module: torch.nn.Module, card: ModelCard, kind: str
     low, high = np.array([*card.box.q, *card.box.p, *(card.box.t or ())]).T
     z = torch.tensor(np.random.default_rng(0).uniform(low, high, (_STATES, low.size)))
     with prefixed(kind, ModelError):
-        order, timed, remark = call_order(own.forward)
-    if timed == (card.box.t is None):
+        arguments = read_arguments(own.forward)
+    if arguments.timed == (card.box.t is None):
         raise ModelError(f'{kind}: ' + (
             "its argument t is the time: export it with a domain that has 't': [(low, high)]; "
-            'training does not support it' if timed else
+            'training does not support it' if arguments.timed else
             'forward has no argument t; remove t from the domain'))
-    remarks += [remark] if remark else []
-    rows = rows_of(own, order, timed)
+    rows = rows_of(own, arguments)
     function = _function(rows, own)
     try:
         builder, output = graph_of(function, z[:2])
@@ -218,15 +217,6 @@ def _check_poses(builder: Builder, width: int) -> None:
         raise ModelError('reads the columns of a pose (position and rotation matrix, 12) and 6 '
                          'momenta, as models on SE(3) do; these are not canonical (q, p): train '
                          'the family lie_group, or export H of canonical coordinates')
-
-
-def rows_of(module: torch.nn.Module, order: int, timed: bool = False
-            ) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Return the module as a function of rows (q, p), shape (n, 2 d), or of rows (q, p, t)."""
-    def rows(x: torch.Tensor) -> torch.Tensor:
-        z, t = (x[..., :-1], [x[..., -1:]]) if timed else (x, [])
-        return module(*(z.chunk(2, -1)[::order] if order else [z]), *t)
-    return rows
 
 
 def _function(rows: Callable[[torch.Tensor], torch.Tensor], module: torch.nn.Module

@@ -11,13 +11,14 @@ from typing import ClassVar, Literal
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, ParameterError
 from hnn_vi_ros.files import one_line
-from hnn_vi_ros.hamiltonians import call_order
-from hnn_vi_ros.learning.export_module import graph_card, graph_model, rows_of
+from hnn_vi_ros.hamiltonians import read_arguments
+from hnn_vi_ros.learning.export_module import graph_card, graph_model
 from hnn_vi_ros.learning.families.base import EnergyFamily, Scales
 from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.learning.fit.config import FieldConfig
 from hnn_vi_ros.learning.graph_of_module import UntranslatedModule
 from hnn_vi_ros.learning.import_model import function_of, made
+from hnn_vi_ros.models import rows_of
 import numpy as np
 from pydantic import PrivateAttr
 import torch
@@ -120,7 +121,7 @@ class UserModule(EnergyFamily):
             raise UntranslatedModule(f'{problem}: write that part with other operations') \
                 from problem
         self.module, self._loss = deepcopy(own).cpu().double().eval(), loss
-        self._order, _, _ = call_order(self.module.forward)
+        self._arguments = read_arguments(self.module.forward)
         if not any(part.requires_grad for part in self.module.parameters()):
             raise ModelError(f'{self.name}: no weights that require a gradient, so nothing is '
                              'trained; take export for a module as it is')
@@ -149,7 +150,7 @@ class UserModule(EnergyFamily):
         """Return H, shape (N,), at states z = (q, p), shape (N, 2 d)."""
         # On a GPU, tensors that are no buffers of the module are elsewhere.
         with self._blamed(f'{len(z)} states on {z.device}'):
-            return rows_of(self.module, self._order)(z).reshape(-1)
+            return rows_of(self.module, self._arguments)(z).reshape(-1)
 
     def misfit(self, states: torch.Tensor, predicted: torch.Tensor, target: torch.Tensor,
                unit: torch.Tensor) -> torch.Tensor:

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
         BaseParameter, EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, tree_card,
         TreeCard, values_of)
     from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
-    from hnn_vi_ros.models.torch_module import TorchHamiltonian
+    from hnn_vi_ros.models.torch_module import rows_of, TorchHamiltonian
     from hnn_vi_ros.models.torch_network import Network
 
 __getattr__, __dir__ = lazy_exports(__name__)

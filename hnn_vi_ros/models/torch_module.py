@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A Hamiltonian given as an arbitrary torch module, differentiated by autograd."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from functools import cached_property
 from typing import NoReturn, TYPE_CHECKING
 
 from hnn_vi_ros.errors import ModelError, prefixed
-from hnn_vi_ros.hamiltonians import call_order, Hamiltonian
+from hnn_vi_ros.hamiltonians import Arguments, Hamiltonian, read_arguments
 from hnn_vi_ros.kernels import Kernel, Parameters
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -21,6 +21,15 @@ if TYPE_CHECKING:
 _DIFFERENCE = 1e-5
 
 
+def rows_of(module: 'torch.nn.Module', arguments: Arguments
+            ) -> 'Callable[[torch.Tensor], torch.Tensor]':
+    """Return the module as a function of rows (q, p), shape (n, 2 d), or of rows (q, p, t)."""
+    def rows(x: 'torch.Tensor') -> 'torch.Tensor':
+        z, t = (x[..., :-1], x[..., -1:]) if arguments.timed else (x, None)
+        return arguments.call(module, z.chunk(2, -1) if arguments.order else [z], t)
+    return rows
+
+
 class TorchHamiltonian(Hamiltonian):
     """
     H(q, p) as a torch module of one input vector (q, p), with autograd for its gradient.
@@ -31,8 +40,8 @@ class TorchHamiltonian(Hamiltonian):
     Parameters
     ----------
     module : torch.nn.Module
-        A module that maps a tensor of shape (n, 2 d), with rows (q, p), to H of each row or to
-        their sum [J]. A copy of it in float64 and in evaluation mode is used.
+        A module that maps a tensor of shape (n, 2 d), with rows (q, p), or q and p apart, to H of
+        each row or to their sum [J]. A copy of it in float64 and in evaluation mode is used.
     coordinates : sequence of Coordinate
         Coordinates of the d degrees of freedom.
 
@@ -45,8 +54,8 @@ class TorchHamiltonian(Hamiltonian):
 
     def __init__(self, module: 'torch.nn.Module', coordinates: Sequence[Coordinate]):
         with prefixed(type(module).__name__, ModelError):
-            _, timed, _ = call_order(module.forward)
-        if timed:
+            self._arguments = read_arguments(module.forward)
+        if self._arguments.timed:
             self.module = module
             self._refuse('takes the time, which only an exported module does: use export')
         # In float32 the equations of steps could not be solved to the precision of the state.
@@ -98,7 +107,7 @@ class TorchHamiltonian(Hamiltonian):
         """Return H of rows, shape (n, 2 d), or their sum."""
         import torch
         try:
-            values = self.module(x)
+            values = rows_of(self.module, self._arguments)(x)
         except Exception as problem:  # noqa: B902  the user's code may raise any
             self._refuse(f'raises {type(problem).__name__}: {" ".join(str(problem).split())}; it '
                          f'is called in float64, with a tensor of shape {(*x.shape,)}')

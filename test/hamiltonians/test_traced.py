@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """H as a function of Python: traced into a formula that agrees with it, or refused by name."""
 
+from functools import partial
 import math
 
 from hnn_vi_ros import load_scene, simulate
@@ -42,7 +43,17 @@ FUNCTIONS = [
     (lambda q, p: np.vdot(p, p) + np.var(q) + np.log2(2 + q @ q) + np.log10(3 + q[0]**2)
      + np.logaddexp(q[0], p[1]) + np.exp2(q).sum() + np.degrees(np.radians(q[1]))
      + np.float_power(2 + q[0]**2, 0.3), 2),
+    (lambda q, p: p.sum()**2 / 2 + np.select([q > 1.0, ~(q > 0.0)], [q**2, -q], q)
+     + np.logical_not(q > p) * q, None),
+    (lambda q, p: p @ p / 2 + np.select([q > 1.0, ~(q > 0.0)], [q**2, -q]).sum(), 2),
     (lambda q, p: sum(np.tanh(p)**2) + np.einsum('i,ij,j', q, MASS, q) - 1e-7 * q[0], 2)]
+
+
+def caught(q, below=lambda x: x < 0.0):
+    try:
+        return 0.0 if below(q - 12.0) else q
+    except TypeError:
+        return 0.0
 
 
 CHANCE = np.random.default_rng(0)
@@ -60,8 +71,16 @@ REFUSED = {
     'math': lambda q, p: p**2 - math.cos(q), 'and': lambda q, p: q and p,
     'int': lambda q, p: int(q), 'modulo': lambda q, p: q % 1.0,
     'rounded': lambda q, p: np.round(q) + p, 'interpolated': lambda q, p: np.interp(q, q, p),
-    'time first': lambda t, x: x**2, 'velocity': lambda q, v: v**2 / 2,
-    'time between': lambda q, t, p: p**2 + q * t, 'one beside the time': lambda q, t: q**2 * t,
+    'velocity': lambda q, omega: omega**2 / 2, 'velocity first': lambda p, v: v**2 + p,
+    'unknown names': lambda _Dummy_1, _Dummy_2: _Dummy_1**2 / 2 - np.cos(_Dummy_2),
+    'one beside the time': lambda q, t: q**2 * t, 'two times': lambda q, p, t, time=0.0: p**2 + t,
+    'time with a value': lambda q, p, t=2.0: p**2 / 2 + t * q**2,
+    'time bound': partial(lambda q, p, t: p**2 / 2 + q * np.cos(t), t=0.0),
+    'hidden': lambda *parts: (lambda p, q: p**2 / 2 - np.cos(q))(*parts),
+    'hidden time': lambda q, p, **others: p**2 / 2 + q * np.cos(others.get('t', 0.0)),
+    'parameter': lambda q, p=1.0: p**2 / 2 + q**2, 'keywords': lambda *, q, p: p**2 / 2 + q**2,
+    'caught': lambda q, p: p**2 / 2 + caught(q),
+    'caught function': lambda q, p: p**2 / 2 + caught(q, np.signbit),
     'type': lambda q, p: p**2 + (q**2 if isinstance(q, float) else q**4),
     'random': lambda q, p: p**2 + q * CHANCE.normal(),
     'slow drift': lambda q, p, calls=[0]: p**2 + q**2 * (
@@ -116,18 +135,19 @@ def test_numpy_is_as_before_after_a_function_was_traced():
     assert (np.where, np.clip, np.linalg.solve) == before
 
 
-def test_arguments_named_p_and_q_are_called_with_p_first():
-    assert trace(lambda p, q: p**2 / 2 - np.cos(q), 1.0)[1] == '0.5*p^2 - cos(q)'
-
-
-def test_arguments_with_other_names_are_taken_as_q_and_p_with_a_remark():
-    with pytest.warns(UserWarning, match='x, y of H are taken as q, p'):
-        assert trace(lambda x, y: y**2 / 2 + x**4, 1.0)[1] == '0.5*p^2 + q^4'
+@pytest.mark.parametrize('function', [
+    lambda p, q: p**2 / 2 - np.cos(q), np.vectorize(lambda p, q: p**2 / 2 - np.cos(q)),
+    lambda theta, p_theta: p_theta**2 / 2 - np.cos(theta)])
+def test_names_of_arguments_tell_coordinates_from_momenta(function):
+    assert trace(function, 1.0)[1] == '0.5*p^2 - cos(q)'
 
 
 @pytest.mark.parametrize('function', [
-    lambda q, p, t: p**2 / 2 + q * np.cos(t), lambda p, q, time=0.0: p**2 / 2 + q * np.cos(time)])
-def test_last_argument_may_be_the_time(function):
+    lambda q, p, t: p**2 / 2 + q * np.cos(t), lambda p, q, time=0.0: p**2 / 2 + q * np.cos(time),
+    lambda t, q, p: p**2 / 2 + q * np.cos(t), lambda q, p, *, t: p**2 / 2 + q * np.cos(t),
+    lambda q, p, m=2.0, t=0.0: p**2 / m + q * np.cos(t),
+    partial(lambda q, p, m, t=None: p**2 / m + q * np.cos(t), m=2.0)])
+def test_argument_with_the_name_of_the_time_is_the_time(function):
     assert trace(function, 1.0)[1] == '0.5*p^2 + q*cos(t)'
 
 

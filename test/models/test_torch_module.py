@@ -37,9 +37,13 @@ def test_module_that_is_no_function_of_rows_is_refused(formula):
 
 def test_module_of_the_time_is_refused_by_name():
     with refused(ModelError):
-        TorchHamiltonian(Written(lambda t, x: x.sum(-1)), [X])
-    with refused(ModelError):
         TorchHamiltonian(Written(lambda x, t: x.sum(-1) * t), [X])
+
+
+def test_module_of_momenta_and_coordinates_is_called_so():
+    own = TorchHamiltonian(Written(lambda p, q: (p**2 / 2 - q.cos()).sum(-1)), [X])
+    # Some roundings.
+    assert np.abs(np.ravel(own.gradient([1.0], [0.5])) - [np.sin(1.0), 0.5]).max() < 1e-15
 
 
 def test_module_in_training_is_evaluated():
