@@ -16,8 +16,8 @@ from hnn_vi_ros.errors import ModelError, prefixed, SceneError, StepFailure
 from hnn_vi_ros.files import (
     dump_yaml, one_line, package_file, Parser, SCHEME, share_folder, write_new_scene)
 from hnn_vi_ros.hamiltonians import (
-    Formula, Graph, Joint, MOST_JOINTS, read_urdf, Reader, RigidBodyTree, Robot, SLIDING,
-    TIMES)
+    CONSTANTS, Formula, Graph, Joint, MOST_JOINTS, read_urdf, Reader, RigidBodyTree, Robot,
+    SLIDING, TIMES)
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from scipy.optimize import minimize
@@ -392,9 +392,9 @@ def _quoted(text: str) -> str:
 _SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')
 
 
-def formula_text(text: str, schema: str) -> str:
+def formula_text(text: str, schema: str) -> tuple[str, list[str]]:
     """
-    Return the YAML of a formula's scene; the coordinates follow from its momenta.
+    Return the YAML of a formula's scene, and its parameters; coordinates follow from momenta.
 
     Raises
     ------
@@ -407,7 +407,9 @@ def formula_text(text: str, schema: str) -> str:
         # p_x belongs to x, and p1 to q1.
         owners = {name: f'q{name[1:]}' if f'q{name[1:]}' in names or name[1:].isdecimal() else
                   name[2:] for name in names if re.match(r'p(_\w|\d+$|$)', name)}
-        parameters = dict.fromkeys(names.keys() - owners.keys() - {*owners.values()} - TIMES, 1.0)
+        # Formula refuses other names, and those that differ from a coordinate in case alone.
+        parameters = {name: 1.0 for name in sorted(names.keys() - owners.keys() - TIMES)
+                      if name.lower() not in {*map(str.lower, owners.values()), *CONSTANTS}}
         if not owners:
             raise ValueError('no momentum: write p_x for the momentum of the coordinate x')
         hamiltonian, d = Formula([*owners.values()], text, parameters), len(owners)
@@ -422,10 +424,10 @@ def formula_text(text: str, schema: str) -> str:
     return _template('formula').format(
         schema=schema, description=_quoted('scene of a formula'),
         coordinates=f'[{", ".join(owners.values())}]', H=json.dumps(text, ensure_ascii=False),
-        parameters=json.dumps(dict(sorted(parameters.items())), ensure_ascii=False),
+        parameters=json.dumps(parameters, ensure_ascii=False),
         steps=_STEPS_PER_PERIOD,
         step_size=_round(2.0 * math.pi / max(rate, 1.0) / _STEPS_PER_PERIOD, up=False),
-        q=np.round(q, 6).tolist(), p=p.tolist())
+        q=np.round(q, 6).tolist(), p=p.tolist()), [*parameters]
 
 
 def write_new(options: Namespace, parser: Parser) -> int:
@@ -436,9 +438,10 @@ def write_new(options: Namespace, parser: Parser) -> int:
         options.file.with_name(f'{options.file.name}.yaml')
     if options.robot is not None:
         return _print_next_steps(write_scene(options.robot, path, options.force))
+    parameters = list[str]()
     schema = f'# yaml-language-server: $schema={share_folder() / "config" / "scene.schema.json"}'
     if options.formula is not None:
-        text = formula_text(options.formula, schema)
+        text, parameters = formula_text(options.formula, schema)
     else:
         scene = load_scene(options.like or 'exact_pendulum')
         text = _SCHEMA.sub(lambda line: schema, scene.source.read_text(encoding='utf-8'))
@@ -447,7 +450,10 @@ def write_new(options: Namespace, parser: Parser) -> int:
             if '/' in name and '://' not in name:
                 text = text.replace(name, str(file.resolve()))
     write_new_scene(path, text, options.force)
-    return _print_next_steps(path)
+    _print_next_steps(path)
+    if parameters:
+        print(f'  parameters set to 1: {", ".join(parameters)}')
+    return 0
 
 
 def _print_next_steps(path: Path) -> int:

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
     from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf, read_urdf
     from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
-    from hnn_vi_ros.hamiltonians.straight_code import check_names, Code, constants_of, read_formula
+    from hnn_vi_ros.hamiltonians.straight_code import (
+        check_names, Code, CONSTANTS, constants_of, read_formula)
     from hnn_vi_ros.hamiltonians.tracing import Symbol, trace
 
 __getattr__, __dir__ = lazy_exports(__name__)

@@ -13,6 +13,7 @@ import math
 import re
 from types import MappingProxyType
 from typing import Any
+import unicodedata
 
 from hnn_vi_ros.errors import did_you_mean
 from hnn_vi_ros.hamiltonians.kinks import is_continuous
@@ -503,8 +504,14 @@ COMPARISONS: dict[str, Callable[[Graph, int, int], int]] = {
     '<=': lambda g, a, b: COMPARISONS['>='](g, b, a)}
 
 
-_TOKEN = re.compile(r'\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)'
+_TOKEN = re.compile(r'\s*(?:(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)'
                     r'|(?P<name>[^\W\d]\w*)|(?P<sign>\*\*|[<>]=?|[-+*/^(),]))')
+
+
+def _is_number(sign: str) -> bool:
+    """Return whether a sign is a superscript, a subscript, a fraction or a digit not of ASCII."""
+    return not sign.isascii() and (sign.isdecimal() or unicodedata.decomposition(
+        sign).startswith(('<super>', '<sub>', '<fraction>')))
 
 
 class Reader:
@@ -569,6 +576,9 @@ class Reader:
             return
         self._kind = match.lastgroup or ''
         self._token, self._at = match[self._kind], match.start(self._kind)
+        if self._kind == 'name' and (sign := next(filter(_is_number, self._token), '')):
+            raise ValueError(f'column {self.column(self._at)}: {sign!r} in {self._token!r}; write '
+                             'powers as x^2, fractions as 1/2, and digits as 0 to 9')
 
     def _wrong(self, expected: str) -> ValueError:
         where = f'column {self.column(self._at)}'
@@ -650,7 +660,7 @@ class Reader:
                                  f'{did_you_mean(token, FUNCTIONS)}; write a product as '
                                  f'{token}*(...); valid: {GRAMMAR}')
             return self._called_with(begin, token, self._arguments(begin))
-        if token == 'pi':
+        if token in ('pi', 'π'):
             return self._graph.number(math.pi)
         self.names.setdefault(token, self.column(begin))
         return self._graph.name(self._called.get(token, token))

@@ -19,6 +19,9 @@ from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.phase_space import momentum_name
 import numpy as np
 
+# Names that look like constants, without a value: remedies.
+CONSTANTS = {'e': '; write exp(x) for e^x', 'pi': '; did you mean pi?', **dict.fromkeys(
+    ('inf', 'infinity', 'nan'), '; give finite numbers')}
 NAME = r'^[^\W\d]\w*$'
 
 
@@ -254,7 +257,7 @@ def read_formula(key: str, graph: Graph, text: str, names: Sequence[str],
                 raise ValueError(f'{key} column {column}: {name!r} names the time; write t')
             if name in TIMES:
                 raise ValueError(f'{key} column {column}: {TIME_DEPENDENT.format(name)}')
-            hint = did_you_mean(name, valid)
+            hint = CONSTANTS.get(name.lower()) or did_you_mean(name, valid)
             raise ValueError(f'{key} column {column}: unknown name {name!r}{hint}; valid: '
                              f'{listed(valid)}; give others a value in parameters')
     for name in parameters:
@@ -266,7 +269,7 @@ def read_formula(key: str, graph: Graph, text: str, names: Sequence[str],
 def check_names(key: str, names: Sequence[str], taken: Iterable[str] = (),
                 most: int = 1000) -> None:
     """Raise ValueError unless these are distinct valid names for a formula."""
-    taken = {'pi', *FUNCTIONS, *taken}
+    taken = {'pi', 'π', *FUNCTIONS, *taken}
     if len(names) > most:
         raise ValueError(f'{key} has {len(names)} entries, expected at most {most}')
     for i, name in enumerate(names):

@@ -197,17 +197,19 @@ def test_new_scene_is_one_that_runs_and_is_checked_by_editors(tmp_path, capsys):
         scene_tool.main(['--new', str(path)])
 
 
-def test_new_scene_of_a_formula_runs(tmp_path):
+def test_new_scene_of_a_formula_runs(tmp_path, capsys):
     path = tmp_path / 'mine.yaml'
     scene_tool.main(['--new', str(path), '--formula',
                      'p_x^2/(2*m) + p1^2/2 + 50*k*(x - q1)^2 + x^4'])
+    assert 'parameters set to 1: k, m\n' in capsys.readouterr().out
     scene = load_scene(path)
     assert scene.hamiltonian.coordinates == ['x', 'q1']
     assert scene.hamiltonian.parameters == {'k': 1.0, 'm': 1.0}
     # The springs of 2 x 100 N/m between two masses of 1 kg: sqrt(200) rad/s, a hundred steps.
     assert scene.step_size == 0.002
     assert np.ptp(simulate(scene, 1.0).energy) < 1e-12
-    for text in ('p_x^2 + x +', 'x^2', 'p_x^2/2 + log(-x)'):
+    for text in ('p_x^2 + x +', 'x^2', 'p_x^2/2 + log(-x)', 'p_x^2/2 + e^(-x)', 'p_x^2/2 + Pi*x',
+                 'p_x^2/2 + x*nan', 'p_x^2/2 - cos(X)'):
         with refused(SceneError):
             scene_tool.main(['--new', str(tmp_path / 'other.yaml'), '--formula', text])
 

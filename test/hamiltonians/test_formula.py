@@ -135,11 +135,17 @@ def test_500_hostile_texts_are_one_line_each_within_a_second_and_nothing_is_exec
     KINETIC + ' + sen(x)', KINETIC + ' + x(1 + x)', KINETIC + ' + (x', KINETIC + ' + log(1 - 2)',
     KINETIC + ' + x/(m - m)', KINETIC.replace('m', '1'), KINETIC + ' + x*cos(2*time)',
     KINETIC + ' + max(x)*m', KINETIC + ' + piecewise(x > 0, y)*m', KINETIC + ' + atan2(x)*m',
-    '(' * (DEEPEST + 1) + 'x',
+    '(' * (DEEPEST + 1) + 'x', KINETIC + ' + x²', KINETIC + ' + ½*x', KINETIC + ' + x₁',
+    KINETIC + ' + ٣*x', KINETIC + ' + m*E',
     'x +' * LONGEST])
 def test_error_names_the_column_and_what_is_expected(text):
     with refused(ValueError):
         Formula(['x', 'y'], text, {'m': 2.0})
+
+
+def test_greek_pi_is_pi():
+    found = Formula(['θ'], 'p_θ^2/(2*µ) + π*θ', {'µ': 1.0}).kernel
+    assert found.energy.py_func(found.parameters, np.ones(1), np.zeros(1)) == math.pi
 
 
 def test_branch_without_a_value_spoils_no_slope_of_the_other():
