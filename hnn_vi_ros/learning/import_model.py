@@ -35,7 +35,7 @@ _BY_CODE = 'give the module itself, as module.py:make with --weights'
 
 def read_state(path: Path, entry: str | None = None) -> tuple[dict[str, torch.Tensor], str]:
     """
-    Read the tensors of a state_dict saved by torch.save.
+    Read the tensors of a state_dict saved by torch.save or safetensors.
 
     Parameters
     ----------
@@ -65,8 +65,9 @@ def read_state(path: Path, entry: str | None = None) -> tuple[dict[str, torch.Te
                          'torch.save') from problem
     except Exception as problem:  # damaged pickles raise exceptions without a common base class
         # Not torch's message, which recommends unpickling untrusted files.
-        raise ModelError(f'{path}: not a file of torch.save that contains only tensors; nothing '
-                         'in it was executed; ask its author to save the state_dict') from problem
+        raise ModelError(f'{path}: not a file of torch.save or safetensors that contains only '
+                         'tensors; nothing in it was executed; ask its author to save the '
+                         'state_dict') from problem
     key = ''
     if isinstance(state, Mapping) and not _is_state(state):
         # A checkpoint: the one entry that is a state_dict, apart from the optimizer's.
@@ -103,14 +104,21 @@ def _is_state(state: object) -> bool:
 def perceptron_of(path: Path, state: Mapping[str, torch.Tensor], activation: str
                   ) -> torch.nn.Module:
     """
-    Return the multilayer perceptron of a state_dict, with its layers in the order of the file.
+    Return the multilayer perceptron of the state_dict of a torch.nn.Sequential.
 
     Raises
     ------
     ModelError
-        The tensors are not the weights and biases of consecutive linear layers.
+        The tensors are not the weights and biases of linear layers with one module between two.
 
     """
+    owners = list(dict.fromkeys(name.rpartition('.')[0] for name in state))
+    if len({owner.rpartition('.')[0] for owner in owners}) > 1 or [
+            owner.rpartition('.')[2] for owner in owners] != [
+                str(2 * k) for k in range(len(owners))]:
+        raise ModelError(f'{path}: its layers are {listed(owners)}, not 0, 2, 4, ... of a '
+                         'torch.nn.Sequential with activations between, so what its forward '
+                         f'computes is unknown; {_BY_CODE}')
     weights, biases = list[np.ndarray](), list[np.ndarray]()
     for name, tensor in state.items():
         owner, _, kind = name.rpartition('.')
@@ -206,6 +214,8 @@ def main(argv: Sequence[str]) -> None:
             '--activation, or the module as module.py:make with --weights FILE')
     else:
         module = perceptron_of(source, state, options.activation)
+        print(f'{source}: taken as ' + f', {options.activation}, '.join(
+            f'Linear{(*reversed(part.shape),)}' for part in state.values() if part.ndim == 2))
     remarks = export(module, out, names, {'q': box.q, 'p': box.p})
     # The type in the file: layers of another type have taken these weights.
     for remark in dict.fromkeys([*weights_remark([*state.values()]), *remarks]):

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Load files of torch.save within limits that are checked before torch allocates memory.
+Load files of torch.save or safetensors within limits that are checked before memory is allocated.
 
 ``weights_only`` still calls types that make any number of bytes from a few, such as bytearray.
 """
@@ -17,6 +17,7 @@ import zipfile
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files import in_bytes, read_limited, refuse_pointer
+import safetensors.torch
 import torch
 
 # Types and functions that a state_dict of any tensors, or of an optimiser, needs.
@@ -51,7 +52,7 @@ _NUMBERS = [(_Number, name) for name in (
 
 def load_tensors(path: Path, most: int) -> Any:
     """
-    Load the tensors, numbers and containers of a file of torch.save to the processor.
+    Load the tensors, numbers and containers of a file of torch.save or safetensors.
 
     Parameters
     ----------
@@ -69,11 +70,13 @@ def load_tensors(path: Path, most: int) -> Any:
     ValueError
         The file contains other types.
     Exception
-        Any exception of torch for a damaged file.
+        Any exception of torch or safetensors for a damaged file.
 
     """
     content = read_limited(path, most)
     refuse_pointer(content, path, ModelError)
+    if content[8:9] == b'{':
+        return safetensors.torch.load(content)
     stream = BytesIO(content)
     if zipfile.is_zipfile(stream):
         stream = _checked_archive(stream, most, path)

@@ -18,6 +18,7 @@ from hypothesis import given, settings, strategies as st
 from messages import refused
 import numpy as np
 import pytest
+import safetensors.torch
 import torch
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -113,15 +114,21 @@ def test_state_of_a_sequential_module_is_imported(tmp_path, activation):
 
 
 @pytest.mark.parametrize('key, prefix', [
-    ('model_state', ''), ('state_dict', 'module.'), ('net', '_orig_mod.'), ('', 'net.')])
+    ('model_state', ''), ('state_dict', 'module.'), ('net', '_orig_mod.'), ('', 'net.'),
+    ('safetensors', '')])
 def test_state_is_found_in_a_checkpoint(tmp_path, capsys, key, prefix):
     module = sequential('tanh', 2, 9, 1)
     state = {prefix + name: part for name, part in module.state_dict().items()}
-    torch.save({key: state, 'epoch': 3, 'optimizer_state': {'lr': 0.1}} if key else state,
-               tmp_path / 'source.pt')
+    if key == 'safetensors':
+        safetensors.torch.save_file(state, tmp_path / 'source.pt')
+    else:
+        torch.save({key: state, 'epoch': 3, 'optimizer_state': {'lr': 0.1}} if key else state,
+                   tmp_path / 'source.pt')
     import_file(tmp_path, '--activation', 'tanh')
     assert_alike(tmp_path / 'model.safetensors', module, 1)
-    assert (repr(key) in capsys.readouterr().out) == bool(key)
+    told = capsys.readouterr().out
+    assert (repr(key) in told) == (key not in ('', 'safetensors'))
+    assert 'taken as Linear(2, 9), tanh, Linear(9, 1)\n' in told
 
 
 @pytest.mark.parametrize('numbers', [
@@ -190,24 +197,27 @@ def assert_refused(path: Path) -> None:
         perceptron_of(path, read_state(path)[0], 'tanh')
 
 
-LINEAR = {'linear1.weight': torch.ones(3, 2), 'linear1.bias': torch.ones(3),
-          'linear2.weight': torch.ones(1, 3)}
+LINEAR = {'0.weight': torch.ones(3, 2), '0.bias': torch.ones(3), '2.weight': torch.ones(1, 3)}
 
 
 @pytest.mark.parametrize('state', [
     [torch.ones(2)], {}, {'a': LINEAR, 'b': LINEAR}, {'conv1.weight': torch.ones(2, 2, 3)},
-    {**LINEAR, 'D.linear1.weight': torch.ones(3, 2)}, {'epoch': 3},
-    {**LINEAR, 'linear4.weight': torch.ones(2, 2)}, {**LINEAR, 'linear2.weight': torch.ones(1, 4)},
-    {**LINEAR, 'linear2.weight': torch.ones(2, 3)}, {**LINEAR, 'scale': torch.ones(1)},
-    {**LINEAR, 'linear1.bias': torch.ones(4)},
-    {**LINEAR, 'linear1.bias': torch.full((3,), np.nan)},
-    {**LINEAR, 'linear1.weight': torch.ones(1).expand(10**6, 10**6)},
-    {f'linear{i}.weight': torch.ones(1).expand(300, 300) for i in range(1, 100)},
-    {**LINEAR, 'linear1.weight': torch.eye(3).to_sparse()},
-    {**LINEAR, 'linear1.weight': torch.ones(3, 2, device='meta')},
-    {**LINEAR, 'linear1.weight': torch.ones(3, 2, dtype=torch.complex64)},
-    {**LINEAR, 'linear1.weight': torch.ones(3, 2).to(torch.float8_e4m3fn)},
-    {**LINEAR, 'linear1.weight': torch.ones(0, 2)}], ids=range(19))
+    {**LINEAR, 'D.0.weight': torch.ones(3, 2)}, {'epoch': 3},
+    {**LINEAR, '4.weight': torch.ones(2, 2)}, {**LINEAR, '2.weight': torch.ones(1, 4)},
+    {**LINEAR, '2.weight': torch.ones(2, 3)}, {**LINEAR, 'scale': torch.ones(1)},
+    {**LINEAR, '0.bias': torch.ones(4)},
+    {**LINEAR, '0.bias': torch.full((3,), np.nan)},
+    {**LINEAR, '0.weight': torch.ones(1).expand(10**6, 10**6)},
+    {f'{2 * i}.weight': torch.ones(1).expand(300, 300) for i in range(99)},
+    {**LINEAR, '0.weight': torch.eye(3).to_sparse()},
+    {**LINEAR, '0.weight': torch.ones(3, 2, device='meta')},
+    {**LINEAR, '0.weight': torch.ones(3, 2, dtype=torch.complex64)},
+    {**LINEAR, '0.weight': torch.ones(3, 2).to(torch.float8_e4m3fn)},
+    {**LINEAR, '0.weight': torch.ones(0, 2)},
+    # What is between layers with names, or without one activation between two, is unknown.
+    {'frame.first.weight': torch.ones(3, 2), 'frame.last.weight': torch.ones(1, 3)},
+    *({f'{k}.weight': torch.ones(1, 1) for k in places} for places in ((0, 1), (0, 3), (2, 0))),
+    {'0.weight': torch.ones(3, 2), 'last.2.weight': torch.ones(1, 3)}], ids=range(24))
 def test_state_that_is_not_one_network_is_refused(tmp_path, state):
     torch.save(state, tmp_path / 'source.tar')
     assert_refused(tmp_path / 'source.tar')
@@ -218,12 +228,12 @@ def test_tensor_of_another_kind_is_refused(tmp_path):
     for weight in (torch.eye(3).to_sparse_csr(),
                    torch.nested.nested_tensor([torch.ones(2), torch.ones(3)]),
                    torch.quantize_per_tensor(torch.ones(3, 2), 0.1, 0, torch.qint8)):
-        torch.save({**LINEAR, 'linear1.weight': weight}, tmp_path / 'source.tar')
+        torch.save({**LINEAR, '0.weight': weight}, tmp_path / 'source.tar')
         assert_refused(tmp_path / 'source.tar')
 
 
 def test_tensors_are_refused_by_their_sum_before_any_is_copied(tmp_path, monkeypatch):
-    torch.save({f'linear{i}.weight': torch.ones(1).expand(2900, 2900) for i in range(1, 100)},
+    torch.save({f'{2 * i}.weight': torch.ones(1).expand(2900, 2900) for i in range(99)},
                tmp_path / 'source.tar')
     # As an array each would take 64 MiB, all 6.4 GB.
     monkeypatch.setattr(torch.Tensor, 'numpy', None)
@@ -232,8 +242,8 @@ def test_tensors_are_refused_by_their_sum_before_any_is_copied(tmp_path, monkeyp
 
 def test_negated_view_is_read_as_the_numbers_that_it_shows(tmp_path):
     weight = torch._neg_view(torch.ones(3, 2, dtype=torch.float64))
-    torch.save({**LINEAR, 'linear1.weight': weight}, tmp_path / 'source.tar')
-    assert (read_state(tmp_path / 'source.tar')[0]['linear1.weight'] == -1.0).all()
+    torch.save({**LINEAR, '0.weight': weight}, tmp_path / 'source.tar')
+    assert (read_state(tmp_path / 'source.tar')[0]['0.weight'] == -1.0).all()
 
 
 def test_file_that_is_not_one_of_torch_is_refused(tmp_path):
