@@ -108,7 +108,7 @@ class Symbol:
         found = getattr(ufunc, method)(*plain, **options)
         return _as_symbols(found)
 
-    __radd__, __rmul__, __hash__ = __add__, __mul__, None  # type: ignore[assignment]
+    __radd__, __rmul__ = __add__, __mul__
     __lt__, __le__, __gt__, __ge__ = map(_compared, ('<', '<=', '>', '>='))
     __and__, __or__ = _combined('logical_and'), _combined('logical_or')
     __invert__ = _combined('invert')
@@ -119,7 +119,8 @@ class Symbol:
     __bool__ = _refused('a branch (if, and, or)')
     __float__ = _refused('a conversion (float, or a function of math)')
     __int__, __complex__ = _refused('a conversion (int)'), _refused('a conversion (complex)')
-    __index__ = _refused('an index')
+    __index__, __round__ = _refused('an index'), _refused('round')
+    __hash__ = _refused('a hash (lru_cache, set, dict)')
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         """Return the method that numpy calls for its function of this name."""
@@ -159,6 +160,9 @@ _OF_SYMBOLS: dict[str, Callable[..., int]] = {
 
 def _object_array(value: Any) -> Any:
     """Return an array without the class of symbols; a symbol as an array of it."""
+    if getattr(value, 'dtype', None) == np.longdouble:
+        # Its operators would call ufuncs again.
+        return np.asarray(value, np.float64)[()]
     return np.asarray(value, dtype=object).view(np.ndarray) if isinstance(
         value, Symbol | _Symbols) else value
 

@@ -113,8 +113,11 @@ def graph_model(module: torch.nn.Module, card: ModelCard, kind: str
         The module is not a function H(q, p), or has an operation that graphs do not have.
 
     """
+    own = copied(module, kind)
     remarks = _remarks(module)
-    own = _copied(module, kind)
+    # Module.requires_grad_ does not take scripted modules.
+    for weight in own.parameters():
+        weight.requires_grad_(False)
     low, high = np.array([*card.box.q, *card.box.p, *(card.box.t or ())]).T
     z = torch.tensor(np.random.default_rng(0).uniform(low, high, (_STATES, low.size)))
     with prefixed(kind, ModelError):
@@ -134,7 +137,13 @@ def graph_model(module: torch.nn.Module, card: ModelCard, kind: str
     except ModelError as problem:
         raise type(problem)(f'{kind}: {problem}') from problem
     checkpoint = Checkpoint(card, {}, graph=graph)
-    _check(GraphHamiltonian(checkpoint), function, rows, z, kind)
+    try:
+        _check(GraphHamiltonian(checkpoint), function, rows, z, kind)
+    except ModelError:
+        raise
+    except Exception as problem:  # noqa: B902  the user's code may raise any
+        raise ModelError(f'{kind}: raises {type(problem).__name__} at other states than the first:'
+                         f' {one_line(problem)[:300]}') from problem
     return checkpoint, remarks
 
 
@@ -175,23 +184,25 @@ def weights_remark(tensors: Sequence[torch.Tensor]) -> list[str]:
 _MODES = 'AlphaDropout', 'BatchNorm', 'Dropout', 'FeatureAlpha', 'InstanceNorm', 'SyncBatch'
 
 
-def _copied(module: torch.nn.Module, kind: str) -> torch.nn.Module:
-    """Return a copy of a module in float64 and in evaluation mode, whose weights are fixed."""
+def copied(module: torch.nn.Module, kind: str) -> torch.nn.Module:
+    """Return a copy of a module in float64 and in evaluation mode; ModelError if it has none."""
     # The result of torch.compile cannot be traced; the module in it can.
     module = getattr(module, '_orig_mod', module)
     if any(map(torch.nn.parameter.is_lazy, (*module.parameters(), *module.buffers()))):
         _refuse(kind, 'has layers without weights yet (as LazyLinear): load its weights, or call '
                 'it once with a row')
+    if not hasattr(module, 'training'):
+        _refuse(kind, 'is frozen by torch.jit.freeze: give the module before that')
     _check_lists(module, kind)
     try:
         with torch.no_grad():
             own = deepcopy(module).cpu().double().eval()
     except RuntimeError as problem:
         _refuse(kind, f'cannot be copied ({one_line(problem)[:80]}...): its weights must be plain '
-                'tensors; after weight_norm, call torch.nn.utils.remove_weight_norm')
-    # Module.requires_grad_ does not take scripted modules.
-    for weight in own.parameters():
-        weight.requires_grad_(False)
+                'tensors; call torch.nn.utils.remove_weight_norm or prune.remove')
+    # Copies of scripted modules have forgotten it.
+    for weight, source in zip(own.parameters(), module.parameters(), strict=True):
+        weight.requires_grad_(source.requires_grad)
     return own
 
 

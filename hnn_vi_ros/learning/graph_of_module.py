@@ -130,6 +130,9 @@ def _trace(function: Callable[[torch.Tensor], torch.Tensor], state: torch.Tensor
             raise ModelError(
                 f'Python code in it{place} branches on values of its input (if, float(x), '
                 '.item(), one_hot): write it with torch.where') from problem
+        if 'non-functional tensor' in text:
+            raise ModelError(f'changes a buffer or a weight{place}: compute H in forward, and '
+                             'nothing else') from problem
         if 'alias annotations' in text and (op := re.search(r'aten::(\w+)', text)):
             raise ModelError(f'uses {op[1]}, which torch does not trace: write it without'
                              ) from problem
@@ -156,7 +159,7 @@ def _translated(traced: torch.fx.GraphModule) -> tuple[Builder, int]:
             case 'placeholder':
                 found[node] = _Value(b, b.input(node.meta['val'].numel()))
             case 'get_attr':
-                found[node] = _attribute(traced, node.target).detach()
+                found[node] = _attribute(traced, node.target)
             case 'output':
                 (result,) = torch.fx.node.map_arg(node.args, lambda n: found[n])
                 if not isinstance(result, _Value):
@@ -173,7 +176,10 @@ def _attribute(traced: torch.fx.GraphModule, name: str) -> torch.Tensor:
     value: Any = traced
     for part in name.split('.'):
         value = getattr(value, part)
-    return value
+    if not isinstance(value, torch.Tensor):
+        raise ModelError('has branches or loops of torch (cond, while_loop, map): write them with '
+                         'torch.where')
+    return value.detach()
 
 
 class _Value:

@@ -4,7 +4,6 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from copy import deepcopy
 from hashlib import sha256
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -12,7 +11,7 @@ from typing import ClassVar, Literal
 from hnn_vi_ros.errors import HnnViRosError, ModelError, ParameterError
 from hnn_vi_ros.files import one_line
 from hnn_vi_ros.hamiltonians import read_arguments
-from hnn_vi_ros.learning.export_module import graph_card, graph_model
+from hnn_vi_ros.learning.export_module import copied, graph_card, graph_model
 from hnn_vi_ros.learning.families.base import EnergyFamily, Scales
 from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.learning.fit.config import FieldConfig
@@ -113,6 +112,9 @@ class UserModule(EnergyFamily):
         own, d = getattr(module, '_orig_mod', module), len(scales.q_centre)
         low, high = scales.centre - scales.half, scales.centre + scales.half
         box = np.stack([low, high], axis=1).tolist()
+        if isinstance(own, torch.jit.ScriptModule):
+            raise ModelError(f'{type(own).__name__}: a module of TorchScript is exported, not '
+                             'trained: give the module before torch.jit.script')
         # Refused before the training, not after it.
         try:
             graph_model(own, graph_card('first', '', [f'q{k}' for k in range(d)], {
@@ -120,7 +122,7 @@ class UserModule(EnergyFamily):
         except UntranslatedModule as problem:
             raise UntranslatedModule(f'{problem}: write that part with other operations') \
                 from problem
-        self.module, self._loss = deepcopy(own).cpu().double().eval(), loss
+        self.module, self._loss = copied(own, type(own).__name__), loss
         self._arguments = read_arguments(self.module.forward)
         if not any(part.requires_grad for part in self.module.parameters()):
             raise ModelError(f'{self.name}: no weights that require a gradient, so nothing is '

@@ -333,6 +333,18 @@ class Signed(nn.Module):
         self.forward = forward
 
 
+class Running(nn.Module):
+    """A module that changes its buffer."""
+
+    def __init__(self):
+        super().__init__()
+        self.register_buffer('mean', torch.zeros(2))
+
+    def forward(self, x):
+        self.mean.mul_(0.99).add_(0.01 * x.detach().mean(0))
+        return ((x - self.mean)**2).sum(-1)
+
+
 def listed_layers():
     module = Written(lambda x: module.others[0](x)[:, 0])
     module.others = [nn.Linear(2, 1)]
@@ -406,14 +418,20 @@ REFUSED = {name: function if isinstance(function, nn.Module) else Written(functi
     'weights without values': nn.Linear(2, 1, device='meta'),
     'weights of another time': normalised(),
     'a function': nn.Identity(),
+    'a branch of torch': lambda x: torch.cond(
+        x.sum() > 9, lambda y: (y**4).sum(-1), lambda y: (y**2).sum(-1), (x,)),
+    'a running mean': Running(),
 }.items()}
+# Compiling takes time: only for its test.
+REFUSED['frozen'] = None
 
 
 @pytest.mark.parametrize('name', REFUSED)
 @pytest.mark.filterwarnings('ignore')  # torch tells of what is old
 def test_module_that_is_no_energy_is_refused_in_a_line(name, tmp_path):
     path = tmp_path / 'model.safetensors'
-    module = torch.sum if name == 'a function' else REFUSED[name]
+    module = torch.sum if name == 'a function' else REFUSED[name] or torch.jit.freeze(
+        torch.jit.script(net(2, 8, 1).eval()))
     with refused(ModelError):
         export(module, path, ['x'], BOX[1])
     assert not path.exists()

@@ -72,6 +72,10 @@ def frozen():
     return HNN().requires_grad_(False)
 
 
+def scripted():
+    return torch.jit.script(HNN())
+
+
 def other():
     return [HNN()]
 
@@ -312,7 +316,7 @@ def test_folds_are_judged_on_runs_that_they_were_not_trained_on(folder: Path, ca
 
 @pytest.mark.parametrize('words', [
     ['net.py:nothing'], ['net.py:number'], ['net.py:other'], ['net.py:frozen'], ['net.py:wide'],
-    ['net.py:several'], ['none.py:HNN'], ['net.py'], ['net:HNN'],
+    ['net.py:several'], ['net.py:scripted'], ['none.py:HNN'], ['net.py'], ['net:HNN'],
     ['net.py:HNN', '--loss', 'net.py:vector'], ['net.py:HNN', '--loss', 'net.py:a_number'],
     ['net.py:HNN', '--loss', 'net.py:detached'], ['net.py:HNN', '--loss', 'net.py:failing'],
     ['net.py:HNN', '--loss', 'net.py:nothing'], ['net.py:HNN', '--ensemble', '3'],
