@@ -99,9 +99,9 @@ class RunSamples(NamedTuple):
         States.
     work : np.ndarray, shape (n,), or None
         Work done on the system since the start [J]: NaN between steps, and at some of more than
-        MAX_OBSERVED samples. None if no effect does work.
+        MAX_OBSERVED samples without causes. None if no effect does work.
     causes : np.ndarray, shape (n, C), or None
-        Energy by cause [J], NaN where the work is; None if it was not requested. See Ledger.
+        Energy by cause [J], NaN between steps; None if it was not requested. See Ledger.
 
     """
 
@@ -197,9 +197,8 @@ def _parts(simulation: Simulation, schedule: Schedule, note: Callable[[], None],
     """Yield samples in batches, or one by one with `at_each`; call `note` between them."""
     note()
     samples, every, rest, _ = schedule
-    most = 1 if at_each else max(
-        1, samples if simulation.conservative and simulation.ledger is None else
-        samples // MAX_OBSERVED)
+    most = 1 if at_each or simulation.ledger is not None else max(
+        1, samples if simulation.conservative else samples // MAX_OBSERVED)
     for first in range(0, samples, most):
         yield simulation.record(min(most, samples - first), every)
         note()

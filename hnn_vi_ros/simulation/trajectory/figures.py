@@ -122,8 +122,9 @@ def draw_energy(trajectory: Trajectory) -> 'Figure':
     scene = trajectory.scene
     named = {} if scene is None or scene.hamiltonian.kind not in HAMILTONIANS else {
         REST.removeprefix(STORED): scene.hamiltonian.kind}
-    # Only rises count: the zero of a stored energy is arbitrary.
-    stored = {name: own - own.min(initial=np.inf) for name, own in stored.items()}
+    # Only rises count: the zero of a stored energy is arbitrary, and named.
+    stored = {f'{named.get(name, name)} - ({own.min(initial=np.inf):.4g} J)':
+              own - own.min(initial=np.inf) for name, own in stored.items()}
     works = {name: own for name, own in works.items() if name not in heats}
     figure = new_figure(_WIDTH, 2.5 * _HEIGHT + _HEIGHT + _MARGINS)
     upper, lower = rows = figure.subplots(2, 1, sharex=True, height_ratios=(2.5, 1))
@@ -131,7 +132,7 @@ def draw_energy(trajectory: Trajectory) -> 'Figure':
                    for own in kind.values()), default=0.0)
     for parts, sign, what, shades in ((stored, 1.0, 'stored', 'YlGnBu_r'),
                                       (heats, -1.0, 'lost', 'YlOrRd_r')):
-        _stack(upper, t, {f'{what}: {named.get(name, name)}': sign * own
+        _stack(upper, t, {f'{what}: {name}': sign * own
                           for name, own in parts.items()
                           if np.abs(own).max(initial=0.0) > _VISIBLE * largest}, shades)
     for i, (name, own) in enumerate(works.items()):

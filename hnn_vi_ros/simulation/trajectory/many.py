@@ -18,6 +18,7 @@ from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.construction import build_at
 from hnn_vi_ros.simulation.dense_step import whole_steps
+from hnn_vi_ros.simulation.energy_by_cause import ERROR, WORK
 from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.guards.watch import (
     judge_many, look_at_block, look_at_rows, tell_many, watch_of_block)
@@ -154,9 +155,12 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     energies = run.energies()
     run.measure(commands)
     tell_many(run.alarms, run.step_size)
+    causes = run.energy_by_cause
+    work = None if causes is None or not causes.of(WORK) else (
+        energies - energies[0] - causes.of(ERROR)[''])
     return Trajectory(run.t, run.q, run.p, energies, run.parts.hamiltonian.coordinates,
                       tuple(map(tuple, run.alarms)), scene=parts.scene,
-                      energy_by_cause=run.energy_by_cause, path_error=tuple(run.errors))
+                      work=work, energy_by_cause=causes, path_error=tuple(run.errors))
 
 
 class _Many:

@@ -13,6 +13,7 @@ from typing import Any, final, NamedTuple, Self, TextIO, TYPE_CHECKING
 from hnn_vi_ros.errors import listed, optional, RecordingError
 from hnn_vi_ros.files import dump_yaml, no_file, one_line, parse_json, replacing
 from hnn_vi_ros.hamiltonians import Hamiltonian, Mechanism, MECHANISMS, skeleton
+from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.scene import described_scene, plain_data, Scene
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     import xarray
 
 _ARRAYS = ('t', 'q', 'p', 'energy', 'work')
+# Least number of instants of a picture.
+_LEAST_DRAWN = 500
 
 
 class EnergyByCause(NamedTuple):
@@ -49,7 +52,7 @@ class EnergyByCause(NamedTuple):
         Names of the columns: ``work/CAUSE`` on the system and ``heat/CAUSE`` since the start,
         ``stored/CAUSE`` at present, and ``error``, H - H(0) - W, which no cause explains.
     values : np.ndarray, shape (N, C) or (N, m, C)
-        Columns in this order; NaN where the work of a trajectory is.
+        Columns in this order; NaN at times between steps.
 
     """
 
@@ -94,9 +97,10 @@ class Trajectory:
         Occurrences of the scene's ``events``, in chronological order.
     scene : Scene or None
         The simulated scene, with the method and the step size used.
-    work : np.ndarray, shape (N,), or None
+    work : np.ndarray, shape (N,) or (N, m), or None
         Work W done on the system by effects since the start [J]: NaN at times between steps, and
-        at some samples of runs with more than 10 000. None if no effect does work.
+        without energy_by_cause at some samples of runs with more than 10 000. None if no effect
+        does work, and for m trajectories without energy_by_cause.
     energy_by_cause : EnergyByCause or None
         Work, stored energy and heat of each effect, if requested.
     path_error : PathError, or tuple of PathError
@@ -249,6 +253,7 @@ class Trajectory:
         return replace(
             self, q=q, p=p, energy=self.energy[:, index], alarms=self.alarms[index], scene=scene,
             path_error=self.path_error and self.path_error[index],
+            work=None if self.work is None else self.work[:, index],
             energy_by_cause=causes and causes._replace(values=causes.values[:, index]))
 
     def of(self, names: Sequence[str] | None) -> Self:
@@ -328,13 +333,30 @@ class Trajectory:
         own = self.alarms if self.q.ndim == 2 else [one for each in self.alarms for one in each]
         return list(dict.fromkeys(getattr(alarm, 'kind', str(alarm)) for alarm in own))
 
+    def _drawn(self) -> Self:
+        """Return a run of internal steps, between which samples may be far apart, as drawn."""
+        if self.scene is None or self.q.ndim == 3 or not 1 < len(self) < _LEAST_DRAWN or not (
+                INTEGRATORS[self.scene.integrator.kind].tolerances):
+            return self
+        t = np.union1d(self.t, np.linspace(self.t[0], self.t[-1], _LEAST_DRAWN))
+        try:
+            q, p = self(t)
+        except ValueError:
+            # With commands there are only the samples.
+            return self
+        work = None if self.work is None else np.full(t.size, np.nan)
+        if work is not None:
+            work[np.searchsorted(t, self.t)] = self.work
+        return replace(self, t=t, q=q, p=p, energy=self.hamiltonian().energy(q, p, t), work=work)
+
     def plot(self, coordinates: Sequence[str] | None = None) -> 'Figure':
         """
         Draw coordinates, momenta and the change of H over time, with one panel per unit.
 
         If effects do work W, the last panel shows the energy error H - H(0) - W.
 
-        Events and alarms are vertical lines. For m trajectories there is one panel per column.
+        Events and alarms are vertical lines. Methods with internal steps are drawn between their
+        samples as well. For m trajectories there is one panel per column.
 
         Parameters
         ----------
@@ -355,7 +377,7 @@ class Trajectory:
 
         """
         from hnn_vi_ros.simulation.trajectory.figures import draw_series
-        return draw_series(self.of(coordinates))
+        return draw_series(self._drawn().of(coordinates))
 
     def plot_energy(self) -> 'Figure':
         """
@@ -403,7 +425,7 @@ class Trajectory:
 
         """
         from hnn_vi_ros.simulation.trajectory.figures import draw_portrait
-        return draw_portrait(self.of(coordinates), contours=len(self.coordinates) == 1)
+        return draw_portrait(self._drawn().of(coordinates), contours=len(self.coordinates) == 1)
 
     def to_dataframe(self) -> 'pandas.DataFrame':
         """

@@ -146,6 +146,22 @@ def test_plot_has_labelled_axes_with_units_and_the_samples(run):
     assert figure.axes[0].get_legend().get_texts()[1].get_text() == 'event angle = 0'
 
 
+def test_plot_of_a_method_with_internal_steps_is_smooth_between_its_samples():
+    """Three samples a period would be a triangle; the picture has the error of dop853."""
+    swing = simulate(load_scene('exact_pendulum'), 20.0, step_size=2.0, integrator='dop853',
+                     initial_state=([1.0], [0.0]))
+    fine = simulate(load_scene('exact_pendulum'), 20.0, integrator='gauss16', step_size=0.05,
+                    initial_state=([1.0], [0.0]))
+    line = swing.plot().axes[0].lines[0]
+    assert len(swing) == 11 and len(line.get_xdata()) >= 500
+    assert np.abs(fine(line.get_xdata())[0][:, 0] - line.get_ydata()).max() < 1e-5
+    # With commands, the samples are all that is known.
+    held = simulate(load_scene('exact_pendulum'), 4.0, step_size=2.0, integrator='dop853',
+                    effects=[{'kind': 'external_force', 'coordinates': ['angle'], 'timeout': 9.0}],
+                    commands=np.ones((2, 1)))
+    assert len(held.phase_portrait(['angle']).axes[0].lines[0].get_xdata()) == 3
+
+
 def test_plot_has_a_panel_for_each_unit_and_names_every_curve():
     figure = PLAIN.plot()
     assert [axes.get_ylabel() for axes in figure.axes] == [
