@@ -39,6 +39,13 @@ def shown(page: Path) -> list[str]:
             for line in block.replace('\\\n', ' ').splitlines()]
 
 
+def test_readme_begins_with_the_two_commands_of_a_new_machine_which_ci_calls():
+    first = [line.partition('  ')[0] for line in shown(ROOT / 'README.md')[:3]]
+    assert first[1:] == ['make run', 'make test']
+    called = (ROOT / '.ci' / 'run').read_text()
+    assert all(re.search(rf'^ *(time )?{command}\b', called, re.M) for command in first[1:])
+
+
 def words_of(line: str) -> list[str]:
     """Return the command that a line calls and its arguments; nothing of any other program."""
     words = shlex.split(line.partition(' > ')[0], comments=True)
