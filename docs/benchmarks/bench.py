@@ -12,7 +12,7 @@ import time
 
 from benchmarks.measurement import Row, Settings
 from benchmarks.report import (
-    as_markdown, as_table, draw, Group, measured_here, read_groups, write_groups)
+    as_markdown, as_table, draw, Group, measured_here, read_groups, shown, write_groups)
 
 # A group of rows: its module, and its approximate duration [s].
 GROUPS = {
@@ -69,7 +69,7 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
                 raise ValueError(f'two rows are named {row.name!r}')
             known.add(row.name)
             rows[name].append(row)
-            print(f'  = {row.name}: {row.ratio:.2f} {row.unit}'.rstrip(), flush=True)
+            print(f'  = {row.name}: {shown(row)}', flush=True)
         del left[name]
         done(name, rows[name])
     return rows

@@ -5,6 +5,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import gc
+import math
 import time
 from typing import Any
 
@@ -14,6 +15,8 @@ import numpy.typing as npt
 # Longer runs than this are repeated less often [s].
 LONG_RUN = 5.0
 _FEWEST = 3
+# Most processors that a contestant of one thread keeps busy.
+_MOST_BUSY = 1.3
 
 # Called before each run, untimed; returns the run.
 Contestant = Callable[[], Callable[[], object]]
@@ -31,7 +34,7 @@ class Row:
     ours, peer : str
         The two sides, each with its unit.
     ratio : float
-        The figure that the target bounds, in ``unit``.
+        The figure that the target bounds, in ``unit``; NaN if it cannot be judged.
     quartiles : tuple of float
         Lower and upper quartile of the repetitions' ratios.
     target : float or None
@@ -60,8 +63,8 @@ class Row:
 
     @property
     def met(self) -> bool | None:
-        """Return True if the target is met, None without a target."""
-        return None if self.target is None else self.ratio <= self.target
+        """Return True if the target is met, None without a target or a judgement."""
+        return None if self.target is None or math.isnan(self.ratio) else self.ratio <= self.target
 
 
 @dataclass(frozen=True)
@@ -99,19 +102,14 @@ def interleave(contestants: Sequence[Contestant], repetitions: int, *, warm_up: 
     warm_up : bool, optional
         Run each contestant once before, untimed.
     one_thread : bool, optional
-        Raise if a run uses more than one processor.
+        Do not judge a contestant that uses more than one processor.
     of_processor : bool, optional
         Return processor times, which waiting for a shared processor does not change.
 
     Returns
     -------
     np.ndarray, shape (turns, contestants)
-        Wall or processor times [s].
-
-    Raises
-    ------
-    RuntimeError
-        A contestant uses more than one thread.
+        Wall or processor times [s]; NaN for a contestant that is not judged.
 
     """
     if warm_up and max(_seconds(contestant)[0] for contestant in contestants) > LONG_RUN:
@@ -123,10 +121,11 @@ def interleave(contestants: Sequence[Contestant], repetitions: int, *, warm_up: 
         for i in order if turn % 2 == 0 else reversed(order):
             wall[turn, i], processor[turn, i] = _seconds(contestants[i])
     busy = np.median(processor / wall, axis=0)
-    if one_thread and np.max(busy) > 1.3:
-        raise RuntimeError(f'contestant {np.argmax(busy)} keeps {np.max(busy):.1f} processors '
-                           'busy; each is to use one')
-    return processor if of_processor else wall
+    times = processor if of_processor else wall
+    for i in np.flatnonzero(busy > _MOST_BUSY) if one_thread else ():
+        print(f'  contestant {i} keeps {busy[i]:.1f} processors busy; each is to use one')
+        times[:, i] = np.nan
+    return times
 
 
 def summarise(name: str, ours: str, peer: str, ratios: npt.ArrayLike, target: float | None,

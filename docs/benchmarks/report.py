@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from datetime import datetime, UTC
 from importlib.metadata import PackageNotFoundError, version
 import json
+import math
 from pathlib import Path
 import platform
 
@@ -81,9 +82,8 @@ def as_table(rows: Sequence[Row]) -> str:
     """Return the rows that have a target as a Markdown table."""
     lines = ['| row | ours | peer | ratio |', '|---|---|---|---|']
     for row in (row for row in rows if row.target is not None):
-        ratio = f'{_number(row.ratio)} {row.unit}'.rstrip()
-        shown = f'**{ratio}**' if row.met is False else ratio
-        lines.append(f'| {row.name} | {row.ours} | {row.peer} | {shown} |')
+        ratio = f'**{shown(row)}**' if row.met is False else shown(row)
+        lines.append(f'| {row.name} | {row.ours} | {row.peer} | {ratio} |')
     return '\n'.join(lines) + '\n'
 
 
@@ -124,8 +124,8 @@ def draw(groups: Mapping[str, Group], path: Path) -> Path:
         found = [(row.ratio, names.index(name)) for name, row in rows if row.met is met]
         axes.scatter([x for x, _ in found], [y for _, y in found], color=colour, label=label)
     axes.axvline(1.0, color='grey', linestyle=':', label='equal to the peer')
-    shown = [number for _, row in rows for number in (row.ratio, row.target)]
-    axes.set(xscale='log', xlim=(0.7 * min(shown), 1.6 * max(shown)), yticks=range(len(names)),
+    numbers = [number for _, row in rows for number in (row.ratio, row.target)]
+    axes.set(xscale='log', xlim=(0.7 * min(numbers), 1.6 * max(numbers)), yticks=range(len(names)),
              yticklabels=[name.replace('_', ' ') for name in names])
     axes.set_xlabel('our time or error over that of the peer; left is better, green: better than '
                     'the peer')
@@ -134,6 +134,11 @@ def draw(groups: Mapping[str, Group], path: Path) -> Path:
     figure.legend(loc='outside upper center', ncols=4, frameon=False)
     figure.savefig(path, dpi=110)
     return path
+
+
+def shown(row: Row) -> str:
+    """Return the ratio of a row with its unit."""
+    return 'not judged' if math.isnan(row.ratio) else f'{_number(row.ratio)} {row.unit}'.rstrip()
 
 
 def _number(value: float) -> str:

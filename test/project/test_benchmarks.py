@@ -17,7 +17,7 @@ import sys
 from benchmarks.bench import GROUPS, run, write
 from benchmarks.choosing import accurate_ways, cheapest, first_good, path_run, problem_of, Way
 from benchmarks.measurement import assert_close, compare, interleave, race, Row, Settings
-from benchmarks.report import as_markdown, Group, measured_here, read_groups
+from benchmarks.report import as_markdown, as_table, Group, measured_here, read_groups
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.simulation import Method
@@ -130,6 +130,16 @@ def test_groups_that_were_measured_before_an_interruption_are_kept():
 def test_ratio_is_the_median_of_those_of_each_turn():
     row = compare('name', np.array([1.0, 2.0, 9.0]), np.array([2.0, 2.0, 2.0]), target=1.0)
     assert (row.ratio, row.quartiles, row.repetitions, row.met) == (1.0, (0.75, 2.75), 3, True)
+
+
+def test_row_of_a_contestant_on_several_processors_is_reported_as_not_judged(monkeypatch, capsys):
+    monkeypatch.setattr('benchmarks.measurement._seconds', lambda run: run())
+    row = race('busy', {'ours': lambda: (1.0, 1.0)}, {'peer': lambda: (2.0, 3.0)},
+               Settings(3, True, print), target=1.0, scale=1.0, unit='s')
+    assert 'contestant 1 keeps 1.5 processors busy' in capsys.readouterr().out
+    assert row.met is None and row.ours == '1 s'
+    assert as_table([row]).splitlines()[-1] == '| busy | 1 s | peer nan s | not judged |'
+    assert '**busy**' not in as_markdown({'gradient': Group('here', [row])})
 
 
 def test_interleave_prepares_each_run_and_alternates_the_order():
