@@ -54,6 +54,7 @@ class Posterior(NamedTuple):
 class _Parameter(BaseModel):
     model_config = ConfigDict(extra='ignore', strict=True, allow_inf_nan=False)
     value: float
+    place: str | None = None
 
 
 class _Covariance(BaseModel):
@@ -72,8 +73,8 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     """
     Read the result file of an identification.
 
-    It is JSON: ``{"parameters": {NAME: {"value": ...}}, "covariance": {"names": [NAME, ...],
-    "matrix": [[...]]}}``; other content is ignored.
+    It is JSON: ``{"parameters": {NAME: {"value": ..., "place": KEY}}, "covariance": {"names":
+    [NAME, ...], "matrix": [[...]]}}``; other content is ignored.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     place : str
         Place of the reference to the file, for error messages.
     keys : mapping of str to str, optional
-        Key of the scene for each requested name; by default, all names unchanged.
+        Key of the scene for each requested name; by default the place of each, or its name.
 
     Raises
     ------
@@ -105,7 +106,8 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
             found.covariance.matrix) != n or len(set(names)) != n:
         raise DataError(f'{where}: covariance: {n} names need as many rows and columns, each name '
                         f'once; {_REMEDY}')
-    wanted = {name: name for name in names} if keys is None else dict(keys)
+    wanted = dict(keys or {name: getattr(found.parameters.get(name), 'place', None) or name
+                           for name in names})
     whole = [name for name in names if name in found.parameters]
     for name in wanted:
         if name not in whole:

@@ -87,8 +87,8 @@ class PosteriorChoice(StrictModel):
     count: int = Field(ge=1, le=MAX_COUNT, description='number of draws')
     keys: dict[Annotated[str, Field(min_length=1, max_length=256)], Key] | None = Field(
         None, min_length=1, max_length=1000, description=(
-            'key of the scene for each drawn parameter, by its name in the file; by default its '
-            'names are keys'))
+            'key of the scene for each drawn parameter, by its name in the file; by default the '
+            'place of each in the file, or its name'))
 
 
 class RepeatsChoice(StrictModel):

@@ -50,6 +50,18 @@ def test_draws_have_the_mean_and_the_covariance_that_were_found(tmp_path):
     assert np.ptp(drawn[2]) <= 1e-12
 
 
+def test_number_is_drawn_at_its_place_in_the_scene(tmp_path):
+    path = Path(posterior(tmp_path))
+    text = path.read_text()
+    path.write_text(text.replace(NAMES[0], 'mass').replace(
+        '"mass": {', f'"mass": {{"place": "{NAMES[0]}", '))
+    plan = make_plan(definition(str(path)))
+    assert plan.keys == NAMES
+    # A key that is given counts for more.
+    other = make_plan(definition(str(path), keys={'mass': NAMES[1]}))
+    assert other.keys == NAMES[1:2]
+
+
 def test_draws_are_by_index_and_seed_alone(tmp_path):
     path = posterior(tmp_path)
     vary = [{'kind': 'values', 'key': 'initial_state.q', 'values': [[0.1], [0.2], [0.3]]},
