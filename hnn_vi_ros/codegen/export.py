@@ -40,9 +40,10 @@ def main(argv: list[str]) -> int:
     code = compile_scene(scene, name, options.target, lambda: print(
         f'compiling {name}: about a minute', file=sys.stderr))
     try:
-        written = [] if options.out is None else write_project(options.out, name, code)
+        written = [] if options.out is None else write_project(
+            options.out, name, code, options.force)
         if options.fmu is not None:
-            write_fmu(options.fmu, name, code)
+            write_fmu(options.fmu, name, code, options.force)
             written.append(options.fmu)
     except OSError as problem:
         raise ParameterError(f'{problem.filename}: cannot be written ({problem.strerror}); name '

@@ -13,6 +13,7 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 from hnn_vi_ros.codegen.arguments import COMPILERS
 from hnn_vi_ros.codegen.project import filled, parameter_variable, template_values, write_project
 from hnn_vi_ros.codegen.scene_code import distinct, SceneCode
+from hnn_vi_ros.files import write_text, written
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import simulate
 
@@ -20,7 +21,7 @@ from hnn_vi_ros.simulation import simulate
 _MOST_DRAWN = 8
 
 
-def write_fmu(path: Path, name: str, scene: SceneCode) -> None:
+def write_fmu(path: Path, name: str, scene: SceneCode, force: bool = False) -> None:
     """
     Write an exported scene as an FMU.
 
@@ -32,6 +33,8 @@ def write_fmu(path: Path, name: str, scene: SceneCode) -> None:
         Its model identifier.
     scene : SceneCode
         Its object code.
+    force : bool, optional
+        True to replace an existing file.
 
     Raises
     ------
@@ -51,8 +54,8 @@ def write_fmu(path: Path, name: str, scene: SceneCode) -> None:
     values |= _described(scene)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        write_project(folder, name, scene)
-        (folder / 'fmi3.c').write_text(filled('fmi3.c', values), encoding='utf-8')
+        write_project(folder, name, scene, force=True)
+        write_text(folder / 'fmi3.c', filled('fmi3.c', values))
         subprocess.run([COMPILERS[scene.target], '-std=c11', '-O2', '-shared', '-fPIC',
                         '-fvisibility=hidden', 'fmi3.c', f'lib{name}.a',
                         '-Wl,-z,defs,--exclude-libs,ALL', '-lm', '-o', 'fmu.so'],
@@ -62,7 +65,7 @@ def write_fmu(path: Path, name: str, scene: SceneCode) -> None:
             f'binaries/{scene.target}/{name}.so': (folder / 'fmu.so').read_bytes(),
             'documentation/index.html': filled('fmu.html', values).encode(),
             'documentation/trajectory.png': _picture(scene.scene)}
-        with ZipFile(path, 'w', ZIP_DEFLATED) as file:
+        with written(path, new=not force) as stream, ZipFile(stream, 'w', ZIP_DEFLATED) as file:
             for place, content in contents.items():
                 # Without the time, equal scenes give equal files.
                 file.writestr(ZipInfo(place), content, ZIP_DEFLATED)

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from hnn_vi_ros.codegen.arguments import COMPILERS, HOST
 from hnn_vi_ros.codegen.parameters import Parameter
 from hnn_vi_ros.codegen.scene_code import distinct, SceneCode, Variable
-from hnn_vi_ros.files import share_folder
+from hnn_vi_ros.files import make_folder, share_folder, write_bytes
 from hnn_vi_ros.kernels import processor
 from hnn_vi_ros.version import __version__
 
@@ -52,7 +52,7 @@ def archive(name: str, code: bytes) -> bytes:
     return b'!<arch>\n' + member('/', index) + member('scene.o/', code)
 
 
-def write_project(folder: Path, name: str, scene: SceneCode) -> list[Path]:
+def write_project(folder: Path, name: str, scene: SceneCode, force: bool = False) -> list[Path]:
     """
     Write the files of an exported scene.
 
@@ -64,11 +64,18 @@ def write_project(folder: Path, name: str, scene: SceneCode) -> list[Path]:
         Prefix of its functions.
     scene : SceneCode
         Its object code.
+    force : bool, optional
+        True if the folder may exist, and its files are replaced.
 
     Returns
     -------
     list of Path
         The files; without the shared library if there is no C compiler.
+
+    Raises
+    ------
+    OSError
+        The folder exists, or a file cannot be written.
 
     """
     contents, compiler = {f'lib{name}.a': archive(name, scene.code)}, COMPILERS[scene.target]
@@ -76,7 +83,7 @@ def write_project(folder: Path, name: str, scene: SceneCode) -> list[Path]:
         # Elsewhere, so that a compiler that fails leaves no folder.
         with TemporaryDirectory() as temporary:
             library, shared = Path(temporary, 'lib.a'), Path(temporary, 'shared')
-            library.write_bytes(contents[f'lib{name}.a'])
+            write_bytes(library, contents[f'lib{name}.a'])
             subprocess.run([compiler, '-shared', '-s', '-o', shared, '-Wl,-z,defs,--whole-archive',
                             library, '-Wl,--no-whole-archive', '-lm'], check=True)
             contents[f'{name}.so'] = shared.read_bytes()
@@ -85,9 +92,9 @@ def write_project(folder: Path, name: str, scene: SceneCode) -> list[Path]:
     for source, target in (('scene.h', f'{name}.h'), ('example.c', 'example.c'),
                            ('CMakeLists.txt', 'CMakeLists.txt'), ('README.md', 'README.md')):
         contents[target] = filled(source, values).encode()
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, new=not force)
     for target, content in contents.items():
-        (folder / target).write_bytes(content)
+        write_bytes(folder / target, content)
     return [folder / target for target in contents]
 
 

@@ -5,8 +5,8 @@
 from collections.abc import Iterator
 import csv
 from functools import partial
+from io import BufferedWriter, StringIO
 import math
-from pathlib import Path
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.run import check_outputs, write_outputs
@@ -52,8 +52,8 @@ def main(argv: list[str]) -> int:
         except CalibrationError as refusal:
             problem = refusal
     write_outputs(paths, {'--csv': partial(_write_csv, study)} | (
-        {'--plot': lambda path: draw(path, scene.name, study, chosen)}
-        if options.plot is not None else {}))
+        {'--plot': lambda stream: draw(stream, scene.name, study, chosen)}
+        if options.plot is not None else {}), options.force)
     if problem is not None:
         raise problem
     if chosen is not None:
@@ -155,13 +155,14 @@ def _recommend(tolerance: Tolerance, choice: Choice) -> None:
                      'step_size': choice.step_size}), end='')
 
 
-def _write_csv(study: CostStudy, path: Path) -> None:
+def _write_csv(study: CostStudy, stream: BufferedWriter) -> None:
     """Write a row for each method and step size; missing values are empty."""
-    with path.open('w', newline='', encoding='utf-8') as file:
-        writer = csv.writer(file, lineterminator='\n')
-        writer.writerow(_FIELDS)
-        for cost in study.costs:
-            numbers = (cost.step_size, cost.path_error, cost.energy_error, cost.seconds,
-                       cost.gradients)
-            writer.writerow([str(cost.method), *('' if math.isnan(value) else repr(value)
-                                                 for value in numbers), cost.failure or 'ok'])
+    text = StringIO()
+    writer = csv.writer(text, lineterminator='\n')
+    writer.writerow(_FIELDS)
+    for cost in study.costs:
+        numbers = (cost.step_size, cost.path_error, cost.energy_error, cost.seconds,
+                   cost.gradients)
+        writer.writerow([str(cost.method), *('' if math.isnan(value) else repr(value)
+                                             for value in numbers), cost.failure or 'ok'])
+    stream.write(text.getvalue().encode())

@@ -4,6 +4,7 @@
 
 from collections import Counter
 from collections.abc import Iterable
+from io import BufferedWriter
 from itertools import cycle
 import math
 from pathlib import Path
@@ -11,6 +12,7 @@ from string import digits
 from textwrap import fill
 from typing import NamedTuple
 
+from hnn_vi_ros.files import save_figure
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Chosen, CostStudy, Method, MethodCost
 from matplotlib.axes import Axes
@@ -91,14 +93,15 @@ INK, FAINT = '#222222', '#8a8a8a'
 _SIZE, _DPI = (10.4, 6.4), 150
 
 
-def draw(path: Path, name: str, study: CostStudy, chosen: Chosen | None) -> None:
+def draw(target: Path | BufferedWriter, name: str, study: CostStudy, chosen: Chosen | None
+         ) -> None:
     """
     Plot error against time, and mark the cheapest methods.
 
     Parameters
     ----------
-    path : Path
-        Path of the plot; its suffix selects the format.
+    target : Path or stream
+        File of the plot; its suffix selects the format.
     name : str
         Name of the scene.
     study : CostStudy
@@ -125,7 +128,7 @@ def draw(path: Path, name: str, study: CostStudy, chosen: Chosen | None) -> None
                   frameon=False, labelspacing=0.55, handlelength=2.2)
     label_front(ax, [Label(_setting(cost.method, cost.step_size), STYLES[cost.method.kind][0],
                            _point(study, cost)) for cost in good])
-    figure.savefig(path)
+    save_figure(target, figure)
 
 
 def _setting(method: Method, step_size: float) -> str:

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from io import BufferedWriter
 import os
 from pathlib import Path
 import sys
@@ -11,7 +12,7 @@ from typing import TextIO
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files import elapsed, no_file, replacing
+from hnn_vi_ros.files import elapsed, no_file, save_figure, written
 from hnn_vi_ros.simulation import is_wrong, simulate, Trajectory
 import numpy as np
 
@@ -60,17 +61,17 @@ def check_outputs(paths: Mapping[str, Path | None], force: bool) -> None:
 
 
 def write_outputs(paths: Mapping[str, Path | None],
-                  writers: Mapping[str, Callable[[Path], object]],
-                  shown: TextIO | None = None) -> None:
+                  writers: Mapping[str, Callable[[BufferedWriter], object]],
+                  force: bool, shown: TextIO | None = None) -> None:
     """
     Write the requested files, and print the path of each.
 
     Parameters
     ----------
-    paths : mapping
+    paths, force
         See ``check_outputs``.
     writers : mapping
-        Function that writes to a path, by option.
+        Function that writes to the stream of a file, by option.
     shown : text stream, optional
         Stream for the printed paths, by default standard output.
 
@@ -85,8 +86,8 @@ def write_outputs(paths: Mapping[str, Path | None],
         if path is None:
             continue
         try:
-            with replacing(path) as temporary:
-                write(temporary)
+            with written(path, new=not force) as stream:
+                write(stream)
         except OSError as problem:
             raise ParameterError(f'{option} {path}: cannot be written '
                                  f'({problem.strerror or problem})') from problem
@@ -129,7 +130,8 @@ def main(argv: list[str]) -> int:
     if to_output:
         trajectory.to_csv(sys.stdout)
     write_outputs(paths | {'--csv': None} if to_output else paths, {
-        option: partial(write, trajectory) for option, write in _WRITERS.items()}, shown)
+        option: partial(write, trajectory) for option, write in _WRITERS.items()},
+        options.force, shown)
     if not any(paths.values()):
         print(_next_steps(options.scene, trajectory), file=shown)
     wrong = [kind for kind in trajectory.alarm_kinds() if is_wrong(kind)]
@@ -149,16 +151,16 @@ def _next_steps(name: str, trajectory: Trajectory) -> str:
             f'       hnn scene --explain {name}')
 
 
-def _write_rerun(run: Trajectory, path: Path) -> None:
+def _write_rerun(run: Trajectory, stream: BufferedWriter) -> None:
     # The sink creates its file itself.
-    path.unlink()
-    run.to_rerun(path)
+    os.unlink(stream.name)
+    run.to_rerun(Path(stream.name))
 
 
-_WRITERS: dict[str, Callable[[Trajectory, Path], object]] = {
+_WRITERS: dict[str, Callable[[Trajectory, BufferedWriter], object]] = {
     '--csv': Trajectory.to_csv,
-    '--plot': lambda run, path: run.plot().savefig(path, dpi=150),
-    '--portrait': lambda run, path: run.phase_portrait().savefig(path, dpi=150),
-    '--plot-energy': lambda run, path: run.plot_energy().savefig(path, dpi=150),
+    '--plot': lambda run, stream: save_figure(stream, run.plot(), 150),
+    '--portrait': lambda run, stream: save_figure(stream, run.phase_portrait(), 150),
+    '--plot-energy': lambda run, stream: save_figure(stream, run.plot_energy(), 150),
     '--rerun': _write_rerun,
 }

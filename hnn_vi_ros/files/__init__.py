@@ -19,9 +19,8 @@ if TYPE_CHECKING:
         text_lines, unpack_arrays)
     from hnn_vi_ros.files.named_code import CODE_REFUSED, find_beside, import_named, NAMES_CODE
     from hnn_vi_ros.files.regular_file import (
-        check_new, in_bytes, limited, no_file, numbered_paths, open_no_link, open_regular,
-        read_limited, refuse_pointer, replacing, temporary_beside, write_new, write_new_scene,
-        write_text)
+        in_bytes, limited, no_file, numbered_paths, open_no_link, open_regular, read_limited,
+        refuse_pointer)
     from hnn_vi_ros.files.resources import (
         cache_folder, can_be_written, expand_user, find_yaml, is_own, is_path, own_cache,
         package_file, prefixes, private_folder, private_key, SCHEME, share_folder, shipped_file,
@@ -29,6 +28,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.files.standard_streams import (
         elapsed, ENDING, harden_streams, lost_output, ProgressLine, rewrite_line, spare_output,
         write_problem)
+    from hnn_vi_ros.files.writing import (
+        check_new, make_folder, save_figure, write_bytes, write_new_scene, write_text, written)
     from hnn_vi_ros.files.xml_text import Element, MAX_XML_BYTES, parse_xml
     from hnn_vi_ros.files.yaml_file import (
         in_plain_words, json_schema, read_text, read_yaml, StrictModel, units_in, validate)

@@ -1,18 +1,17 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Open regular files, reject pointers and special files, and write new files."""
+"""Open regular files, and reject pointers and special files."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 import errno
-from io import BufferedReader, BufferedWriter
+from io import BufferedReader
 from itertools import count
 import os
 from pathlib import Path
-from secrets import token_hex
 import stat
 
-from hnn_vi_ros.errors import HnnViRosError, ParameterError, SceneError
+from hnn_vi_ros.errors import HnnViRosError
 
 _LFS_POINTER = b'version https://git-lfs'
 
@@ -36,135 +35,9 @@ def refuse_pointer(raw: bytes, where: object, error: type[HnnViRosError]) -> Non
                     'lfs pull')
 
 
-def check_new(option: str, path: Path, other: str = '') -> None:
-    """
-    Check that a file or folder can be written, and create its parent folder.
-
-    Parameters
-    ----------
-    option : str
-        Option of the command line that names it, such as ``--out``.
-    path : Path
-        Path of the file or folder to write.
-    other : str, optional
-        End of the message if it exists, such as another remedy.
-
-    Raises
-    ------
-    ParameterError
-        It exists already, or it cannot be written.
-
-    """
-    if os.path.lexists(path):
-        raise ParameterError(f'{option} {path}: exists already; name another file{other}')
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.open('xb').close()
-        path.unlink()
-    except OSError as problem:
-        raise ParameterError(f'{option} {path}: cannot be written ({problem.strerror}); name '
-                             'another file') from problem
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """
-    Yield a temporary file next to a file, which it replaces if no error occurs.
-
-    The replacement is atomic: a full disk or a power failure leaves the old file intact.
-    """
-    with temporary_beside(path) as (temporary, _):
-        yield temporary
-        # Opened again, since the writer may have created it again.
-        with open(temporary, 'rb', opener=open_no_link) as written:
-            os.fsync(written.fileno())
-        temporary.replace(path)
-
-
-@contextmanager
-def temporary_beside(path: Path, mode: int = 0o666) -> Iterator[tuple[Path, BufferedWriter]]:
-    """
-    Create a temporary file next to another file; yield its path and a stream that writes to it.
-
-    Nobody can foresee its name, and it is created exclusively (O_EXCL): in a folder that others
-    can write to as well, it is neither their file nor a link of theirs. It is removed at the end
-    unless it was renamed.
-
-    Parameters
-    ----------
-    path : Path
-        The other file.
-    mode : int, optional
-        Permissions, which the umask restricts further; ``tempfile`` would give 0600 to files for
-        others to read.
-
-    """
-    temporary = path.with_name(f'.{path.stem}.{token_hex(8)}{path.suffix}')
-
-    def create(name: str, flags: int) -> int:
-        try:
-            return open_no_link(name, flags, mode)
-        except OSError as problem:
-            # Users know the other file.
-            raise type(problem)(problem.errno, problem.strerror, str(path)) from None
-    with open(temporary, 'xb', opener=create) as stream:
-        try:
-            yield temporary, stream
-        finally:
-            temporary.unlink(missing_ok=True)
-
-
 def open_no_link(path: str, flags: int, mode: int = 0o666) -> int:
-    """Open a file unless it is a symbolic link; for the argument `opener` of ``open``."""
-    return os.open(path, flags | os.O_NOFOLLOW, mode)
-
-
-def _put_on_disk(stream: BufferedWriter, content: bytes) -> None:
-    stream.write(content)
-    stream.flush()
-    os.fsync(stream.fileno())
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text in UTF-8 to a file atomically, replacing it."""
-    with temporary_beside(path) as (temporary, stream):
-        _put_on_disk(stream, text.encode())
-        temporary.replace(path)
-
-
-def write_new(path: Path, content: bytes, mode: int = 0o666) -> None:
-    """Write a new file atomically; raise FileExistsError if it exists."""
-    with temporary_beside(path, mode) as (temporary, stream):
-        _put_on_disk(stream, content)
-        try:
-            os.link(temporary, path)
-        except FileExistsError:
-            raise
-        except OSError:  # the file system has no hard links
-            path.open('xb').close()
-            temporary.replace(path)
-
-
-def write_new_scene(path: Path, text: str, force: bool = False) -> None:
-    """
-    Write the text of a scene; with ``force``, replace an existing file.
-
-    Raises
-    ------
-    SceneError
-        The file exists already, or cannot be written.
-
-    """
-    try:
-        if force:
-            write_text(path, text)
-        else:
-            write_new(path, text.encode())
-    except FileExistsError as problem:
-        raise SceneError(f'{path}: exists already; name another file, or add --force') from problem
-    except OSError as problem:
-        raise SceneError(f'{path}: cannot be written ({problem.strerror}); name another file'
-                         ) from problem
+    """Open a file unless it is a link, and never wait for a FIFO; an `opener` of ``open``."""
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, mode)
 
 
 def numbered_paths(path: Path, suffix: str = '') -> Iterator[Path]:

@@ -12,7 +12,8 @@ import sys
 import tempfile
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, listed, offered
-from hnn_vi_ros.files.regular_file import no_file, open_no_link, write_new
+from hnn_vi_ros.files.regular_file import no_file, open_no_link
+from hnn_vi_ros.files.writing import make_folder, write_bytes
 
 SCHEME = 'package://'
 # Size of a key for SHA-256 [bytes].
@@ -94,7 +95,7 @@ def private_folder(folder: Path | None = None) -> Path:
 def own_cache(name: str) -> Path:
     """Return a folder of this package's caches to which only this user can write."""
     folder = private_folder(cache_folder() / 'hnn_vi_ros' / 'private') / name
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     return folder
 
 
@@ -140,7 +141,7 @@ def private_key() -> bytes:
                 # Others could have read or written it.
                 path.unlink()
             with suppress(FileExistsError):
-                write_new(path, token_bytes(_KEY_SIZE), 0o600)
+                write_bytes(path, token_bytes(_KEY_SIZE), new=True, mode=0o600)
     return token_bytes(_KEY_SIZE)
 
 

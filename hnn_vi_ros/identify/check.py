@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.errors import counted, DataError, ParameterError
-from hnn_vi_ros.files import write_text
+from hnn_vi_ros.files import save_figure, write_text
 from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.identify import arguments as command_lines
 from hnn_vi_ros.identify.commanded import (
@@ -277,7 +277,7 @@ def draw(path: Path, found: Checked) -> None:
     axes[0].legend(loc='upper right')
     axes[-1].plot(raw.t[1:], 1e3 * np.diff(raw.t), '.', markersize=2)
     axes[-1].set(xlabel='t [s]', ylabel='interval [ms]')
-    figure.savefig(path)
+    save_figure(path, figure)
 
 
 def saturation_of(robot: RigidBodyTree, limits: np.ndarray, rows: np.ndarray) -> Iterator[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hnn_vi_ros.effects import LARGEST, OFF
 from hnn_vi_ros.errors import DataError, ParameterError
-from hnn_vi_ros.files import write_text
+from hnn_vi_ros.files import make_folder, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum, read_urdf, RigidBodyTree
 from hnn_vi_ros.identify.free_numbers import FreeScene
 from hnn_vi_ros.identify.intervals import Estimate, Estimates
@@ -54,7 +54,7 @@ def first_scene(robot: Path, folder: Path) -> Scene:
 def _scene(robot: Path, folder: Path, effects: Sequence[Mapping[str, object]],
            more: Mapping[str, object], step_size: float = _LARGEST_STEP) -> Scene:
     path, rest = folder / f'{robot.stem}.yaml', [0.0] * robot_of(robot).dimension
-    folder.mkdir(exist_ok=True)
+    make_folder(folder)
     write_text(path, safe_dump({
         'hamiltonian': {'kind': 'urdf', 'file': str(robot.resolve()), **more},
         'integrator': {'kind': 'implicit_midpoint'}, 'step_size': step_size,

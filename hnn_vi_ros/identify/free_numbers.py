@@ -10,12 +10,12 @@ import math
 import os
 from pathlib import Path
 import re
-import shutil
 from typing import Any
 from xml.etree import ElementTree
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ModelError, ParameterError, SceneError
-from hnn_vi_ros.files import root_node, share_folder, units_in, write_new_scene, write_text
+from hnn_vi_ros.files import (
+    root_node, share_folder, units_in, write_bytes, write_new_scene, write_text)
 from hnn_vi_ros.hamiltonians import (
     ElasticDrive, Hamiltonian, JointUnits, parse_urdf, read_urdf)
 from hnn_vi_ros.identify.loads import Load, load_numbers, load_of, with_load
@@ -305,9 +305,9 @@ def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
     text = _SCHEMA.sub(lambda line: schema, text)
     if any(number.place == DELAY for number in free.numbers):
         text += f'# Measured forces acted with a delay of {delay:.9g} s.\n'
-    write_new_scene(path, text)
     if ('hamiltonian', 'file') in changes:
-        shutil.copy(robot_file(scene), path.with_suffix('.urdf'))
+        write_bytes(path.with_suffix('.urdf'), robot_file(scene).read_bytes(), new=True)
+    write_new_scene(path, text)
     try:
         load_scene(path).create_hamiltonian()
     except HnnViRosError as problem:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.effects import Effect, ExternalForce, Joined, Servo
 from hnn_vi_ros.errors import counted, DataError, ParameterError, RecordingError, UnsupportedSystem
-from hnn_vi_ros.files import elapsed, write_text
+from hnn_vi_ros.files import elapsed, make_folder, save_figure, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.identify import arguments as command_lines
 from hnn_vi_ros.identify.commanded import (
@@ -76,7 +76,7 @@ def draw_fit(path: Path, solution: Solution, channels: Sequence[tuple[str, str]]
     for axes in grid[-1]:
         axes.set_xlabel('t [s]')
     figure.suptitle(f'run {windows.motions[run].name}', parse_math=False)
-    figure.savefig(path, dpi=130)
+    save_figure(path, figure, 130)
 
 
 def draw_correlations(path: Path, estimates: Estimates) -> None:
@@ -97,7 +97,7 @@ def draw_correlations(path: Path, estimates: Estimates) -> None:
         axes.text(j, i, f'{matrix[i, j]:.2f}', ha='center', va='center', fontsize=8,
                   color='white' if abs(matrix[i, j]) > 0.6 else _INK)
     figure.colorbar(picture, ax=axes, label='correlation of the errors [1]')
-    figure.savefig(path, dpi=130)
+    save_figure(path, figure, 130)
 
 
 # Warn if residuals exceed the noise in short windows by this factor.
@@ -632,7 +632,7 @@ def _write(options: Namespace, found: Identified, text: str) -> None:
         write_fitted(options.write, found.free, solution.values.tolist(), state)
         print(f'\nscene: {options.write}')
     if options.out is not None:
-        options.out.mkdir(parents=True)
+        make_folder(options.out, new=True)
         draw_fit(options.out / FIT, found.solution, channels(found))
         draw_correlations(options.out / CORRELATIONS, found.estimates)
         write_text(options.out / REPORT, (

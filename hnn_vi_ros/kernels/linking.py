@@ -30,7 +30,7 @@ import time
 from typing import Any, BinaryIO
 import warnings
 
-from hnn_vi_ros.files import is_own, open_no_link, own_cache, private_key, temporary_beside
+from hnn_vi_ros.files import is_own, open_no_link, own_cache, private_key, written
 from hnn_vi_ros.kernels.marks import register_by
 from hnn_vi_ros.kernels.sources import digest_of
 from llvmlite import ir
@@ -375,11 +375,9 @@ class _Files(IndexDataCacheFile):
 
     @contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[BinaryIO]:
-        # Also with an umask of 0, nobody else can write to it.
-        with temporary_beside(Path(filepath), 0o644) as (temporary, file):
+        # Also with an umask of 0, nobody else can write to it. Its digest tells if data are lost.
+        with written(Path(filepath), mode=0o644, synced=False) as file:
             yield file
-            file.flush()
-            temporary.replace(filepath)
 
     def _read(self, path: str) -> Any:
         """Return the content of a file of this function, None if it is unusable."""

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects import Commanded, Effect, ExternalForce
 from hnn_vi_ros.errors import DataError, listed, ParameterError, prefixed, RecordingError
-from hnn_vi_ros.files import check_new, elapsed, write_text
+from hnn_vi_ros.files import check_new, elapsed, make_folder, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
@@ -222,7 +222,7 @@ def _write(arguments: Namespace, found: _Judgement, text: str) -> None:
         # Imported lazily: numbers alone need no plotting libraries.
         from hnn_vi_ros.learning.judging.report import write_evaluation
         # The folder may exist by now: --json may have written a file in it.
-        arguments.out.mkdir(parents=True, exist_ok=True)
+        make_folder(arguments.out)
         write_evaluation(arguments.out, Path(arguments.model).stem, text, found.fans,
                          found.longest, found.coordinates)
         print(f'\nreport: {arguments.out}')

@@ -24,8 +24,8 @@ from typing import Any, BinaryIO, TYPE_CHECKING
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files import (
-    in_plain_words, limited, one_line, parse_json, refuse_pointer, replacing,
-    safetensors_header, write_new)
+    in_plain_words, limited, make_folder, one_line, parse_json, refuse_pointer,
+    safetensors_header, write_bytes)
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.models.networks.layers import Layers
@@ -225,8 +225,8 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
     path = Path(path)
     raw = _serialized(path, checkpoint)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_new(path, raw)
+        make_folder(path.parent)
+        write_bytes(path, raw, new=True)
     except OSError as problem:
         # A file at the path of the folder also raises FileExistsError.
         if isinstance(problem, FileExistsError) and os.path.lexists(path):
@@ -247,8 +247,7 @@ def complete_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """
     raw = _serialized(path, checkpoint)
     try:
-        with replacing(path) as temporary:
-            temporary.write_bytes(raw)
+        write_bytes(path, raw)
     except OSError as problem:
         raise ModelError(f'{path}: cannot be written: {problem.strerror}') from problem
 

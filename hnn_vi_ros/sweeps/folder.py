@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import one_line, parse_json, read_limited, replacing, write_new
+from hnn_vi_ros.files import (
+    make_folder, one_line, parse_json, read_limited, write_bytes, write_text)
 from hnn_vi_ros.sweeps.parquet import check_shard
 from hnn_vi_ros.sweeps.plan import canonical_json, SweepPlan
 
@@ -88,13 +89,13 @@ class SweepFolder:
         there = self.record()
         if there is None:
             try:
-                self.path.mkdir(parents=True, exist_ok=True)
+                make_folder(self.path)
                 strange = next((file.name for file in self.path.iterdir()
                                 if not file.name.startswith('.') and file.name != _RECORD), None)
                 if strange is not None:
                     raise RecordingError(f'{self.path} contains {strange} but no {_RECORD}: it is '
                                          'not the folder of a sweep; give another --out')
-                write_new(self.path / _RECORD, canonical_json(plan.record).encode())
+                write_text(self.path / _RECORD, canonical_json(plan.record), new=True)
             except OSError as problem:
                 raise RecordingError(f'{self.path}: {problem.strerror}; give another --out'
                                      ) from problem
@@ -136,8 +137,7 @@ class SweepFolder:
         """
         file = self.file(shard)
         try:
-            with replacing(file) as part:
-                part.write_bytes(content)
+            write_bytes(file, content)
         except OSError as problem:
             raise RecordingError(f'{file}: {one_line(problem)}; complete shards are kept: '
                                  'correct this, and run the same command again') from problem

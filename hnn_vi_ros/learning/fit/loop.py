@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, Interrupted, ModelError, ParameterError, RecordingError)
-from hnn_vi_ros.files import in_plain_words, one_line, ProgressLine, replacing
+from hnn_vi_ros.files import in_plain_words, one_line, ProgressLine, written
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.learning.torch_file import load_tensors
 from hnn_vi_ros.models import Checkpoint, save_checkpoint
@@ -533,8 +533,8 @@ class TrainingCheckpoint:
         if not self._stopping and time.monotonic() - self._saved < PERIOD:
             return
         try:
-            with replacing(self.path) as temporary:
-                torch.save({'digest': self._digest, 'state': run.state}, temporary)
+            with written(self.path) as stream:
+                torch.save({'digest': self._digest, 'state': run.state}, stream)
         except (OSError, RuntimeError) as problem:  # torch raises its own error for a full disk
             if self._stopping:
                 raise ParameterError(f'stopped at step {run.step}; its state cannot be written '

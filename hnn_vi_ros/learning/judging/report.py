@@ -7,7 +7,7 @@ from pathlib import Path
 import platform
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.files import dump_yaml, write_text
+from hnn_vi_ros.files import dump_yaml, save_figure, write_text
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.learning.fit.loop import LossHistory
 from hnn_vi_ros.learning.fit.shooting import Solution
@@ -200,7 +200,7 @@ def plot_history(history: LossHistory, name: str, path: Path) -> None:
     axes.set(title=name, xlabel='step', ylabel='loss [-], relative to the data')
     axes.legend()
     axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=150)
+    save_figure(path, figure, 150)
 
 
 def plot_residuals(fitted: Solution, card: ModelCard, path: Path) -> None:
@@ -233,7 +233,7 @@ def plot_residuals(fitted: Solution, card: ModelCard, path: Path) -> None:
     left.set_xlabel('t [s]')
     right.set_xlabel('lag [s]')
     right.legend(loc='upper right')
-    figure.savefig(path, dpi=130)
+    save_figure(path, figure, 130)
 
 
 class Comparison(NamedTuple):
@@ -275,7 +275,7 @@ def plot_field(comparison: Comparison, card: ModelCard, path: Path) -> None:
         if comparison.states is not None:
             _draw_arrows(grid[i, 0], comparison, card, i)
         _draw_residuals(grid[i, -1], comparison, card, i)
-    figure.savefig(path, dpi=110)
+    save_figure(path, figure, 110)
 
 
 def _draw_arrows(axes: Any, comparison: Comparison, card: ModelCard, i: int) -> None:
@@ -400,4 +400,4 @@ def draw_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
                   handlelength=3.0)
     figure.align_ylabels()
     grid[-1].set_xlabel('t [s]')
-    figure.savefig(path, dpi=130)
+    save_figure(path, figure, 130)

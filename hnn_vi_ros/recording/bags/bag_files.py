@@ -38,7 +38,8 @@ def bag_files(bag: Path) -> list[Path]:
     # Opening the path reports the reason.
     if not os.path.isdir(bag):
         return [bag]
-    files = sorted(path for path in bag.iterdir() if path.name.endswith(_SUFFIXES))
+    files = sorted(path for path in bag.iterdir() if path.name.endswith(_SUFFIXES)
+                   and not path.name.startswith('.'))
     named = read_bag_metadata(bag).get('relative_file_paths')
     # Only the file names are used, so no path leads out of the folder.
     names = list(dict.fromkeys(Path(str(name)).name for name in named)) \

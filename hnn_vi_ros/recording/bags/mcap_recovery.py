@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import fcntl
 import os
 from pathlib import Path
-import shutil
 from typing import BinaryIO
 
 from hnn_vi_ros.errors import listed, RecordingError
-from hnn_vi_ros.files import dump_yaml, numbered_paths, open_regular, temporary_beside
+from hnn_vi_ros.files import dump_yaml, numbered_paths, open_regular, written
 from hnn_vi_ros.recording.bags.bag_files import bag_files
 from hnn_vi_ros.recording.bags.bag_metadata import (
     bag_metadata, FileExtent, metadata_message_count, NEVER, read_description, Topic,
@@ -188,16 +187,12 @@ def _compare_with_counts(file: McapFile, content: _Content) -> Recovery:
 def _write_anew(file: McapFile, content: _Content, recovery: Recovery, replace: bool) -> None:
     """Write the readable content of a file to a new one, which then replaces it."""
     path = file.path.resolve()
-    # No bag: a file with the suffix of one would count as a part of this one.
-    with temporary_beside(path.with_suffix('.tmp')) as (temporary, target):
+    with written(path) as target:
         copy_messages(file, content, target)
         target.flush()
-        os.fsync(target.fileno())
-        _read_back(temporary, recovery.messages)
-        shutil.copymode(path, temporary)
+        _read_back(Path(target.name), recovery.messages)
         if not replace:
             recovery.original = _link_original(path)
-        temporary.replace(path)
 
 
 def copy_messages(file: McapFile, content: _Content, target: BinaryIO) -> None:

@@ -8,10 +8,10 @@ import json
 from operator import attrgetter
 import os
 from pathlib import Path
-from typing import Any, final, NamedTuple, Self, TextIO, TYPE_CHECKING
+from typing import Any, BinaryIO, final, NamedTuple, Self, TextIO, TYPE_CHECKING
 
 from hnn_vi_ros.errors import listed, optional, RecordingError
-from hnn_vi_ros.files import dump_yaml, no_file, one_line, parse_json, replacing
+from hnn_vi_ros.files import dump_yaml, no_file, one_line, parse_json, written
 from hnn_vi_ros.hamiltonians import Hamiltonian, Mechanism, MECHANISMS, skeleton
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
@@ -472,14 +472,14 @@ class Trajectory:
             places['trajectory'] = ('trajectory', np.arange(self.q.shape[1]), {})
         return xarray.Dataset(variables, places, {'title': self.title})
 
-    def to_csv(self, target: str | Path | TextIO) -> None:
+    def to_csv(self, target: str | Path | TextIO | BinaryIO) -> None:
         """
         Write t [s], coordinates, momenta and H [J] as CSV, from which they are read exactly.
 
         Parameters
         ----------
-        target : str, Path or text stream
-            File to write.
+        target : str, Path or stream
+            File to write; an existing one is replaced.
 
         Raises
         ------
@@ -488,6 +488,9 @@ class Trajectory:
 
         """
         run = self.single()
+        if isinstance(target, str | Path):
+            with written(Path(target)) as stream:
+                return run.to_csv(stream)
         np.savetxt(target, np.column_stack([run.t, run.q, run.p, run.energy]), delimiter=',',
                    header=','.join(['t', *run._columns()]), comments='', fmt='%.17g')
 
@@ -517,8 +520,8 @@ class Trajectory:
                 'events': [plain_data(asdict(event)) for event in self.events]}
         scene = '' if self.scene is None else dump_yaml(self.scene.model_dump() | {
             'source': str(self.scene.source), 'model_files': self.scene.model_digests})
-        with replacing(Path(path)) as temporary:
-            save_file(arrays, temporary, {'trajectory': json.dumps(rest), 'scene': scene})
+        with written(Path(path)) as stream:
+            save_file(arrays, stream.name, {'trajectory': json.dumps(rest), 'scene': scene})
 
     @classmethod
     def load(cls, path: str | Path, trust_code: bool = False) -> Self:

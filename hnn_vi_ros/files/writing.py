@@ -1,0 +1,170 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Write files: whole or not at all, and never through a link.
+
+All files are written with ``written``, except recordings that grow while a run lasts.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import errno
+from io import BufferedWriter
+import os
+from pathlib import Path
+from secrets import token_hex
+import stat
+from typing import Any
+
+from hnn_vi_ros.errors import ParameterError, SceneError
+from hnn_vi_ros.files.regular_file import no_file, open_no_link
+
+
+def make_folder(path: Path, new: bool = False) -> None:
+    """Create a folder and its parents; raise FileExistsError if it must be new and exists."""
+    try:
+        path.mkdir(parents=True, exist_ok=not new)
+    except RecursionError as problem:
+        raise OSError(errno.ENAMETOOLONG, 'too many folders', str(path)) from problem
+
+
+@contextmanager
+def written(path: Path, new: bool = False, mode: int = 0o666, synced: bool = True
+            ) -> Iterator[BufferedWriter]:
+    """
+    Yield a stream to a temporary file, which gets its name at the end if no error occurs.
+
+    The change is atomic: after an error, a kill, a power failure, or on a full disk, the earlier
+    file is still there. A link with this name is replaced, not followed. An error names the file.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; one of this user that is replaced keeps its permissions.
+    new : bool, optional
+        True to raise FileExistsError if the file exists at the end.
+    mode : int, optional
+        Permissions of a new file, which the umask restricts further.
+    synced : bool, optional
+        False for files that are checked when they are read, and may be lost.
+
+    """
+    with _temporary(path, mode) as stream:
+        yield stream
+        stream.flush()
+        # Opened again, since the writer may have created it again.
+        with open(stream.name, 'rb+', opener=open_no_link) as content:
+            if synced:
+                os.fsync(content.fileno())
+            if new:
+                _give_new_name(Path(stream.name), path)
+                return
+            if path.exists() and not path.is_file():
+                raise OSError(errno.EINVAL, no_file(path))
+            if os.path.lexists(path):
+                there = path.lstat()
+                if stat.S_ISREG(there.st_mode) and there.st_uid == os.getuid():
+                    os.fchmod(content.fileno(), stat.S_IMODE(there.st_mode))
+            os.replace(stream.name, path)
+
+
+@contextmanager
+def _temporary(path: Path, mode: int = 0o666) -> Iterator[BufferedWriter]:
+    """
+    Yield a stream to a temporary file next to another file; remove it at the end.
+
+    Nobody can foresee its name, and it is created exclusively (O_EXCL): in a folder that others
+    can write to as well, it is neither their file nor a link of theirs.
+    """
+    temporary = path.with_name(f'.{path.stem}.{token_hex(8)}{path.suffix}')
+    try:
+        with open(temporary, 'xb', opener=lambda name, flags: open_no_link(
+                name, flags, mode)) as stream:
+            try:
+                yield stream
+            finally:
+                temporary.unlink(missing_ok=True)
+    except OSError as problem:
+        # Users know the other file.
+        if problem.filename in (None, str(temporary)):
+            problem.filename, problem.filename2 = str(path), None
+        raise
+
+
+def _give_new_name(temporary: Path, path: Path) -> None:
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        raise
+    except OSError:  # the file system has no hard links
+        path.open('xb').close()
+        temporary.replace(path)
+
+
+def write_bytes(path: Path, content: bytes, new: bool = False, mode: int = 0o666) -> None:
+    """Write a file; see ``written``."""
+    with written(path, new, mode) as stream:
+        stream.write(content)
+
+
+def write_text(path: Path, text: str, new: bool = False) -> None:
+    """Write a text in UTF-8; see ``written``."""
+    write_bytes(path, text.encode(), new)
+
+
+def save_figure(target: Path | BufferedWriter, figure: Any, dpi: float | str = 'figure') -> None:
+    """Write a figure of matplotlib in the format of the suffix, to a file or its stream."""
+    if isinstance(target, Path):
+        with written(target) as stream:
+            save_figure(stream, figure, dpi)
+    else:
+        figure.savefig(target, dpi=dpi, format=Path(target.name).suffix[1:] or None)
+
+
+def check_new(option: str, path: Path, other: str = '') -> None:
+    """
+    Check that a file or folder can be written, and create its parent folder.
+
+    Parameters
+    ----------
+    option : str
+        Option of the command line that names it, such as ``--out``.
+    path : Path
+        Path of the file or folder to write.
+    other : str, optional
+        End of the message if it exists, such as another remedy.
+
+    Raises
+    ------
+    ParameterError
+        It exists already, or it cannot be written.
+
+    """
+    if os.path.lexists(path):
+        raise ParameterError(f'{option} {path}: exists already; name another file{other}')
+    try:
+        make_folder(path.parent)
+        with _temporary(path):
+            pass
+    except OSError as problem:
+        raise ParameterError(f'{option} {path}: cannot be written ({problem.strerror}); name '
+                             'another file') from problem
+
+
+def write_new_scene(path: Path, text: str, force: bool = False) -> None:
+    """
+    Write the text of a scene; with ``force``, replace an existing file.
+
+    Raises
+    ------
+    SceneError
+        The file exists already, or cannot be written.
+
+    """
+    try:
+        write_text(path, text, new=not force)
+    except FileExistsError as problem:
+        raise SceneError(f'{path}: exists already; name another file, or add --force') from problem
+    except OSError as problem:
+        raise SceneError(f'{path}: cannot be written ({problem.strerror}); name another file'
+                         ) from problem
