@@ -21,6 +21,8 @@ _COLUMNS = {
 # Pattern of column units and names in degrees; angles are in radians.
 IN_DEGREES = re.compile(r'(?<![a-z])deg(rees?)?(?![a-z])|°', re.IGNORECASE)
 _SUPERSCRIPTS = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
+# Pattern of units.
+UNIT = r'[\w %°/*·⋅^().⁻+-]{0,64}'
 # Tolerance of a quaternion's norm: a larger error is not due to truncated digits.
 _NORM_ERROR = 1e-6
 
@@ -57,7 +59,8 @@ class Coordinate:
     Raises
     ------
     ValueError
-        A name or unit contains ``$``, which marks formulas in the texts of pictures.
+        A name contains ``$``, which marks formulas in the texts of pictures, or is not printable;
+        or a unit has other characters.
 
     """
 
@@ -70,10 +73,12 @@ class Coordinate:
 
     def __post_init__(self) -> None:
         """Check the texts."""
-        for text in (self.name, self.q_unit, self.p_unit):
-            if '$' in text:
-                raise ValueError(f'{text!r}: names and units of coordinates contain no $; give a '
-                                 'unit such as kg m2/s')
+        if '$' in self.name or not self.name.isprintable():
+            raise ValueError(f'{self.name!r}: names of coordinates are printable, without $')
+        for unit in (self.q_unit, self.p_unit):
+            if not re.fullmatch(UNIT, unit):
+                raise ValueError(f'{unit!r} is not a unit; give one such as kg m2/s: letters, '
+                                 'digits, spaces and %°/*·^().+-')
 
 
 def leaders(coordinates: Sequence[Coordinate]) -> dict[str, str]:

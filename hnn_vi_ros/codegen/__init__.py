@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
+    from hnn_vi_ros.codegen.escaping import escaped, identifier
     from hnn_vi_ros.codegen.fmu import write_fmu
-    from hnn_vi_ros.codegen.project import identifier, prefix_of, write_project
+    from hnn_vi_ros.codegen.project import prefix_of, write_project
     from hnn_vi_ros.codegen.scene_code import compile_scene, SceneCode
 
 __getattr__, __dir__ = lazy_exports(__name__)

@@ -7,10 +7,10 @@ from io import BytesIO
 from pathlib import Path
 import subprocess
 import tempfile
-from xml.sax.saxutils import escape, quoteattr
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from hnn_vi_ros.codegen.arguments import COMPILERS
+from hnn_vi_ros.codegen.escaping import escaped
 from hnn_vi_ros.codegen.project import filled, parameter_variable, template_values, write_project
 from hnn_vi_ros.codegen.scene_code import distinct, SceneCode
 from hnn_vi_ros.files import write_text, written
@@ -96,15 +96,15 @@ def _described(scene: SceneCode) -> dict[str, str]:
     outputs = [k for k, (causality, *_) in enumerate(rows) if causality == 'output']
     lines = {
         'variables': [
-            f'<Float64 name={quoteattr(one.name)} valueReference="{k}" causality="{causality}" '
-            f'variability="{variability}" '
-            f'unit={quoteattr(one.unit)} description={quoteattr(one.text)}{start}/>'
+            f'<Float64 name="{escaped(one.name, "xml")}" valueReference="{k}" '
+            f'causality="{causality}" variability="{variability}" '
+            f'unit="{escaped(one.unit, "xml")}" description="{escaped(one.text, "xml")}"{start}/>'
             for k, (causality, variability, one, start) in enumerate(rows)],
-        'units': [f'<Unit name={quoteattr(unit)}/>'
+        'units': [f'<Unit name="{escaped(unit, "xml")}"/>'
                   for unit in dict.fromkeys(one.unit for _, _, one, _ in rows)],
         'structure': [f'<{kind} valueReference="{k}"/>'
                       for kind in ('Output', 'InitialUnknown') for k in outputs]}
-    return {'description': quoteattr(scene.scene.description),
-            'title': escape(scene.scene.description or scene.scene.name),
+    return {'description': escaped(scene.scene.description, 'xml'),
+            'title': escaped(scene.scene.description or scene.scene.name, 'xml'),
             'duration': repr(scene.scene.duration)} | {
                 key: '\n    '.join(own) for key, own in lines.items()}

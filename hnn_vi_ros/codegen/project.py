@@ -11,6 +11,7 @@ import subprocess
 from tempfile import TemporaryDirectory
 
 from hnn_vi_ros.codegen.arguments import COMPILERS, HOST
+from hnn_vi_ros.codegen.escaping import escaped, identifier
 from hnn_vi_ros.codegen.parameters import Parameter
 from hnn_vi_ros.codegen.scene_code import distinct, SceneCode, Variable
 from hnn_vi_ros.files import make_folder, share_folder, write_bytes
@@ -24,11 +25,6 @@ _TAKEN = re.compile(
     'std(align|arg|atomic|bool|def|int|io|lib|noreturn)|string|tgmath|threads|time|uchar|wchar|'
     'wctype|c|dl|gcc|m|pthread|rt|cnd|mtx|sem|all|clean|help|install')
 FUNCTIONS = ('init', 'start', 'tune', 'step', 'energy', 'outputs', 'save', 'restore')
-
-
-def identifier(text: str) -> str:
-    """Return a text as an identifier of C."""
-    return re.sub(r'^(?=\d)', '_', re.sub(r'\W', '_', text, flags=re.ASCII)) or '_'
 
 
 def prefix_of(name: str) -> str:
@@ -90,8 +86,10 @@ def write_project(folder: Path, name: str, scene: SceneCode, force: bool = False
     values = template_values(name, scene) | {
         'shared': f', `{name}.so`' if len(contents) > 1 else ''}
     for source, target in (('scene.h', f'{name}.h'), ('example.c', 'example.c'),
-                           ('CMakeLists.txt', 'CMakeLists.txt'), ('README.md', 'README.md')):
+                           ('CMakeLists.txt', 'CMakeLists.txt')):
         contents[target] = filled(source, values).encode()
+    title = escaped(scene.scene.description or scene.scene.name, 'markdown')
+    contents['README.md'] = filled('README.md', values | {'title': title}).encode()
     make_folder(folder, new=not force)
     for target, content in contents.items():
         write_bytes(folder / target, content)
@@ -111,7 +109,7 @@ def template_values(name: str, scene: SceneCode) -> dict[str, object]:
     return {
         'name': name, 'NAME': upper, 'version': __version__, 'compiler': COMPILERS[
             scene.target], 'processor': processor() if scene.target == HOST else scene.target,
-        'title': own.description.replace('*/', '* /') or own.name, 'step_size': own.step_size,
+        'title': escaped(own.description or own.name, 'comment'), 'step_size': own.step_size,
         'integrator': own.integrator.kind, 'on_failure': own.on_failure,
         'timeout': f'{timeout:g} s', 'words': scene.image.words.size,
         'saved': 1 + scene.image.words.size - scene.image.changing,
@@ -120,9 +118,8 @@ def template_values(name: str, scene: SceneCode) -> dict[str, object]:
         'outputs': _enumerated(f'{upper}_OUT', scene.outputs),
         'parameters': _enumerated(f'{upper}_PARAMETER', [
             parameter_variable(one) for one in scene.parameters if one.powers]),
-        'names': ', '.join(
-            '"' + re.sub(r'(["\\])', r'\\\1', f'{one.name} [{one.unit}]') + '"'
-            for one in scene.outputs)}
+        'names': ', '.join(f'"{escaped(f"{one.name} [{one.unit}]", "string")}"'
+                           for one in scene.outputs)}
 
 
 def parameter_variable(parameter: Parameter) -> Variable:
@@ -132,5 +129,5 @@ def parameter_variable(parameter: Parameter) -> Variable:
 
 def _enumerated(prefix: str, variables: list[Variable]) -> str:
     names = distinct([identifier(one.name).upper() for one in variables])
-    return '\n'.join(f'  {prefix}_{name}, /* {one.text.replace("*/", "* /")} [{one.unit}] */'
+    return '\n'.join(f'  {prefix}_{name}, /* {escaped(f"{one.text} [{one.unit}]", "comment")} */'
                      for name, one in zip(names, variables, strict=True))

@@ -10,6 +10,7 @@ from hnn_vi_ros.models.domain import DomainCard, SelectionCard
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.mechanical_card import check_alike, MechanicalCard, MOST_MEMBERS
+from hnn_vi_ros.phase_space import UNIT
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -17,13 +18,16 @@ Widths = Annotated[list[Annotated[int, Field(ge=1, le=100_000)]],
                    Field(min_length=3, max_length=100)]
 
 
+Unit = Annotated[str, Field(max_length=32, pattern=f'^{UNIT}$')]
+
+
 class CoordinateCard(StrictModel):
     """One generalised coordinate of a model and its conjugate momentum."""
 
     name: str = Field(pattern=r'^[^\W\d]\w*$', max_length=64, description=(
         'a letter or underscore, then letters, digits, underscores'))
-    q_unit: str = Field('1', max_length=32, description='unit of the coordinate')
-    p_unit: str = Field('1', max_length=32, description='unit of its momentum')
+    q_unit: Unit = Field('1', description='unit of the coordinate')
+    p_unit: Unit = Field('1', description='unit of its momentum')
 
 
 class Box(StrictModel):

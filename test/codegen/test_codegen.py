@@ -15,17 +15,19 @@ import subprocess
 import sys
 import tempfile
 from threading import Thread
+from xml.etree import ElementTree
 from zipfile import ZipFile
 
 from helpers import long
 from hnn_vi_ros.codegen import (
-    compile_scene, entries, export, identifier, prefix_of, scene_code, write_fmu, write_project)
+    compile_scene, entries, escaped, export, identifier, prefix_of, scene_code, write_fmu,
+    write_project)
 from hnn_vi_ros.codegen.arguments import COMPILERS, HOST
 from hnn_vi_ros.codegen.entries import EVENT, INVALID_COMMAND, INVALID_STATE
 from hnn_vi_ros.codegen.project import FUNCTIONS
 from hnn_vi_ros.effects import JointCommand
 from hnn_vi_ros.errors import HnnViRosError, StepFailure
-from hnn_vi_ros.files import prefixes, share_folder
+from hnn_vi_ros.files import one_line, prefixes, share_folder
 from hnn_vi_ros.integrators import base, NOT_FINITE, OK, REASONS
 from hnn_vi_ros.scene import load_scene, Scene, with_numbers
 from hnn_vi_ros.simulation import build, watched
@@ -644,6 +646,33 @@ def test_node_of_the_page_fits_the_header():
     ('my scene', 'my_scene'), ('2 links', '_2_links'), ('ä-b', '__b'), ('', '_')])
 def test_identifier_is_one_of_c(text, expected):
     assert identifier(text) == prefix_of(text) == expected
+
+
+# Ends of comments and strings, also in trigraphs and joined lines; and what XML has no place for.
+HOSTILE = ['*/ int x; /*', '*\\\n/ int x;', '*??/\n/', '**//*', '"); exit(1); ("', '??/" "', '\\',
+           '\x01\ufffe\ud800', '<x a="b">&amp;', ']]>', '%s%n', '${x} $x']
+
+
+@pytest.mark.skipif(shutil.which('cc') is None, reason='needs a C compiler')
+@pytest.mark.parametrize('flags', [['-std=c11'], ['-std=gnu99', '-trigraphs']])
+def test_text_of_models_is_only_text_in_c(flags, tmp_path):
+    comments, strings = ([escaped(text, language) for text in HOSTILE]
+                         for language in ('comment', 'string'))
+    (tmp_path / 'a.c').write_text('#include <stdio.h>\n' + ''.join(
+        f'/* {text} */\n/* {text} [{text}] */\n' for text in comments)
+        + 'int main(void) {' + ''.join(f'puts("{text}");' for text in strings) + '}\n')
+    subprocess.run(['cc', *flags, '-Wno-trigraphs', 'a.c', '-o', 'a'], cwd=tmp_path, check=True)
+    shown = subprocess.run([tmp_path / 'a'], capture_output=True, text=True, check=True).stdout
+    assert shown.splitlines() == [one_line(text) for text in HOSTILE]
+
+
+def test_text_of_models_is_only_text_in_xml_and_in_names():
+    for text in HOSTILE:
+        quoted = escaped(text, 'xml')
+        found = ElementTree.fromstring(f'<a b="{quoted}">{quoted}</a>')
+        assert found.get('b') == found.text == one_line(text)
+        assert re.fullmatch('[A-Za-z_][A-Za-z0-9_]*', identifier(text))
+        assert '<' not in escaped(text, 'markdown').replace(r'\<', '')
 
 
 def test_files_replace_no_header_or_library_of_c():

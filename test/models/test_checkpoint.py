@@ -121,7 +121,8 @@ def test_wrong_tensor_gives_model_error(tmp_path, tensors):
         ([[1.0, 1.0]], [[0.1, 0.3]]), ([[2.0, 1.0]], [[0.1, 0.3]]),
         ([[-1.7e308, 1.7e308]], [[0.1, 0.3]]), ([[0.0, float('nan')]], [[0.1, 0.3]]),
         ([[0.0, 1.0]] * 2, [[0.0, 1.0]] * 2))),
-    {'coordinates': [{'name': 'x'}] * 2}, {'coordinates': [{'name': 'a/b'}]}], ids=range(15))
+    {'coordinates': [{'name': 'x'}] * 2}, {'coordinates': [{'name': 'a/b'}]},
+    {'coordinates': [{'name': 'x', 'q_unit': '*/\nint x;'}]}], ids=range(16))
 def test_wrong_model_card_gives_model_error(tmp_path, changes):
     assert_refused(write(tmp_path / 'm.safetensors', changes))
 
