@@ -2,17 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The executables: modules are imported lazily, and a missing package is a one-line error."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import chdir
 from functools import partial
 import gc
 from importlib import import_module
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
 import math
 import os
 from pathlib import Path
+import re
+import resource
 import signal
 import sys
 import time
-from types import FrameType
+from types import FrameType, ModuleType
 from typing import Any, NoReturn
 import warnings
 
@@ -34,6 +39,11 @@ _INTERRUPT_PERIOD = 1.0
 _COLLECTED_AFTER = 50_000
 # Message for work that cannot be resumed.
 _STOPPED = 'stopped: nothing more is written; the same command starts from the beginning'
+# Least limits of memory below which libraries abort [bytes], by option of ulimit.
+_LEAST = {'-v': (resource.RLIMIT_AS, 640 << 20), '-s': (resource.RLIMIT_STACK, 1 << 20)}
+# Patterns of variables that numba, or its compiler, cannot be imported without.
+_NUMBA = {'NUMBA_DISABLE_JIT': '0?', 'NUMBA_NUM_THREADS': '[1-9][0-9]{0,4}',
+          'NUMBA_CPU_FEATURES': r'([+-][\w.-]+(,(?!$)|$))*'}
 # Exit status of a process terminated by SIGINT, as in shells.
 _INTERRUPTED = 128 + signal.SIGINT
 
@@ -77,6 +87,37 @@ def _choose_cache() -> None:
         os.environ['MPLCONFIGDIR'] = str(private_folder() / 'matplotlib')
     if 'NUMBA_CACHE_DIR' not in os.environ and not os.access(Path(__file__).parent, os.W_OK):
         os.environ['NUMBA_CACHE_DIR'] = str(private_folder())
+
+
+def _unfit() -> Iterator[str]:
+    """Yield limits and variables of the shell with which libraries cannot be imported."""
+    for option, (limit, least) in _LEAST.items():
+        if 0 <= (allowed := resource.getrlimit(limit)[0]) < least:
+            yield (f'ulimit {option} allows {allowed >> 10} KiB of memory; at least '
+                   f'{least >> 10} are needed')
+    for name, pattern in _NUMBA.items():
+        if name in os.environ and not re.fullmatch(pattern, os.environ[name]):
+            yield f'{name}={os.environ[name]!r}: numba cannot work with it; unset it'
+
+
+class _OutsideWorkingFolder(MetaPathFinder):
+    """
+    Import of libraries that files of the working folder, perhaps of others, would configure.
+
+    Matplotlib reads ``matplotlibrc`` there, before the file that MATPLOTLIBRC names, and numba
+    ``.numba_config.yaml``.
+    """
+
+    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(name, path) if name in ('matplotlib', 'numba') else None
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def execute_elsewhere(module: ModuleType) -> None:
+                with chdir(os.sep):
+                    execute(module)
+            spec.loader.exec_module = execute_elsewhere  # type: ignore[method-assign]
+        return spec
 
 
 def _merge_interrupts() -> None:
@@ -136,6 +177,12 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
         os.getcwd()
     except FileNotFoundError:
         sys.exit(f'{shown}: the working directory was removed; change to one that exists')
+    if unfit := next(_unfit(), ''):
+        sys.exit(f'{shown}: {unfit}')
+    for variable in ('MATPLOTLIBRC', 'MPLCONFIGDIR', 'NUMBA_CACHE_DIR'):
+        if os.environ.get(variable):
+            os.environ[variable] = os.path.abspath(os.environ[variable])
+    sys.meta_path.insert(0, _OutsideWorkingFolder())
     try:
         _answer_at_once(name, argv)
         status = run_module(module_of(name), argv, shown)
@@ -200,6 +247,12 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
         if problem.name is None or problem.name.partition('.')[0] == 'hnn_vi_ros':
             raise
         return f'{shown}: {_missing(problem.name.partition(".")[0])}'
+    except MemoryError:
+        return f'{shown}: the memory is not enough; free some, or give a smaller input'
+    except OSError as problem:
+        if problem.filename is None or problem.strerror is None:
+            raise
+        return f'{shown}: {problem.filename}: {problem.strerror}'
     except KeyboardInterrupt as stop:
         # A command that can be resumed explains how in its message.
         print(f'{shown}: {str(stop) or _STOPPED}', file=sys.stderr)

@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find shipped files, files of ROS packages, and folders of the user."""
 
+import atexit
 from contextlib import suppress
 from functools import cache
 import os
 from pathlib import Path
 from secrets import token_bytes
+import shutil
 import stat
 import sys
 import tempfile
@@ -73,7 +75,7 @@ def private_folder(folder: Path | None = None) -> Path:
     Return a folder that only this user can write to; create it if it does not exist.
 
     Cached code is executed: a folder that others can write to, or a link, is replaced by a new
-    folder, which is the same during the whole process.
+    folder, which is the same during the whole process and removed at its end.
 
     Parameters
     ----------
@@ -101,7 +103,9 @@ def own_cache(name: str) -> Path:
 
 @cache
 def _instead(folder: Path) -> Path:
-    return Path(tempfile.mkdtemp(prefix='hnn_vi_ros-cache-'))
+    instead = Path(tempfile.mkdtemp(prefix='hnn_vi_ros-cache-'))
+    atexit.register(shutil.rmtree, instead, ignore_errors=True)
+    return instead
 
 
 def is_own(there: os.stat_result, kind: int, *others: int) -> bool:

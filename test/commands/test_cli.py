@@ -5,13 +5,16 @@
 import os
 from pathlib import Path
 import re
+import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 import warnings
 from xml.etree import ElementTree
 
 from hnn_vi_ros import cli
 from hnn_vi_ros.commands import ALIASES, parser_of
+from hnn_vi_ros.files import ENDING
 from hnn_vi_ros.learning import arguments as learning
 from hnn_vi_ros.models import SMOOTH
 from hnn_vi_ros.ros import settings as parameters
@@ -133,6 +136,49 @@ def test_working_directory_that_was_removed_is_one_line(tmp_path):
     for name, (status, _, err) in run_all(tmp_path, before=leave).items():
         assert status == 1 and err.count('\n') == 1, name
         assert 'working directory was removed' in err
+
+
+@pytest.mark.parametrize('limit, variable', [
+    ('-v 300000', ''), ('-s 64', ''), *(('-c 0', word) for word in (
+        'NUMBA_DISABLE_JIT=1', 'NUMBA_NUM_THREADS=0', 'NUMBA_CPU_FEATURES=fast'))])
+def test_shell_in_which_libraries_end_the_process_is_one_line(limit, variable, tmp_path):
+    found = subprocess.run(
+        ['/bin/bash', '-c', f'ulimit {limit}; {variable} exec "$0" -m hnn_vi_ros run '
+         'exact_pendulum --duration 0.1', sys.executable],
+        capture_output=True, text=True, timeout=120, check=False, cwd=tmp_path)
+    assert found.returncode == 1 and found.stdout == ''
+    assert found.stderr.startswith('hnn run: ') and found.stderr.count('\n') == 1
+
+
+@pytest.mark.timeout(120)
+def test_files_of_the_working_folder_configure_no_library(tmp_path):
+    # A FIFO would hold up whoever reads it.
+    os.mkfifo(tmp_path / 'matplotlibrc')
+    (tmp_path / '.numba_config.yaml').write_text('opt: [')
+    (tmp_path / 'rc').write_text('savefig.facecolor: red\n')
+    code = ('import sys; sys.argv = ["hnn", "run", "exact_pendulum", "--duration", "0.1", '
+            '"--plot", "a.png"]; from hnn_vi_ros import cli; cli.main()')
+    for variables in ({}, {'MATPLOTLIBRC': 'rc'}):
+        subprocess.run([sys.executable, '-P', '-c', code], cwd=tmp_path, check=True,
+                       env=os.environ | variables)
+        (tmp_path / 'a.png').rename(tmp_path / f'{len(variables)}.png')
+    # The file that the user names is read.
+    assert (tmp_path / '0.png').read_bytes() != (tmp_path / '1.png').read_bytes()
+
+
+@pytest.mark.parametrize('problem, said', [
+    (OSError(28, 'No space left on device', 'a.csv'), 'hnn run: a.csv: No space left on device'),
+    (MemoryError(), 'hnn run: the memory is not enough; free some, or give a smaller input')])
+def test_full_disk_or_memory_is_one_line(problem, said, monkeypatch):
+    def fail(argv: list[str]) -> None:
+        raise problem
+    monkeypatch.setitem(sys.modules, 'full', SimpleNamespace(main=fail))
+    before = [signal.getsignal(number) for number in ENDING]
+    try:
+        assert cli.run_module('full', [], 'hnn run') == said
+    finally:
+        for number, handler in zip(ENDING, before, strict=True):
+            signal.signal(number, handler)
 
 
 def test_missing_ray_is_one_line_before_anything_is_written(tmp_path, monkeypatch):

@@ -111,3 +111,28 @@ def test_node_says_it_before_ros_ends_the_process():
     assert (result.returncode, result.stdout) == (1, '')
     assert result.stderr.count('\n') == 1
     assert "hnn listener: RMW_IMPLEMENTATION='rmw_of_nobody' is not installed" in result.stderr
+
+
+PROFILES = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><log>
+<use_default>FALSE</use_default><consumer><class>FileConsumer</class><property>
+<name>filename</name><value>{}</value></property></consumer></log></dds>
+"""
+
+
+@from_wheels
+def test_profiles_of_the_working_folder_configure_no_middleware(tmp_path):
+    written = tmp_path / 'written'
+    for name in ('DEFAULT_FASTRTPS_PROFILES.xml', 'DEFAULT_FASTDDS_PROFILES.xml'):
+        (tmp_path / name).write_text(PROFILES.format(written))
+    found = run_code("""
+import os, sys
+os.chdir(sys.argv[1])
+from hnn_vi_ros.ros import prepare_ros_environment
+if sys.argv[2]:
+    prepare_ros_environment()
+import rclpy
+rclpy.init()
+rclpy.create_node('one').destroy_node()
+""", str(tmp_path), 'prepared')
+    assert found.returncode == 0 and not written.exists(), found.stderr

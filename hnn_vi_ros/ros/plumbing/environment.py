@@ -24,8 +24,10 @@ def prepare_ros_environment() -> None:
     """
     Add ROS from this environment to AMENT_PREFIX_PATH if needed, and check the variables of ROS.
 
-    Logs have clock times, unless RCUTILS_CONSOLE_OUTPUT_FORMAT is set. ROS ignores or misreads
-    some invalid values: a domain of -1, a misspelt discovery range.
+    Logs have clock times, unless RCUTILS_CONSOLE_OUTPUT_FORMAT is set. Fast DDS reads only
+    profiles that a variable names, and not DEFAULT_FASTRTPS_PROFILES.xml of the working folder,
+    unless SKIP_DEFAULT_XML_FILE is set. ROS ignores or misreads some invalid values: a domain of
+    -1, a misspelt discovery range.
 
     Raises
     ------
@@ -35,6 +37,7 @@ def prepare_ros_environment() -> None:
     """
     os.environ.setdefault('RCUTILS_CONSOLE_OUTPUT_FORMAT',
                           '[{severity}] [{date_time_with_ms}] [{name}]: {message}')
+    os.environ.setdefault('SKIP_DEFAULT_XML_FILE', '1')
     if not any(_middlewares()):
         # A workspace may be sourced without the ROS installation that it builds on.
         prefixes = [*_prefixes(), sys.prefix]

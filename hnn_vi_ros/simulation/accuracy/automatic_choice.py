@@ -14,7 +14,7 @@ import platform
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import CalibrationError
-from hnn_vi_ros.files import own_cache, write_text
+from hnn_vi_ros.files import own_cache, parse_json, read_limited, write_text
 from hnn_vi_ros.scene import AutoChoice, Scene
 from hnn_vi_ros.simulation.accuracy.cost import (
     coarser, CostStudy, fastest, ladder, measure, MethodCost, refusal, TOO_EXPENSIVE, try_between)
@@ -45,6 +45,8 @@ _MAX_COST_BEYOND_FLOOR = 10.0
 _TIMED_SHARE, _MIN_TIMED_STEPS = 0.01, 10
 # Format version of cached choices; changing it invalidates the cache.
 _FORMAT = 6
+# Maximum size of a cached choice [bytes].
+_MAX_SIZE = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,7 @@ def remembered(task: CalibrationTask, name: str) -> Choice:
                       find_spec('heyoka') is not None])
     name = f'{sha256(key.encode()).hexdigest()[:32]}.json'
     try:
-        return Choice(**json.loads((own_cache('calibration') / name).read_text()))
+        return Choice(**parse_json(read_limited(own_cache('calibration') / name, _MAX_SIZE)))
     except (OSError, ValueError, TypeError):
         # Missing or unreadable: calibrate again.
         choice = calibrate(task)
