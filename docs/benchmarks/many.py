@@ -61,14 +61,15 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
         block = start(first, BLOCK)
         block.advance(steps)
         gradients += block.gradients * len(block.q)
-    many = simulate_many(scene, q, p, duration, threads=1)
+    many = simulate_many(scene, q, p, duration, threads=1, path_error='off')
     _check(scene, many.q[-1], q, p, steps)
     product = _product(hamiltonian.checkpoint.card.layout.values(), gradients)
     times = interleave([
-        lambda: lambda: simulate_many(scene, q, p, duration, threads=1),
-        lambda: lambda: simulate_many(scene, q, p, duration, threads=cores),
+        lambda: lambda: simulate_many(scene, q, p, duration, threads=1, path_error='off'),
+        lambda: lambda: simulate_many(scene, q, p, duration, threads=cores, path_error='off'),
         alone,
-        lambda: product], settings.repetitions, one_thread=False)
+        lambda: product,
+        lambda: lambda: simulate_many(scene, q, p, duration, threads=1)], settings.repetitions, one_thread=False)
     single = times[:, 2] / (_ALONE * steps)
     note = (f'{gradients / (m * steps):.2f} gradients per step; {steps} steps; "one" is the mean '
             f'of the first {_ALONE}, one after another, without their set-up')
@@ -79,6 +80,10 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
     yield compare(f'{m} trajectories of {name}, {cores} threads',
                   times[:, 1] * cores / (m * steps), single, target=0.6, scale=1e6,
                   unit='us per step and core', peer_name=peer, miss=miss)
+    yield compare(
+        f'{m} trajectories of {name}, with their path errors', times[:, 4], times[:, 0],
+        target=None, scale=1.0, unit='s', peer_name='without them',
+        note='all of them up to a million steps together, else a sample of at most 38')
     yield compare(
         f'{m} trajectories of {name}: share of a matrix product', times[:, 3], times[:, 0],
         target=None, scale=1.0, unit='s', peer_name='simulate_many, one thread',

@@ -99,7 +99,7 @@ class DenseStep:
         if self._takes_state:
             return WHOLE, [self._start, self._end]
         simulation, found = self._simulation, {0.0: self._start}
-        for time, q, p in simulation.own_states(self._before):
+        for time, q, p in simulation.probe.own_states(self._before):
             # States at the ends of the step are added separately.
             if (share := time / simulation.step_size) < 1.0:
                 found[share] = StepEnd(q, p, *simulation.hamiltonian.gradient(q, p))
@@ -123,7 +123,7 @@ class DenseStep:
     def polynomial(self) -> DenseOutput:
         """Return the interpolating polynomial of q and p, of shape (d,) or (m d,)."""
         if self._series:
-            return self._simulation.series(self._before)
+            return self._simulation.probe.series(self._before)
         h, (ends, looks) = self._simulation.step_size, self._knots
         z, v = (np.array(rows) for rows in zip(*map(self._line, looks), strict=True))
         if self._slopes is not None:
@@ -168,11 +168,11 @@ class DenseStep:
         simulation = self._simulation
         time = theta * simulation.step_size
         if not self._takes_state or (self._pair and not self._series):
-            return simulation.clock_trial(self._before, time)
+            return simulation.probe.clock_trial(self._before, time)
         if self._series or (self._plain and self.polynomial.order >= simulation.integrator.order):
             q, p = self.polynomial(theta)
             return q.reshape(simulation.q.shape), p.reshape(simulation.p.shape)
-        q, p = simulation.trial(self._before, time)
+        q, p = simulation.probe.trial(self._before, time)
         return q[0], p[0]
 
     def outline(self, theta: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -128,8 +128,9 @@ class Simulation:
         if not (np.isfinite(step_size) and step_size > 0.0):
             raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
         self.system = system = System(hamiltonian, effects, integrator, by_joint=energy_by_cause)
-        # The run with other steps that follows this one.
+        # The run with other steps that follows this one, and trials of steps.
         self.second: SecondRun | None = None
+        self._probe: Probe | None = None
         self._parts = hamiltonian, effects, on_failure
         self._kernel, self.step_size = system.kernel, float(step_size)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
@@ -215,12 +216,19 @@ class Simulation:
         other.rescue_ready = self.rescue_ready
         return other
 
+    @property
+    def probe(self) -> 'Probe':
+        """Return the simulation in which steps are tried."""
+        if self._probe is None:
+            self._probe = Probe(self)
+        return self._probe
+
     def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:
         """Replace numbers at the next `restart`; return False if that needs a rebuild."""
         system = self.system.with_numbers(hamiltonian, effects)
         if system is None:
             return False
-        self._parts = hamiltonian, effects, self._parts[2]
+        self._parts, self._probe = (hamiltonian, effects, self._parts[2]), None
         self.system, self.hamiltonian, self.motors = system, system.hamiltonian, system.motors
         if self.ledger is not None:
             self.ledger = Ledger(system, self.q.ravel())
@@ -283,6 +291,12 @@ class Simulation:
         """
         work = self._memories[0][0] if self._memories[0] else None
         return work.kept.tally[:3].copy() if isinstance(work, PairWork) else np.zeros(3, np.int64)
+
+    @property
+    def workspace(self) -> Any:
+        """Return the workspace of the active method that has internal steps; None without."""
+        return next((workspace for workspace in self._memories[self._active]
+                     if hasattr(workspace, 'own_step') or isinstance(workspace, TaylorWork)), None)
 
     @property
     def connected(self) -> bool:
@@ -457,115 +471,6 @@ class Simulation:
                 rows[m] = np.nan
         return path
 
-    def trial(self, row: np.ndarray, step_size: float, samples: int = 1, every: int = 1
-              ) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Take steps of another size from a row, and restore the current state.
-
-        Parameters
-        ----------
-        row : np.ndarray, shape (R,) or (m, R)
-            Row of this simulation, or rows that are independent; see ``row`` and ``rows``.
-        step_size : float
-            Step size of the trial [s].
-        samples, every : int, optional
-            See ``record``. With `dop853`, whose internal steps do not depend on the step size, the
-            tolerances are divided by every^8, as errors of steps of 1 / every would be.
-
-        Returns
-        -------
-        tuple of np.ndarray, shape (samples, d) or (samples, m, d)
-            q and p after each ``every`` steps.
-
-        Raises
-        ------
-        StepFailure
-            A step did not converge, or its result is not finite.
-
-        """
-        # Earlier solutions at another step size do not fit as initial guesses.
-        rows = self.state.without_counts(row)
-        with self._elsewhere(self.row if row.ndim > 1 else rows) as own:
-            self.step_size = step_size
-            if isinstance(own, PairWork):
-                own.factor[0] = float(every) ** -self.integrator.order
-            if row.ndim == 1:
-                return self.record(samples, every)
-            path = self.follow_on(rows, np.empty((len(rows), samples, 0)), every).swapaxes(0, 1)
-            d = self.hamiltonian.dimension
-            return path[1:, :, :d], path[1:, :, d:d + self._momenta]
-
-    def clock_trial(self, row: np.ndarray, elapsed: float) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return q and p at a time after a row [s], for a method with internal steps.
-
-        The internal steps have the same lengths as in a whole step of the clock.
-        """
-        with self._elsewhere(row) as own:
-            own.own_step[:], self.step_size = self.step_size, elapsed
-            self.advance(1)
-            return self.q.copy(), self.p.copy()
-
-    def own_states(self, row: np.ndarray) -> list[tuple[float, np.ndarray, np.ndarray]]:
-        """
-        Return the states at the ends of a method's internal steps within a step of the clock.
-
-        Parameters
-        ----------
-        row : np.ndarray, shape (R,)
-            Row of this simulation at the start of the step.
-
-        Returns
-        -------
-        list of (float, np.ndarray, np.ndarray)
-            Time since the row [s], q and p of shape (d,).
-
-        """
-        found: list[tuple[float, np.ndarray, np.ndarray]] = []
-        h, elapsed = self.step_size, 0.0
-        with self._elsewhere(row) as own:
-            ahead, n = own.kept, self._z.q.size
-            own.own_step[0] = h
-            while True:
-                lead = float(ahead.clock[1]) if ahead.count[0] else 0.0
-                end = elapsed + lead
-                if end >= h:
-                    return found
-                if end > 0.0:
-                    found.append((end, ahead.state.q[:n].copy(), ahead.state.p[:n].copy()))
-                # Use the shortest step of the clock that takes one more internal step.
-                self.step_size = math.nextafter(lead, math.inf)
-                self.advance(1)
-                elapsed += self.step_size
-
-    @contextmanager
-    def _elsewhere(self, row: np.ndarray) -> Iterator[Any]:
-        """Restore a row, and the current state at the end; yield the internal steps' workspace."""
-        h, now, costs = self.step_size, self.row, self._costs
-        attempted = self.system.effect_state.step.copy()
-        loops = self.system.constraints
-        sine = loops.constraints.sine if isinstance(loops, LoopManifold) else np.empty(0)
-        watched, (second, self.second) = sine.copy(), (self.second, None)
-        self.put(row)
-        begin = self.steps
-        own = next((workspace for workspace in self._memories[self._active]
-                    if hasattr(workspace, 'own_step')), None)
-        try:
-            yield own
-        except StepFailure as failure:
-            failure.h = h
-            raise failure.dated(begin * h) from None
-        finally:
-            if own is not None:
-                own.own_step[:] = 0.0
-            if isinstance(own, PairWork):
-                own.factor[0] = 1.0
-            self.step_size = h
-            self.system.effect_state.step[:] = attempted
-            self.put(now)
-            sine[:] = watched
-            self._costs, self.second = costs, second
-
     def advance(self, n: int, until: float = math.inf) -> int:
         """
         Take n steps, or raise StepFailure; see ``record``.
@@ -592,30 +497,6 @@ class Simulation:
         return DenseStep(self, self.system.integrator is self.integrator
                          and self._kernel.channels == 0 and not self.hamiltonian.rotations,
                          lambda: self.system.cuts)
-
-    def series(self, row: np.ndarray) -> DenseOutput:
-        """Return the path of an adaptive method in a step from a row, shape (R,)."""
-        work: TaylorWork | PairWork = self._memories[0][0]
-        if isinstance(work, TaylorWork):
-            return work.path(self._kernel, self.step_size, row[HEAD:HEAD + 2 * self._z.q.size])
-        h, time, ends, parts = self.step_size, 0.0, [0.0], list[np.ndarray]()
-        kept, d = work.kept, self.hamiltonian.dimension
-        with self._elsewhere(row):
-            while time < h:
-                # In the shortest step of the clock an internal step is taken, if needed.
-                work.own_step[:], self.step_size = (h, h - time), _SHORTEST
-                self.advance(1)
-                lead, length = kept.clock[0, 0], kept.length[0]
-                self.step_size = min(lead, h - time)
-                begin = 1.0 - lead / length
-                parts.append(np.hstack([path_in_legendre(
-                    path[:, :d], begin, begin + self.step_size / length)
-                    for path in (kept.path_q, kept.path_p)]))
-                work.own_step[1] = h - time
-                self.advance(1)
-                time = h if lead >= h - time else time + lead
-                ends.append(time / h)
-        return DenseOutput(7, np.stack(parts, axis=1), d, np.array(ends), in_legendre=True)
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -822,3 +703,144 @@ class Simulation:
         self.steps += 1
         self.costliest = max(self.costliest, (spent, self.steps), key=_FIRST)
         return None
+
+
+class Probe:
+    """
+    Trials of steps from rows of a simulation, in another one that shares its code.
+
+    The simulation itself is not touched, so that a trial leaves no trace in its steps.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Simulation whose rows are tried.
+
+    """
+
+    def __init__(self, simulation: Simulation):
+        self._of, self._own = simulation, simulation.sibling()
+
+    @property
+    def _h(self) -> float:
+        return self._of.step_size
+
+    def trial(self, row: np.ndarray, step_size: float, samples: int = 1, every: int = 1
+              ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Take steps of another size from a row.
+
+        Parameters
+        ----------
+        row : np.ndarray, shape (R,)
+            Row of the simulation; see ``Simulation.row``.
+        step_size : float
+            Step size of the trial [s].
+        samples, every : int, optional
+            See ``record``. With `dop853`, whose internal steps do not depend on the step size, the
+            tolerances are divided by every^8, as errors of steps of 1 / every would be.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (samples, d) or (samples, m, d)
+            q and p after each ``every`` steps.
+
+        Raises
+        ------
+        StepFailure
+            A step did not converge, or its result is not finite.
+
+        """
+        # Earlier solutions at another step size do not fit as initial guesses.
+        with self._at(self._of.state.without_counts(row)) as clock:
+            self._own.step_size = step_size
+            if isinstance(clock, PairWork):
+                clock.factor[0] = float(every) ** -self._of.integrator.order
+            return self._own.record(samples, every)
+
+    def clock_trial(self, row: np.ndarray, elapsed: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return q and p at a time after a row [s], for a method with internal steps.
+
+        The internal steps have the same lengths as in a whole step of the clock.
+        """
+        with self._at(row) as clock:
+            clock.own_step[:], self._own.step_size = self._h, elapsed
+            self._own.advance(1)
+            return self._own.q.copy(), self._own.p.copy()
+
+    def own_states(self, row: np.ndarray) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """
+        Return the states at the ends of a method's internal steps within a step of the clock.
+
+        Parameters
+        ----------
+        row : np.ndarray, shape (R,)
+            Row at the start of the step.
+
+        Returns
+        -------
+        list of (float, np.ndarray, np.ndarray)
+            Time since the row [s], q and p of shape (d,).
+
+        """
+        found: list[tuple[float, np.ndarray, np.ndarray]] = []
+        h, elapsed, simulation = self._h, 0.0, self._own
+        with self._at(row) as clock:
+            ahead, n = clock.kept, simulation.state.size
+            clock.own_step[0] = h
+            while True:
+                lead = float(ahead.clock[1]) if ahead.count[0] else 0.0
+                end = elapsed + lead
+                if end >= h:
+                    return found
+                if end > 0.0:
+                    found.append((end, ahead.state.q[:n].copy(), ahead.state.p[:n].copy()))
+                # Use the shortest step of the clock that takes one more internal step.
+                simulation.step_size = math.nextafter(lead, math.inf)
+                simulation.advance(1)
+                elapsed += simulation.step_size
+
+    def series(self, row: np.ndarray) -> DenseOutput:
+        """Return the path of an adaptive method in a step from a row, shape (R,)."""
+        simulation, work = self._own, self._of.workspace
+        if isinstance(work, TaylorWork):
+            return work.path(simulation.system.kernel, self._h,
+                             row[HEAD:HEAD + 2 * simulation.state.size])
+        h, time, ends, parts = self._h, 0.0, [0.0], list[np.ndarray]()
+        d = simulation.hamiltonian.dimension
+        with self._at(row) as work:
+            kept = work.kept
+            while time < h:
+                # In the shortest step of the clock an internal step is taken, if needed.
+                work.own_step[:], simulation.step_size = (h, h - time), _SHORTEST
+                simulation.advance(1)
+                lead, length = kept.clock[0, 0], kept.length[0]
+                simulation.step_size = min(lead, h - time)
+                begin = 1.0 - lead / length
+                parts.append(np.hstack([path_in_legendre(
+                    path[:, :d], begin, begin + simulation.step_size / length)
+                    for path in (kept.path_q, kept.path_p)]))
+                work.own_step[1] = h - time
+                simulation.advance(1)
+                time = h if lead >= h - time else time + lead
+                ends.append(time / h)
+        return DenseOutput(7, np.stack(parts, axis=1), d, np.array(ends), in_legendre=True)
+
+    @contextmanager
+    def _at(self, row: np.ndarray) -> Iterator[Any]:
+        """Start from a row, with the step size of the simulation; yield the internal clock."""
+        simulation = self._own
+        simulation.rescue_ready, simulation.step_size = self._of.rescue_ready, self._h
+        simulation.put(row)
+        clock = simulation.workspace
+        try:
+            yield clock
+        except StepFailure as failure:
+            failure.h = self._h
+            raise failure.dated(int(row[1]) * self._h) from None
+        finally:
+            if hasattr(clock, 'own_step'):
+                clock.own_step[:] = 0.0
+            if isinstance(clock, PairWork):
+                clock.factor[0] = 1.0

@@ -28,6 +28,11 @@ class State:
     point : Point
         The point that some of the arrays belong to.
 
+    Attributes
+    ----------
+    size : int
+        Number of coordinates of the point.
+
     """
 
     def __init__(self, named: Mapping[str, np.ndarray], point: PhasePoint):
@@ -38,7 +43,7 @@ class State:
         self._counts = HEAD + np.flatnonzero(np.concatenate([
             np.full(part.size, name.endswith('.count'))
             for name, part in zip(named, self.flat, strict=True)]))
-        self._n = point.q.size
+        self.size = point.q.size
         # The clock follows the point.
         self._clock = HEAD + sum(array.size for array in point)
 
@@ -69,7 +74,7 @@ class State:
         """Return rows, (m, R), of states (q, p), (m, 2 d), after `step` steps, at `time` [s]."""
         rows = np.tile(self._fresh, (len(z), 1))
         rows[:, 1], rows[:, HEAD:HEAD + d] = step, z[:, :d]
-        rows[:, HEAD + self._n:HEAD + self._n + z.shape[1] - d] = z[:, d:]
+        rows[:, HEAD + self.size:HEAD + self.size + z.shape[1] - d] = z[:, d:]
         rows[:, self._clock] = time
         return rows
 

@@ -182,7 +182,7 @@ def test_internal_variables_belong_to_snapshots_and_to_restarts(method):
     assert (snapshot['live.resting'][:2] != 0.0).all()
     whole.advance(20)
     resumed.advance(3)
-    resumed.trial(resumed.row, 0.02)
+    resumed.probe.trial(resumed.row, 0.02)
     resumed.restore(snapshot)
     resumed.advance(20)
     assert np.array_equal(resumed.row, whole.row)
@@ -194,10 +194,10 @@ def test_internal_variables_belong_to_snapshots_and_to_restarts(method):
 def test_first_step_of_another_size_has_its_own_mean_rates(method):
     """Start as a trial, after steps of another size, and as a new run with a command: one path."""
     coarse, fine = both(method=method), both(0.01, method)
-    paths = [fine.record(5, 1), coarse.trial(coarse.row, 0.01, 5)]
+    paths = [fine.record(5, 1), coarse.probe.trial(coarse.row, 0.01, 5)]
     start = coarse.row
     coarse.advance(3)
-    for path in (*paths, coarse.trial(start, 0.01, 5)):
+    for path in (*paths, coarse.probe.trial(start, 0.01, 5)):
         assert np.array_equal(path, paths[0])
 
 

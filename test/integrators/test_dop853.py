@@ -307,7 +307,7 @@ def test_dop853_repeats_steps_of_half_the_size_within_tolerances_that_are_smalle
     """With the same tolerances internal steps would be the same: no error would be seen."""
     simulation, times = run('pendulum', tolerance, 0.1), np.linspace(0.0, 3.0, 31)
     exact = dop853_path(simulation.hamiltonian, [1.5], [0.0], times, 1e-12, 1e-13)[1:]
-    first, second = (np.hstack(simulation.trial(simulation.row, 0.1 / parts, 30, parts))
+    first, second = (np.hstack(simulation.probe.trial(simulation.row, 0.1 / parts, 30, parts))
                      for parts in (1, 2))
     # By 2^-8, up to the factors between an error and its tolerance.
     assert np.abs(second - exact).max() < 0.1 * np.abs(first - exact).max()

@@ -66,7 +66,7 @@ def ctrl_c(monkeypatch):
     lambda scene: simulate(scene, DURATION, times=[0.1, DURATION]),
     lambda scene: simulate_many(scene, *STATES, DURATION, threads=1),
     lambda scene: simulate_many(scene, *STATES, DURATION, threads=2),
-    lambda scene: (one := build(load_scene(scene))).trial(one.row, 1e-3, every=10**14),
+    lambda scene: (one := build(load_scene(scene))).probe.trial(one.row, 1e-3, every=10**14),
 ], ids=['samples', 'work', 'times', 'block', 'threads', 'trial'])
 def test_ctrl_c_ends_a_run_of_years(run, scene, ctrl_c):
     with pytest.raises(KeyboardInterrupt):

@@ -162,7 +162,7 @@ def test_state_and_all_that_is_made_of_it_have_the_shape_of_the_initial_state(sh
     simulation = plain_run('henon_heiles', 'gauss4', 0.1, q, p, *effects)
     dense = simulation.dense_step()
     states = [(simulation.q, simulation.p), (simulation.dH_dq, simulation.dH_dp),
-              simulation.trial(simulation.row, 0.05), record_at(simulation, [0.15])]
+              simulation.probe.trial(simulation.row, 0.05), record_at(simulation, [0.15])]
     states += [dense.state(theta) for theta in (0.0, 0.3, 1.0)]
     assert [x.shape for pair in states[:2] + states[4:] for x in pair] == [shape] * 10
     assert [x.shape for x in (*states[2], *states[3], *simulation.record(4, 2))] == (

@@ -192,7 +192,7 @@ def test_trajectory_has_the_forces_in_loops():
     simulation.advance(10)
     assert np.array_equal(found[2], simulation.loop_forces)
     # The same after a trial of other steps.
-    simulation.trial(simulation.row, 1e-3)
+    simulation.probe.trial(simulation.row, 1e-3)
     assert np.array_equal(found[2], simulation.loop_forces)
     driven = scene.changed({'effects': DRIVE})
     with refused(ValueError):
@@ -414,7 +414,7 @@ def test_trials_of_other_steps_are_not_watched_for_singular_positions():
     watched = simulation.system.constraints.constraints.sine
     before = watched.copy()
     assert before[1] > 0.0
-    simulation.trial(simulation.row, 10.0 * simulation.step_size, 3)
+    simulation.probe.trial(simulation.row, 10.0 * simulation.step_size, 3)
     assert watched.tolist() == before.tolist()
 
 

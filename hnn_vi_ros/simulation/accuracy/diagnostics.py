@@ -43,7 +43,7 @@ def local_error(simulation: Simulation) -> float:
         return math.nan
     h, start = simulation.step_size, simulation.row
     try:
-        once, twice = (np.hstack(simulation.trial(start, h / parts, every=parts))
+        once, twice = (np.hstack(simulation.probe.trial(start, h / parts, every=parts))
                        for parts in (1, 2))
     except StepFailure:
         return math.nan

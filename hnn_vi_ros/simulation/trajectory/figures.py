@@ -12,6 +12,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.phase_space import Coordinate, momentum_name, raised
 from hnn_vi_ros.recording import contours as level_sets, Frame
 from hnn_vi_ros.simulation.energy_by_cause import ERROR, HEAT, REST, STORED, WORK
+from hnn_vi_ros.simulation.path_error import ACCURATE, PathError
 from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np
 
@@ -95,8 +96,11 @@ def draw_series(trajectory: Trajectory) -> 'Figure':
     panels = [*_panels(trajectory, 0), *_panels(trajectory, 1), *_energy_panels(trajectory)]
     figure = new_figure(_WIDTH, _HEIGHT * len(panels) + _MARGINS)
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, panel in zip(rows, panels, strict=True):
+    coordinates = len(_panels(trajectory, 0))
+    for k, (axes, panel) in enumerate(zip(rows, panels, strict=True)):
         draw_curves(axes, panel.curves)
+        if k < coordinates:
+            _draw_path_error(axes, panel, trajectory.path_error)
         axes.set_ylabel(panel.label)
         axes.grid(alpha=0.3)
         axes.margins(x=0.0)
@@ -108,6 +112,16 @@ def draw_series(trajectory: Trajectory) -> 'Figure':
     begin = '' if trajectory.energy.ndim == 2 else f', H(0) = {trajectory.energy[0]:.6g} J'
     _write_title(figure, f'{trajectory.title}{begin}')
     return figure
+
+
+def _draw_path_error(axes: 'Axes', panel: '_Panel', error: Any) -> None:
+    """Draw the path error as bands around coordinates where it is visible, until it is lost."""
+    if not isinstance(error, PathError) or not error.largest > ACCURATE:
+        return
+    for (_, t, q), line in zip(panel.curves, axes.get_lines(), strict=True):
+        amplitude = 0.5 * (np.maximum.accumulate(q) - np.minimum.accumulate(q))
+        band = np.interp(t, error.t, error.value, right=math.nan) * amplitude
+        axes.fill_between(t, q - band, q + band, color=line.get_color(), alpha=0.2, linewidth=0.0)
 
 
 def draw_energy(trajectory: Trajectory) -> 'Figure':
