@@ -69,7 +69,8 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
         lambda: lambda: simulate_many(scene, q, p, duration, threads=cores, path_error='off'),
         alone,
         lambda: product,
-        lambda: lambda: simulate_many(scene, q, p, duration, threads=1)], settings.repetitions, one_thread=False)
+        lambda: lambda: simulate_many(scene, q, p, duration, threads=1)],
+        settings.repetitions, one_thread=False)
     single = times[:, 2] / (_ALONE * steps)
     note = (f'{gradients / (m * steps):.2f} gradients per step; {steps} steps; "one" is the mean '
             f'of the first {_ALONE}, one after another, without their set-up')
