@@ -362,7 +362,9 @@ class PathError:
         if not self.estimated:
             return f'path error below {_share(self.largest)} of the amplitude'
         accurate = self.until(ACCURATE)
-        since = '' if math.isinf(accurate) else f', below 1 % until {accurate:.3g} s'
+        # An amplitude that grows may make an earlier error small.
+        since = '' if math.isinf(accurate) or self.largest < ACCURATE else (
+            f', below 1 % until {accurate:.3g} s')
         if not math.isnan(self.chaotic):
             return (f'chaotic: the path error doubles every {self.chaotic:.2g} s'
                     f'{since.replace(", below", " and is below")}')
