@@ -85,7 +85,7 @@ class _Other:
         self.separation, self.ended, self.failed = separation, False, math.nan
         # Index of the next item; steps and states of the run that are to be compared.
         self._next, self._steps, self._q = 0, np.empty(0, int), np.empty(0)
-        simulation.put(row)
+        simulation.put_from(run, row)
 
     def follow(self, items: 'list[_Block | Command]') -> None:
         """Follow the items that are new."""
@@ -113,7 +113,7 @@ class _Other:
             return simulation.record(samples, every)[0]
         finally:
             simulation.step_size = own
-            simulation.put(row)
+            simulation.put_from(self._run, row)
 
     def _gather(self, items: 'list[_Block | Command]') -> None:
         """Take the next blocks, up to a command, as steps and states to be compared."""
@@ -352,7 +352,7 @@ class SecondRun:
         stretch = self._stretches[-1]
         if len(q) == self._chunk:
             self._chunk = min(2 * len(q), max(1, _BLOCK_NUMBERS // q.shape[1]))
-        stretch.add(q.reshape(len(q), self._rows, -1)[
+        stretch.add(q.reshape(len(q), self._rows, q.shape[1] // self._rows)[
             ..., :self._simulation.hamiltonian.dimension])
         self._expected = self._simulation.steps
         if self._helper is not None:

@@ -131,6 +131,7 @@ class Simulation:
         # The run with other steps that follows this one, and trials of steps.
         self.second: SecondRun | None = None
         self._probe: Probe | None = None
+        self._shape: tuple[int, ...] = ()
         self._parts = hamiltonian, effects, on_failure
         self._kernel, self.step_size = system.kernel, float(step_size)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
@@ -182,6 +183,8 @@ class Simulation:
         self.system.effect_state.reset(stream, step * self.step_size, held)
         if held is None:
             self.motors.begin()
+        if self._probe is not None and q.shape != self._shape:
+            self._probe = None
         self._begin(q.size // self.hamiltonian.dimension * self._kernel.dimension, step)
         self._shape, self._momenta = q.shape, p.shape[-1]
         self.q, self.p = self._state(self._z.q), self._state(self._z.p)[..., :self._momenta]
@@ -388,6 +391,12 @@ class Simulation:
         if row[2] < 0.0:
             self._evaluate_gradient()
         self._update_gradient()
+
+    def put_from(self, other: 'Simulation', row: np.ndarray) -> None:
+        """Restore a row of another simulation of the same system, with other steps."""
+        # The gradient in the row may contain mean rates over its steps.
+        self.system.effect_state.step[:] = other.system.effect_state.step
+        self.put(row)
 
     def rows(self, z: np.ndarray, time: ArrayLike = 0.0, step: ArrayLike = 0) -> np.ndarray:
         """Return rows, (m, R), of states (q, p), (m, 2 d), at step `step`, time + step h [s]."""
@@ -832,7 +841,7 @@ class Probe:
         """Start from a row, with the step size of the simulation; yield the internal clock."""
         simulation = self._own
         simulation.rescue_ready, simulation.step_size = self._of.rescue_ready, self._h
-        simulation.put(row)
+        simulation.put_from(self._of, row)
         clock = simulation.workspace
         try:
             yield clock
