@@ -14,6 +14,9 @@ import numpy as np
 
 # Limit of the gradients of a step, as a multiple of the usual maximum.
 _MAX_GRADIENT_RATIO = 10
+# Checks of the time in H: least number of intervals between stages, random times in each, time
+# from check to check relative to that of the run, and least range of H' relative to its size.
+_MIN_INTERVALS, _PER_INTERVAL, _CHECKS_APART, _MIN_VARIATION = 32, 10, 0.25, 1e-3
 
 
 class CostGuard(LimitGuard):
@@ -182,6 +185,61 @@ class DriveGuard(_ReachGuard):
         frequency = max((effect.frequency for effect in run.simulation.effects), default=0.0)
         if frequency and not run.simulation.integrator.tolerances:
             yield cls(run.simulation.step_size * frequency, 0.25 * max(run.order, 2))
+
+
+class TimeGuard(LimitGuard):
+    """
+    Time in H: the stages of steps see its changes, also at periods that steps are multiples of.
+
+    H' at one state is sampled at random times between the stages of some steps, now and then; its
+    variation there is compared with that from stage to stage. A drive of h nu = 1, 2, ... is a
+    constant force for the stages, and for those of any step that is a multiple.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Simulation to watch.
+
+    """
+
+    kind, limit = 'drive not resolved', 0.6
+    remedy = 'use a step_size below half of the shortest period in H'
+    message = f'the stages of steps do not see {{:.0%}} of the changes of H in time; {remedy}'
+
+    def __init__(self, simulation: Simulation):
+        self._simulation, self._unseen, self._next = simulation, 0.0, 0.0
+        tableau = simulation.integrator.partitioned
+        # The time advances as a coordinate.
+        nodes = np.arange(2.0) if tableau is None else tableau.q_matrix.sum(axis=1)
+        steps = np.arange(max(2, _MIN_INTERVALS // nodes.size))
+        self._stages = np.unique(np.add.outer(steps, nodes))
+        self._between = np.sort(np.random.default_rng(0).uniform(
+            self._stages[0], self._stages[-1], _PER_INTERVAL * self._stages.size))
+
+    @classmethod
+    def of_run(cls, run: RunFacts) -> Iterator[Guard]:
+        if run.hamiltonian.time is not None and not run.simulation.integrator.tolerances:
+            yield cls(run.simulation)
+
+    def value(self, sample: Observed) -> float:
+        """Return the share of the variation of H' in time that stages do not see."""
+        if sample.step >= self._next:
+            self._next = sample.step + max(self._stages[-1], _CHECKS_APART * sample.step)
+            q, p = (np.atleast_2d(part)[:1] for part in (sample.q, sample.p))
+            seen, all_of_it = (self._variation(q, p, sample.step + times)
+                               for times in (self._stages, self._between))
+            counts = all_of_it[1] > _MIN_VARIATION * all_of_it[2]
+            unseen = 1.0 - seen[0][counts] / all_of_it[0][counts]
+            self._unseen = float(unseen.max(initial=self._unseen))
+        return self._unseen
+
+    def _variation(self, q: np.ndarray, p: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return total variation, range and largest size of H' at times, shape (3, d + k)."""
+        q, p = (np.repeat(part, steps.size, axis=0) for part in (q, p))
+        slopes = np.hstack(self._simulation.hamiltonian.gradient(
+            q, p, steps * self._simulation.step_size))
+        return np.array([np.abs(np.diff(slopes, axis=0)).sum(axis=0), np.ptp(slopes, axis=0),
+                         np.abs(slopes).max(axis=0)])
 
 
 class SolutionGuard(CountGuard):

@@ -18,7 +18,7 @@ from hnn_vi_ros.simulation.guards.loops import ClosureGuard, SingularGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.samples import GuardState, SampleBuffer
 from hnn_vi_ros.simulation.guards.steps import (
-    CostGuard, DriveGuard, RescueGuard, SolutionGuard, StabilityGuard, StiffnessGuard)
+    CostGuard, DriveGuard, RescueGuard, SolutionGuard, StabilityGuard, StiffnessGuard, TimeGuard)
 from hnn_vi_ros.simulation.run_samples import MAX_OBSERVED, RunSamples
 from hnn_vi_ros.simulation.second_run import PathGuard
 from hnn_vi_ros.simulation.simulation import Simulation
@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 # Alarms of the same step are reported in this order.
 GUARDS: tuple[type[Guard], ...] = (
     BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, StiffnessGuard, StabilityGuard, DriveGuard,
-    InvariantGuard, BarrierGuard, PathGuard, PoleGuard, ClosureGuard, SingularGuard,
+    TimeGuard, InvariantGuard, BarrierGuard, PathGuard, PoleGuard, ClosureGuard, SingularGuard,
     SolutionGuard, RescueGuard)
 
 
@@ -302,5 +302,5 @@ def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
 def watch_of_block(simulation: Simulation, in_rows: bool = False) -> Watch:
     """Return the guards that apply to a block of trajectories as a whole; see judge_many."""
     return Watch(RunFacts(simulation, in_rows=in_rows), (
-        CostGuard, RescueGuard, SolutionGuard,
+        CostGuard, RescueGuard, SolutionGuard, TimeGuard,
         *[EnergyGuard] * (not simulation.conservative)))

@@ -158,3 +158,45 @@ def test_run_that_diverges_within_a_dozen_steps_raises_an_alarm(step_size):
                         effects=[damping(0.1)])
     alarms = simulate(scene, 12 * step_size).alarms
     assert 'path not resolved' in {alarm.kind for alarm in alarms}
+
+
+def alarms_of(h_nu: float, method: str, h: float = 0.02) -> set[str]:
+    """Return the alarms of a mass on a spring with a drive in H."""
+    hamiltonian = {
+        'kind': 'formula', 'coordinates': ['x'], 'parameters': {'w': 2.0 * np.pi * h_nu / h},
+        'H': 'p_x^2 / 2 + x^2 / 2 - 50 * x * cos(w * t + 0.3)'}
+    scene = Scene.build(hamiltonian=hamiltonian, integrator=method, step_size=h,
+                        initial_state=([0.0], [0.0]))
+    return {alarm.kind for alarm in simulate(scene, 0.5).alarms}
+
+
+# The largest h nu of a right run, below 1 % of the amplitude, and the next whole one.
+RESOLVED = {'variational_euler': (0.0005, 1), 'generalized_leapfrog': (0.05, 1),
+            'implicit_midpoint': (0.05, 1), 'rk4': (0.3, 1), 'gauss4': (0.3, 1),
+            'yoshida4': (0.1, 1), 'gauss8': (0.48, 1), 'kahan_li8': (0.48, 1), 'gauss16': (1, 3)}
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('method', RESOLVED)
+def test_time_in_h_that_stages_cannot_see_is_told(method):
+    right, wrong = RESOLVED[method]
+    assert 'drive not resolved' not in alarms_of(right, method)
+    # Where stages see some phases of a period, trials differ.
+    for h_nu in (wrong, 2 * wrong, 7, 8, 13, 31, 32):
+        assert alarms_of(h_nu, method) & {'drive not resolved', 'path not resolved'}
+    # At multiples of this, all trials see the same.
+    assert 'drive not resolved' in alarms_of(32, method)
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_pulse_between_stages_is_told_and_a_jump_is_not():
+    """Whenever it comes: the time in H is checked all along the run."""
+    def kinds(force: str) -> set[str]:
+        scene = Scene.build(
+            hamiltonian={'kind': 'formula', 'coordinates': ['x'],
+                         'H': f'p_x^2 / 2 + x^2 / 2 - x * ({force})'},
+            integrator='implicit_midpoint', step_size=0.02, initial_state=([0.3], [0.0]))
+        return {alarm.kind for alarm in simulate(scene, 20.0).alarms}
+
+    assert 'drive not resolved' in kinds('piecewise(t > 10, cos(200 * pi * t), 0)')
+    assert 'drive not resolved' not in kinds('piecewise(t > 4.13, 0.1, 0)')
