@@ -5,8 +5,9 @@
 from collections.abc import Callable, Iterator, Sequence
 import math
 from typing import Any, NamedTuple, TYPE_CHECKING
+import warnings
 
-from hnn_vi_ros.effects import Command
+from hnn_vi_ros.effects import Command, JointCommand
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.simulation.checks import check_numbers
 from hnn_vi_ros.simulation.dense_step import DenseStep, record_at, whole_steps
@@ -26,6 +27,10 @@ _MAX_STEPS = 2**63 - 1
 # Approximate maximum number of samples at which guards check a run, in addition to the extremes of
 # a path. Half as many suffice to detect a lasting change; see EnergyGuard.
 MAX_OBSERVED = 10_000
+
+# Largest mean change of smooth commands from step to step relative to their range: 0.32 w h for
+# A cos(w t), whose held values lag by w h / 2 = 0.1 rad. Least number of changes.
+_MAX_HELD_SHARE, _MIN_CHANGES = 0.064, 8
 
 # Commands over time: a function of time [s], or one row per sample.
 Commands = Callable[[float], Command] | Sequence[Sequence[float]] | np.ndarray
@@ -179,6 +184,8 @@ def record(simulation: Simulation, schedule: Schedule, commands: Commands | None
     except StoppedByEvent as stop:
         parts += [(stop.q, stop.p), (stop.event.q[None], stop.event.p[None])]
         t = np.append(t[:sum(len(q) for q, _ in parts) - 1], stop.event.t)
+    if isinstance(simulation, CommandedSimulation):
+        simulation.check_course()
     q, p = (np.concatenate(halves) for halves in zip(*parts, strict=True))
     ledger = simulation.ledger
     if simulation.conservative and ledger is None:
@@ -227,7 +234,7 @@ class CommandedSimulation(_Simulation):
 
     def __init__(self, simulation: Simulation, commands: Commands, schedule: Schedule):
         self._simulation, self._every = simulation, schedule.every
-        self._commands = commands
+        self._commands, self._course = commands, _Course()
         if not callable(commands):
             samples = schedule.samples + schedule.rest.size
             self._commands = rows = check_numbers('commands', commands)
@@ -261,5 +268,53 @@ class CommandedSimulation(_Simulation):
 
     def _set_command(self) -> None:
         own, commands = self._simulation, self._commands
-        own.set_command(commands(own.time) if callable(commands) else
-                        commands[own.steps // self._every])
+        if callable(commands):
+            command = commands(own.time)
+            own.set_command(command)
+            self._course.add(command)
+        else:
+            own.set_command(commands[own.steps // self._every])
+
+    def check_course(self) -> None:
+        """Warn of a smooth function of the time that changes much while its values are held."""
+        if self._course.share > _MAX_HELD_SHARE:
+            warnings.warn(
+                f'commands change by {self._course.share:.0%} of their range from step to step, '
+                f'but are held for a step of {self.step_size:g} s: the force lags behind the '
+                'function by half a step; use a smaller step_size, or write the force as time t '
+                'in H or as periodic_drive', stacklevel=5)
+
+
+class _Course:
+    """Changes of commands from step to step, running sums for each number of a command."""
+
+    def __init__(self) -> None:
+        self._last = self._low = self._high = np.empty(0)
+        self._change = self._sums = np.empty(0)
+
+    def add(self, command: Command) -> None:
+        """Add the next command; paths and those of other shapes do not continue the last."""
+        parts = command[1:] if isinstance(command, JointCommand) else [command]
+        try:
+            now = np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts])
+        except (TypeError, ValueError):
+            return  # a path, or what set_command refuses
+        if now.shape != self._last.shape:
+            self._last = self._low = self._high = now
+            self._change, self._sums = np.zeros(now.size), np.zeros((3, now.size))
+            return
+        change = now - self._last
+        self._sums += np.abs(change), np.abs(change - self._change), change != 0.0
+        self._last, self._change = now, change
+        self._low, self._high = np.fmin(self._low, now), np.fmax(self._high, now)
+
+    @property
+    def share(self) -> float:
+        """Return the mean change over the range of numbers that change smoothly, 0 for none."""
+        if not self._sums.size:
+            return 0.0
+        total, bend, count = self._sums
+        # Commands that jump, or are random, are meant to be held.
+        smooth = (bend < total) & (count >= _MIN_CHANGES)
+        return float((total[smooth] / count[smooth] / (self._high - self._low)[smooth]).max(
+            initial=0.0))

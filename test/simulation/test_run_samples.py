@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of a run are the same whoever observes it, and in whatever way they are taken."""
 
+import warnings
+
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import (
     build, judge, make_guards, record, resolve, RunFacts, Schedule, simulate, watched)
 from hnn_vi_ros.simulation.guards.watch import Watch
+from messages import assert_message
 import numpy as np
 import pytest
 
@@ -88,3 +91,22 @@ def test_guards_of_the_given_classes_are_made_and_no_others():
     every = [*make_guards(facts)]
     for kind in {type(guard) for guard in every}:
         assert [type(guard) for guard in make_guards(facts, (kind,))] == [kind]
+
+
+def told_of(function) -> list[str]:
+    """Return the warnings about commands for a function of time in 200 steps."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        simulate(PUSHED, 200 * H, commands=function)
+    return [str(one.message) for one in caught if str(one.message).startswith('commands change')]
+
+
+def test_smooth_function_that_its_held_values_do_not_follow_is_told():
+    # Held values lag by a share w h / 2 of a radian: 12 % of the amplitude.
+    told, = told_of(lambda t: [0.2 * np.cos(0.25 / H * t)])
+    assert_message(told)
+    rng = np.random.default_rng(0)
+    # Slow, random, and stepwise commands, and a few steps of one that ends.
+    for function in (lambda t: [0.2 * np.cos(0.05 / H * t)], lambda t: [0.1 * rng.normal()],
+                     lambda t: [0.1 * (-1.0) ** int(t)], lambda t: [min(t, 5.0 * H)]):
+        assert not told_of(function)
