@@ -290,7 +290,8 @@ class _Course:
 
     def __init__(self) -> None:
         self._last = self._low = self._high = np.empty(0)
-        self._change = self._sums = np.empty(0)
+        self._change: np.ndarray = np.empty(0)
+        self._sums: np.ndarray = np.empty((3, 0))
 
     def add(self, command: Command) -> None:
         """Add the next command; paths and those of other shapes do not continue the last."""
@@ -316,5 +317,5 @@ class _Course:
         total, bend, count = self._sums
         # Commands that jump, or are random, are meant to be held.
         smooth = (bend < total) & (count >= _MIN_CHANGES)
-        return float((total[smooth] / count[smooth] / (self._high - self._low)[smooth]).max(
-            initial=0.0))
+        shares = total[smooth] / (count * (self._high - self._low))[smooth]
+        return float(shares.max(initial=0.0))
