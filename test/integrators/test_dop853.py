@@ -313,3 +313,13 @@ def test_dop853_repeats_steps_of_half_the_size_within_tolerances_that_are_smalle
     assert np.abs(second - exact).max() < 0.1 * np.abs(first - exact).max()
     assert np.array_equal(simulation.q, [1.5]) and simulation.internal_steps[0] == 0
     assert np.array_equal(first, np.hstack(simulation.record(30, 1)))
+
+
+def test_few_steps_that_stability_limits_raise_no_alarm():
+    simulation = plain_run('pendulum', Dop853(1e-6, 1e-6), 0.1, [0.4], [0.0])
+    watch = Watch(RunFacts(simulation), (StabilityGuard,))
+    simulation.advance(200)
+    for limited, kinds in ((1, []), (10, []), (11, ['stiff'])):
+        simulation._memories[0][0].kept.tally[2] = limited
+        watch.update(look(simulation))
+        assert [alarm.kind for alarm in watch.alarms] == kinds

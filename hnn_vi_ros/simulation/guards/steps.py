@@ -14,6 +14,8 @@ import numpy as np
 
 # Limit of the gradients of a step, as a multiple of the usual maximum.
 _MAX_GRADIENT_RATIO = 10
+# Number of internal steps that stability may limit.
+_MAX_STIFF_STEPS = 10
 # Checks of the time in H: least number of intervals between stages, random times in each, time
 # from check to check relative to that of the run, and least range of H' relative to its size.
 _MIN_INTERVALS, _PER_INTERVAL, _CHECKS_APART, _MIN_VARIATION = 32, 10, 0.25, 1e-3
@@ -136,7 +138,8 @@ class StabilityGuard(CountGuard):
     Internal steps of `dop853`: their size is limited by the tolerance, not by stability.
 
     In a stiff motion, with fast oscillation or damping at rest and slow motion, an explicit
-    method takes tiny steps at any tolerance.
+    method takes tiny steps at any tolerance. A few such steps are allowed, as where a servo
+    reaches its limit: they cost little.
 
     Parameters
     ----------
@@ -145,7 +148,7 @@ class StabilityGuard(CountGuard):
 
     """
 
-    kind = 'stiff'
+    kind, limit = 'stiff', _MAX_STIFF_STEPS
     remedy = 'use an implicit method, such as `gauss4` or `implicit_midpoint`'
     message = ('stability, not the tolerance, limited {:.0f} internal steps so far: the motion is '
                f'stiff; {remedy}')
