@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The executables: modules are imported lazily, and a missing package is a one-line error."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import chdir
 from functools import partial
 import gc
@@ -23,7 +23,7 @@ import warnings
 
 from hnn_vi_ros.commands import (
     ALIASES, check_names, COMMANDS, EXECUTABLES, module_of, parser_of, refuse)
-from hnn_vi_ros.errors import HnnViRosError, pip_command
+from hnn_vi_ros.errors import HnnViRosError, ParameterError, pip_command
 from hnn_vi_ros.files import (
     ENDING, harden_streams, lost_output, private_folder, usual_folder, write_problem)
 from hnn_vi_ros.ros import prepare_ros_environment
@@ -89,15 +89,16 @@ def _choose_cache() -> None:
         os.environ['NUMBA_CACHE_DIR'] = str(private_folder())
 
 
-def _unfit() -> Iterator[str]:
-    """Yield limits and variables of the shell with which libraries cannot be imported."""
+def _check_shell() -> None:
+    """Raise ParameterError for limits and variables with which libraries cannot be imported."""
     for option, (limit, least) in _LEAST.items():
         if 0 <= (allowed := resource.getrlimit(limit)[0]) < least:
-            yield (f'ulimit {option} allows {allowed >> 10} KiB of memory; at least '
-                   f'{least >> 10} are needed')
+            raise ParameterError(f'ulimit {option} allows {allowed >> 10} KiB of memory; at least '
+                                 f'{least >> 10} are needed')
     for name, pattern in _NUMBA.items():
         if name in os.environ and not re.fullmatch(pattern, os.environ[name]):
-            yield f'{name}={os.environ[name]!r}: numba cannot work with it; unset it'
+            raise ParameterError(f'{name}={os.environ[name]!r}: numba cannot work with it; unset '
+                                 'it')
 
 
 class _OutsideWorkingFolder(MetaPathFinder):
@@ -177,14 +178,12 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
         os.getcwd()
     except FileNotFoundError:
         sys.exit(f'{shown}: the working directory was removed; change to one that exists')
-    if unfit := next(_unfit(), ''):
-        sys.exit(f'{shown}: {unfit}')
-    for variable in ('MATPLOTLIBRC', 'MPLCONFIGDIR', 'NUMBA_CACHE_DIR'):
-        if os.environ.get(variable):
-            os.environ[variable] = os.path.abspath(os.environ[variable])
+    os.environ |= {name: os.path.abspath(os.environ[name]) for name in (
+        'MATPLOTLIBRC', 'MPLCONFIGDIR', 'NUMBA_CACHE_DIR') if os.environ.get(name)}
     sys.meta_path.insert(0, _OutsideWorkingFolder())
     try:
         _answer_at_once(name, argv)
+        _check_shell()
         status = run_module(module_of(name), argv, shown)
     except SystemExit as end:
         # From argparse, which has printed the help or an error.
@@ -252,7 +251,7 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
     except OSError as problem:
         if problem.filename is None or problem.strerror is None:
             raise
-        return f'{shown}: {problem.filename}: {problem.strerror}'
+        return f'{shown}: {problem.filename}: {problem.strerror}; name another place'
     except KeyboardInterrupt as stop:
         # A command that can be resumed explains how in its message.
         print(f'{shown}: {str(stop) or _STOPPED}', file=sys.stderr)

@@ -45,9 +45,6 @@ def main(argv: list[str]) -> int:
         if options.fmu is not None:
             write_fmu(options.fmu, name, code, options.force)
             written.append(options.fmu)
-    except OSError as problem:
-        raise ParameterError(f'{problem.filename}: cannot be written ({problem.strerror}); name '
-                             'another place') from problem
     except CalledProcessError as problem:
         raise ParameterError(f'{compiler}: failed with status {problem.returncode}, see above; '
                              'install a C compiler with the headers and libraries of C'

@@ -86,10 +86,8 @@ def write_project(folder: Path, name: str, scene: SceneCode, force: bool = False
     values = template_values(name, scene) | {
         'shared': f', `{name}.so`' if len(contents) > 1 else ''}
     for source, target in (('scene.h', f'{name}.h'), ('example.c', 'example.c'),
-                           ('CMakeLists.txt', 'CMakeLists.txt')):
+                           ('CMakeLists.txt', 'CMakeLists.txt'), ('README.md', 'README.md')):
         contents[target] = filled(source, values).encode()
-    title = escaped(scene.scene.description or scene.scene.name, 'markdown')
-    contents['README.md'] = filled('README.md', values | {'title': title}).encode()
     make_folder(folder, new=not force)
     for target, content in contents.items():
         write_bytes(folder / target, content)
@@ -110,6 +108,7 @@ def template_values(name: str, scene: SceneCode) -> dict[str, object]:
         'name': name, 'NAME': upper, 'version': __version__, 'compiler': COMPILERS[
             scene.target], 'processor': processor() if scene.target == HOST else scene.target,
         'title': escaped(own.description or own.name, 'comment'), 'step_size': own.step_size,
+        'paragraph': escaped(own.description or own.name, 'markdown'),
         'integrator': own.integrator.kind, 'on_failure': own.on_failure,
         'timeout': f'{timeout:g} s', 'words': scene.image.words.size,
         'saved': 1 + scene.image.words.size - scene.image.changing,

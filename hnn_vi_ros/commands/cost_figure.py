@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from io import BufferedWriter
 from itertools import cycle
 import math
-from pathlib import Path
 from string import digits
 from textwrap import fill
 from typing import NamedTuple
@@ -93,15 +92,14 @@ INK, FAINT = '#222222', '#8a8a8a'
 _SIZE, _DPI = (10.4, 6.4), 150
 
 
-def draw(target: Path | BufferedWriter, name: str, study: CostStudy, chosen: Chosen | None
-         ) -> None:
+def draw(stream: BufferedWriter, name: str, study: CostStudy, chosen: Chosen | None) -> None:
     """
     Plot error against time, and mark the cheapest methods.
 
     Parameters
     ----------
-    target : Path or stream
-        File of the plot; its suffix selects the format.
+    stream : BufferedWriter
+        Stream of the file of the plot, whose suffix selects the format.
     name : str
         Name of the scene.
     study : CostStudy
@@ -128,7 +126,7 @@ def draw(target: Path | BufferedWriter, name: str, study: CostStudy, chosen: Cho
                   frameon=False, labelspacing=0.55, handlelength=2.2)
     label_front(ax, [Label(_setting(cost.method, cost.step_size), STYLES[cost.method.kind][0],
                            _point(study, cost)) for cost in good])
-    save_figure(target, figure)
+    save_figure(stream, figure)
 
 
 def _setting(method: Method, step_size: float) -> str:

@@ -88,9 +88,6 @@ def write_outputs(paths: Mapping[str, Path | None],
         try:
             with written(path, new=not force) as stream:
                 write(stream)
-        except OSError as problem:
-            raise ParameterError(f'{option} {path}: cannot be written '
-                                 f'({problem.strerror or problem})') from problem
         except ValueError as problem:
             raise ParameterError(f'{option} {path}: {problem}') from problem
         print(path, file=shown)

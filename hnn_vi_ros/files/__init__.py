@@ -15,8 +15,8 @@ from hnn_vi_ros.exports import lazy_exports
 if TYPE_CHECKING:
     from hnn_vi_ros.files.command_line import complete_by, Parser, seconds
     from hnn_vi_ros.files.limits import (
-        array_names, LONGEST_LINE, parse_json, plain_number, safetensors_header, sha256_of,
-        text_lines, unpack_arrays)
+        array_names, LONGEST_LINE, memory_for, parse_json, plain_number, safetensors_header,
+        sha256_of, text_lines, unpack_arrays)
     from hnn_vi_ros.files.named_code import CODE_REFUSED, find_beside, import_named, NAMES_CODE
     from hnn_vi_ros.files.regular_file import (
         in_bytes, limited, no_file, numbered_paths, open_no_link, open_regular, read_limited,

@@ -15,6 +15,7 @@ from io import TextIOWrapper
 import json
 import math
 from pathlib import Path
+import resource
 from typing import Any, BinaryIO
 
 from hnn_vi_ros.files.regular_file import in_bytes, limited
@@ -63,6 +64,20 @@ def text_lines(path: Path, most: int, encoding: str = 'utf-8-sig') -> Iterator[t
             if len(line) > LONGEST_LINE:
                 raise ValueError(f'{number}: longer than {LONGEST_LINE} characters')
             yield number, line
+
+
+@contextmanager
+def memory_for(most: int) -> Iterator[None]:
+    """Raise MemoryError if the process takes more memory than now, by more than this [bytes]."""
+    pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[0])
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    # Without a limit it is -1.
+    least = min([pages * resource.getpagesize() + most, *(one for one in limits if one >= 0)])
+    resource.setrlimit(resource.RLIMIT_AS, (least, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, limits)
 
 
 def plain_number(text: str) -> float:

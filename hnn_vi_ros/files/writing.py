@@ -57,11 +57,16 @@ def written(path: Path, new: bool = False, mode: int = 0o666, synced: bool = Tru
             if synced:
                 os.fsync(content.fileno())
             if new:
-                _give_new_name(Path(stream.name), path)
-                return
+                try:
+                    os.link(stream.name, path)
+                    return
+                except FileExistsError:
+                    raise
+                except OSError:  # the file system has no hard links
+                    path.open('xb').close()
             if path.exists() and not path.is_file():
                 raise OSError(errno.EINVAL, no_file(path))
-            if os.path.lexists(path):
+            if not new and os.path.lexists(path):
                 there = path.lstat()
                 if stat.S_ISREG(there.st_mode) and there.st_uid == os.getuid():
                     os.fchmod(content.fileno(), stat.S_IMODE(there.st_mode))
@@ -89,16 +94,6 @@ def _temporary(path: Path, mode: int = 0o666) -> Iterator[BufferedWriter]:
         if problem.filename in (None, str(temporary)):
             problem.filename, problem.filename2 = str(path), None
         raise
-
-
-def _give_new_name(temporary: Path, path: Path) -> None:
-    try:
-        os.link(temporary, path)
-    except FileExistsError:
-        raise
-    except OSError:  # the file system has no hard links
-        path.open('xb').close()
-        temporary.replace(path)
 
 
 def write_bytes(path: Path, content: bytes, new: bool = False, mode: int = 0o666) -> None:

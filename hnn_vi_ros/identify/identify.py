@@ -15,7 +15,7 @@ import tempfile
 from typing import NamedTuple
 
 from hnn_vi_ros.effects import Effect, ExternalForce, Joined, Servo
-from hnn_vi_ros.errors import counted, DataError, ParameterError, RecordingError, UnsupportedSystem
+from hnn_vi_ros.errors import counted, DataError, ParameterError, UnsupportedSystem
 from hnn_vi_ros.files import elapsed, make_folder, save_figure, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.identify import arguments as command_lines
@@ -135,11 +135,7 @@ def main(argv: Sequence[str]) -> None:
         text = report_of(found)
         print(text)
         command = shlex.join(['hnn', 'identify', *argv])
-        try:
-            _write(options, found, f'{text}\n\n`{command}`')
-        except OSError as problem:
-            raise RecordingError(f'{problem.filename}: cannot be written: {problem.strerror}'
-                                 ) from problem
+        _write(options, found, f'{text}\n\n`{command}`')
 
 
 def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:

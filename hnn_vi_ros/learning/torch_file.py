@@ -116,6 +116,9 @@ def _check_pickle(stream: BinaryIO) -> None:
         if opcode.name == 'GLOBAL' and not _PLAIN.fullmatch(str(value)) and not any(
                 str(value).replace(' ', '.') == name for _, name in _NUMBERS):
             raise ValueError(f'contains {str(value)[:80]!r}')
+        if isinstance(value, int) and 'LONG' in opcode.name and abs(value) >= 1 << 60:
+            # All multiples of 2^61 - 1 have one hash: a table of such keys takes n^2.
+            raise ValueError(f'contains the number {value:.3g}')
         # Bytes of numpy are encoded text; encoded repeatedly, such as in hex, they double.
         if texts and not ('PUT' in opcode.name or 'UNICODE' in opcode.name):
             raise ValueError('contains text that is encoded again')

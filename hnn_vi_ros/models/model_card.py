@@ -18,16 +18,13 @@ Widths = Annotated[list[Annotated[int, Field(ge=1, le=100_000)]],
                    Field(min_length=3, max_length=100)]
 
 
-Unit = Annotated[str, Field(max_length=32, pattern=f'^{UNIT}$')]
-
-
 class CoordinateCard(StrictModel):
     """One generalised coordinate of a model and its conjugate momentum."""
 
     name: str = Field(pattern=r'^[^\W\d]\w*$', max_length=64, description=(
         'a letter or underscore, then letters, digits, underscores'))
-    q_unit: Unit = Field('1', description='unit of the coordinate')
-    p_unit: Unit = Field('1', description='unit of its momentum')
+    q_unit: str = Field('1', pattern=f'^{UNIT}$', description='unit of the coordinate')
+    p_unit: str = Field('1', pattern=f'^{UNIT}$', description='unit of its momentum')
 
 
 class Box(StrictModel):

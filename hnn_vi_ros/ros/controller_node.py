@@ -122,6 +122,7 @@ class ControllerNode(ManagedNode):
             Endpoint('~/plan', 'publisher')],
             arguments)
         self._assignment: Assignment | None = None
+        self._hearing = Subscriptions(self)
         self._publishers: list[Publisher] = []
         self._timers: list[Timer] = []
         self._active = False
@@ -191,13 +192,16 @@ class ControllerNode(ManagedNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Return to the unconfigured state."""
+        self.roll_back()
+        return SUCCESS
+
+    def roll_back(self) -> None:
         self._hearing.close()
         for publisher in self._publishers:
             self.destroy_publisher(publisher)
         for timer in self._timers:
             self.destroy_timer(timer)
         self._assignment, self._publishers, self._timers = None, [], []
-        return SUCCESS
 
     def finish(self, received: Sequence[int]) -> int:
         """Send zeros if the node is active, wait for delivery, and return the exit status."""

@@ -193,8 +193,8 @@ class Parameters:
     ----------
     settings : Settings
         Values of the parameters.
-    trusted_scene : str
-        Scene given at the start, by the user and not by another node.
+    started : Settings
+        Values at the start, which are of the user and not of another node.
     configured : bool
         True if a configured run uses them.
 
@@ -208,7 +208,7 @@ class Parameters:
     def __init__(self, node: Node, check: Callable[[Settings], None],
                  apply: Callable[[Settings], None]):
         self.settings, self._node = declare_parameters(node, Settings), node
-        self.configured, self.trusted_scene = False, self.settings.scene
+        self.configured, self.started = False, self.settings
         _check_clock(self.settings, self._follows)
         self._check_run, self._apply_to_run = check, apply
         node.add_pre_set_parameters_callback(_with_doubles)

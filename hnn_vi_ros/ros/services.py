@@ -196,7 +196,8 @@ class SimulationServices:
                 ('RESULT_FEATURE_UNSUPPORTED', 'resource_string: a world is loaded by its uri')
                 if source.resource_string else
                 ('NO_RESOURCE', 'uri: expected one of those of ~/get_available_worlds')))
-        scene, name = await self._simulator.in_thread(lambda: open_world(source.uri))
+        scene, name = await self._simulator.in_thread(lambda: open_world(
+            source.uri, self._simulator.scene_of_the_start))
         await self._unload()
         await self._configure(name)
         response.world = self._resource(world_of(scene))

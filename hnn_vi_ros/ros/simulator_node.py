@@ -4,6 +4,7 @@
 
 from collections.abc import Sequence
 import gc
+import os
 import time
 
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
@@ -21,6 +22,7 @@ from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.settings import PARAMETERS, Settings
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS, Topics
+from hnn_vi_ros.ros.worlds import unquoted
 from hnn_vi_ros.simulation import Simulation
 from lifecycle_msgs.msg import State
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -58,6 +60,7 @@ class SimulatorNode(Simulator):
         self._incomplete, self._stage = False, ''
         self._prepared: PreparedRun | None = None
         self._declared = Parameters(self, self.check, self.apply)
+        self.scene_of_the_start = self.settings.scene
         refuse_unknown(self, PARAMETERS, ENDPOINTS, arguments)
         offer_services(self)
 
@@ -92,10 +95,6 @@ class SimulatorNode(Simulator):
             self.run = Run(self, self.topics, prepared, settings, self.stop)
             self.check(settings)
             subscribe_initial_states(self, self.topics, self.run, self._reset_to_state)
-        except HnnViRosError:
-            self._close_prepared()
-            self._forget()
-            raise
         finally:
             self.destroy_timer(progress)
         self.control = Control(self, self.run, discovery, settings)
@@ -126,6 +125,10 @@ class SimulatorNode(Simulator):
         self._close_run()
         self._forget()
         return SUCCESS
+
+    def roll_back(self) -> None:
+        self._close_prepared()
+        self._forget()
 
     def stop(self, status: int, reason: str) -> None:
         """Take no more steps, and let the process end with this status."""
@@ -169,9 +172,17 @@ class SimulatorNode(Simulator):
 
     def _prepare(self, settings: Settings, topics: BagTopics, discovery: Discovery) -> PreparedRun:
         """Prepare a run and store it, as the node may be stopped before it takes the result."""
-        self._prepared = prepare(
-            settings, topics, discovery, self.get_logger(), self._set_stage,
-            settings.trust_code or settings.scene == self._declared.trusted_scene)
+        started = self._declared.started
+        try:
+            self._prepared = prepare(
+                settings, topics, discovery, self.get_logger(), self._set_stage,
+                settings.trust_code or settings.scene == started.scene)
+        except HnnViRosError as problem:
+            same = (settings.scene, settings.resume) == (started.scene, started.resume)
+            if same or self._stage == OPENING:
+                raise
+            bag = settings.resume and os.path.abspath(settings.resume)
+            raise unquoted(problem, bag or settings.scene) from None
         return self._prepared
 
     def _close_prepared(self) -> None:

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
-from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
-from hnn_vi_ros.files import CODE_REFUSED, is_path, no_file, shipped_file, shipped_names
+from hnn_vi_ros.errors import (
+    DataError, HnnViRosError, ModelError, RecordingError, SceneError)
+from hnn_vi_ros.files import (
+    CODE_REFUSED, is_path, no_file, share_folder, shipped_file, shipped_names)
 from hnn_vi_ros.scene import load_scene, Scene
 
 _PACKAGE, _FOLDER, _SUFFIXES = 'hnn_vi_ros', '/config/scenes/', ('.yaml', '.yml')
@@ -70,7 +72,22 @@ def world_of(scene: Scene) -> World:
     return World(scene.name, uri, scene.description, tuple(tags))
 
 
-def open_world(uri: str) -> tuple[Scene, str]:
+def unquoted(problem: HnnViRosError, file: str) -> HnnViRosError:
+    """
+    Return an error about a scene or bag that another node has named, without quoting its content.
+
+    Errors about files of this package are returned unchanged.
+    """
+    if not isinstance(problem, SceneError | ModelError | DataError | RecordingError) or not \
+            is_path('scene', file) or Path(file).resolve().is_relative_to(
+                share_folder().resolve()):
+        return problem
+    why = f'names what {CODE_REFUSED}' if CODE_REFUSED in str(problem) else 'cannot be used'
+    return SceneError(f'{_shown(file)}: {why}; another node has named it, so that nothing of it '
+                      'is quoted here; check it on the command line')
+
+
+def open_world(uri: str, known: str = '') -> tuple[Scene, str]:
     """
     Read the scene of a URI; return it and the value of the parameter ``scene`` for it.
 
@@ -79,6 +96,8 @@ def open_world(uri: str) -> tuple[Scene, str]:
     uri : str
         ``package://hnn_vi_ros/config/scenes/NAME.yaml``, a ``file:`` URI, or a value of the
         parameter ``scene``: the name of a shipped scene or a path.
+    known : str, optional
+        Scene that the user has named, which errors may quote.
 
     Raises
     ------
@@ -99,13 +118,12 @@ def open_world(uri: str) -> tuple[Scene, str]:
                          f'{_shown(uri)}: no such scene; ~/get_available_worlds lists them')
     try:
         scene = load_scene(name, trust_code=False)
-    except SceneError as problem:
-        raise WorldError('UNSUPPORTED_ELEMENTS' if CODE_REFUSED in str(problem)
-                         else 'RESOURCE_PARSE_ERROR', str(problem)) from problem
-    try:
         scene.model_files()
-    except ModelError as problem:
-        raise WorldError('MISSING_ASSETS', str(problem)) from problem
+    except (SceneError, ModelError) as problem:
+        code = 'MISSING_ASSETS' if isinstance(problem, ModelError) else 'UNSUPPORTED_ELEMENTS' \
+            if CODE_REFUSED in str(problem) else 'RESOURCE_PARSE_ERROR'
+        raise WorldError(code, str(
+            problem if name == known else unquoted(problem, name))) from None
     return scene, name
 
 

@@ -12,7 +12,7 @@ import re
 from typing import Any
 
 from hnn_vi_ros.errors import optional, RecordingError
-from hnn_vi_ros.files import one_line, read_limited
+from hnn_vi_ros.files import memory_for, one_line, read_limited
 from hnn_vi_ros.sweeps.plan import canonical_json, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Rows
 import numpy as np
@@ -28,6 +28,8 @@ _DIGEST, _SHARD = b'hnn_vi_ros.digest', b'hnn_vi_ros.shard'
 _SEAL = re.compile(rb'(\d{1,10}) sha256:([0-9a-f]{64})')
 _DIGEST_PLACEHOLDER = b'0' * 64
 _MAX_SHARD_SIZE = 2**31
+# Memory in which a small shard is checked [bytes].
+_SPARE_MEMORY = 2**29
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
 _LISTS = {'event_times': pa.list_(pa.float64()), 'events': pa.list_(pa.string())}
 
@@ -149,21 +151,21 @@ def check_shard(path: Path, digest: str, shard: int) -> tuple[int, Counter[str]]
                 content[:seal.start(2)] + _DIGEST_PLACEHOLDER + content[seal.end(2):]):
             raise ValueError('its SHA-256 differs from the recorded one')
         # Without threads: one that still starts when the process ends would abort it.
-        table = pq.ParquetFile(pa.BufferReader(content)).read(
-            ['failure', 'index', 'alarms'], use_threads=False)
-        failure = table['failure']
-    except (OSError, ValueError, KeyError, pa.ArrowException) as problem:
+        # The numbers of a row take more in the file than these columns in memory.
+        with memory_for(len(content) + _SPARE_MEMORY):
+            table = pq.ParquetFile(pa.BufferReader(content)).read(
+                ['failure', 'index', 'alarms'], use_threads=False)
+            # A trajectory has the same alarms in all of its rows, and one row if it failed.
+            first = np.flatnonzero(np.diff(table['index'].to_numpy(), prepend=-1))
+            alarms = Counter(kind for row in table['alarms'].take(first).to_pylist()
+                             for kind in set(row or ()))
+    except (OSError, ValueError, KeyError, MemoryError, pa.ArrowException) as problem:
         raise RecordingError(f'{path}: is damaged ({one_line(problem)})') from problem
     if (table.schema.metadata or {}).get(_DIGEST) != digest.encode():
         raise RecordingError(f'{path}: belongs to another sweep')
     if int(seal[1]) != shard:
         raise RecordingError(f'{path}: is shard {int(seal[1])} of this sweep')
-    # A trajectory has the same alarms in all of its rows, and one row if it failed.
-    index = table['index'].to_numpy()
-    first = np.flatnonzero(np.diff(index, prepend=-1))
-    alarms = Counter(kind for row in table['alarms'].take(first).to_pylist()
-                     for kind in set(row or ()))
-    return len(failure) - int(failure.null_count), alarms
+    return len(table) - int(table['failure'].null_count), alarms
 
 
 def _digest_of(content: bytes) -> bytes:

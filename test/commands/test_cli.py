@@ -167,7 +167,8 @@ def test_files_of_the_working_folder_configure_no_library(tmp_path):
 
 
 @pytest.mark.parametrize('problem, said', [
-    (OSError(28, 'No space left on device', 'a.csv'), 'hnn run: a.csv: No space left on device'),
+    (OSError(28, 'No space left on device', 'a.csv'),
+     'hnn run: a.csv: No space left on device; name another place'),
     (MemoryError(), 'hnn run: the memory is not enough; free some, or give a smaller input')])
 def test_full_disk_or_memory_is_one_line(problem, said, monkeypatch):
     def fail(argv: list[str]) -> None:

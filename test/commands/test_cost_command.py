@@ -11,7 +11,7 @@ import re
 import sys
 
 from hnn_vi_ros.commands import cost, cost_figure
-from hnn_vi_ros.errors import CalibrationError, HnnViRosError, ParameterError
+from hnn_vi_ros.errors import CalibrationError, HnnViRosError
 from hnn_vi_ros.files import parse_yaml, standard_streams
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
@@ -182,8 +182,10 @@ def test_file_that_cannot_be_written_is_one_line(tmp_path, monkeypatch):
     def full(*arguments: object) -> None:
         raise OSError(28, 'No space left on device')
     monkeypatch.setattr(cost, '_write_csv', full)
-    with refused(ParameterError):
+    with pytest.raises(OSError, match='No space') as found:
         cost.main(['exact_pendulum', '--seconds', '1e-6', '--csv', str(tmp_path / 'a.csv')])
+    assert found.value.filename == str(tmp_path / 'a.csv')
+    assert [*tmp_path.iterdir()] == []
 
 
 def test_every_method_has_a_line_of_its_own():

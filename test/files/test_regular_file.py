@@ -92,18 +92,19 @@ def test_scene_on_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch, befor
 def test_new_file_is_whole_when_it_appears_and_replaces_none(tmp_path, monkeypatch, second_names):
     path, seen, link = tmp_path / 'a.json', [], os.link
 
-    def link_it(temporary: Path, target: Path) -> None:
-        seen.append((target.exists(), temporary.read_bytes()))
+    def link_it(temporary: str, target: Path) -> None:
+        seen.append((target.exists(), Path(temporary).read_bytes()))
         if not second_names:
             raise PermissionError(errno.EPERM, 'Operation not permitted')
         link(temporary, target)
 
     monkeypatch.setattr(os, 'link', link_it)
-    write_bytes(path, b'whole', new=True)
+    write_bytes(path, b'whole', new=True, mode=0o600)
     with pytest.raises(FileExistsError):
         write_bytes(path, b'other', new=True)
     assert seen == [(False, b'whole'), (True, b'other')]
     assert path.read_bytes() == b'whole' and [*tmp_path.iterdir()] == [path]
+    assert path.stat().st_mode & 0o777 == 0o600
 
 
 @pytest.mark.parametrize('write', [

@@ -3,6 +3,7 @@
 """One log in many shapes: each is read as it is meant, or refused with the data that read it."""
 
 from collections.abc import Callable, Sequence
+from io import BytesIO
 from pathlib import Path
 import sys
 
@@ -12,10 +13,12 @@ from hnn_vi_ros.learning import arguments, EvenMotion, read_motions
 from hnn_vi_ros.learning.data.header import read_header
 from hnn_vi_ros.learning.data.sources import configuration_of, source_of
 from hnn_vi_ros.learning.data.text import LogMotions
+from hnn_vi_ros.learning.data.units import split_unit
 from messages import refused
 import numpy as np
 import pandas as pd
 import pytest
+from python_process import run_code
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.io import savemat
@@ -335,6 +338,54 @@ def test_file_that_is_no_log_is_refused_with_a_remedy(tmp_path, name):
     (tmp_path / name).write_bytes(BINARY[name] + 99 * b'\1')
     with refused(DataError):
         read(tmp_path / name)
+
+
+# Small files of much content: rows of which one column is the last, and blocks of zeros.
+HUGE: dict[str, Callable[[Path], object]] = {
+    'log.npy': lambda path: path.write_bytes(_header_of(10**15)),
+    'log.parquet': lambda path: pd.DataFrame(
+        dict.fromkeys('abcd', np.zeros(6_000_000))).to_parquet(path),
+    'log.feather': lambda path: pd.DataFrame({'a': np.zeros(10**8)}).to_feather(
+        path, compression='zstd'),
+    'log.mat': lambda path: savemat(path, {'a': np.zeros(3 * 10**8, np.int8)},
+                                    do_compression=True),
+    'log.xlsx': lambda path: _sheet(path, 2000)}
+
+
+def _header_of(rows: int) -> bytes:
+    stream = BytesIO()
+    np.lib.format.write_array_header_1_0(
+        stream, {'descr': '<f8', 'fortran_order': False, 'shape': (rows,)})
+    return stream.getvalue()
+
+
+def _sheet(path: Path, rows: int) -> None:
+    openpyxl = pytest.importorskip('openpyxl')
+    book = openpyxl.Workbook()
+    for row in range(1, rows):
+        book.active.cell(row, 16_384, 1.0)
+    book.save(path)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('name', HUGE)
+def test_small_file_of_a_huge_table_is_refused_within_the_memory(tmp_path, name):
+    path = tmp_path / name
+    HUGE[name](path)
+    code = ('import resource, sys; from pathlib import Path\n'
+            'from hnn_vi_ros.errors import DataError\n'
+            'from hnn_vi_ros.learning.data.header import read_header\n'
+            'try:\n    read_header(Path(sys.argv[1]), ())\n'
+            'except (DataError, OSError) as problem:\n    print(problem)\n'
+            'print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)')
+    found = run_code(code, str(path))
+    problem, memory = found.stdout.splitlines()
+    assert 'not a readable' in problem, found.stderr
+    assert int(memory) < 2_600_000  # [KiB]: what is allowed, and the libraries before it
+
+
+def test_name_of_many_words_takes_no_time():
+    assert split_unit('b ' * 200_000 + 'mm') == ('b ' * 200_000 + 'mm', '')
 
 
 def test_package_that_a_table_needs_is_named_and_plain_logs_need_none(tmp_path, monkeypatch):

@@ -138,6 +138,7 @@ class Simulator:
         self.run, self.control = None, None
         self.state, self.ended = State.PRIMARY_STATE_UNCONFIGURED, []
         self.refused, self.refusal = '', 'the node is not configured'
+        self.scene_of_the_start = ''
         for name, module in modules.items():
             monkeypatch.setitem(sys.modules, name, module)
         # An action server of rclpy needs the type support of real messages.

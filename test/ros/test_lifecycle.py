@@ -124,14 +124,23 @@ def test_configuration_that_fails_is_one_line_and_leaves_the_node_unconfigured(f
         assert not other.change_state(CONFIGURE)
         assert other.state == 'unconfigured'
         assert other.node.count_publishers('/joint_states') == 0
-        assert other.set_parameters(duration=0.0).successful
+        # Nor does another node read a file in what is said of it, or get the node stuck.
+        (folder / 'private.yaml').write_text('password: hunter2\n')
+        for values in ({'scene': str(folder / 'private.yaml'), 'duration': 0.0},
+                       {'scene': 'exact_harmonic_oscillator', 'record': True,
+                        'record_path': 'a/' * 1000}):
+            assert other.set_parameters(**values).successful
+            assert not other.change_state(CONFIGURE) and other.state == 'unconfigured'
+        assert other.set_parameters(record=False).successful
         assert other.change_state(CONFIGURE) and other.change_state(ACTIVATE)
         other.spin_until(lambda: other.states)
         process.send_signal(signal.SIGTERM)
         status, _, error = finish(process)
     assert status == 0
     lines = [line for line in error.splitlines() if '[ERROR]' in line]
-    assert len(lines) == 2 and 'no scene' in lines[0] and 'duration' in lines[1]
+    assert len(lines) == 4 and 'no scene' in lines[0] and 'duration' in lines[1]
+    assert 'nothing of it is quoted' in lines[2] and 'too many folders' in lines[3]
+    assert 'hunter2' not in error and 'password' not in error
 
 
 def test_services_answer_while_the_node_configures_and_autostart_says_how_far_it_is(folder):

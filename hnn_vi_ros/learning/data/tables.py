@@ -14,12 +14,14 @@ from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files import in_bytes, parse_json, read_limited
+from hnn_vi_ros.files import in_bytes, memory_for, parse_json, read_limited
 import numpy as np
 
 # Columns of datasets of LeRobot, largest size of their description [bytes], and of positions in
 # per cent of a range, with some excess.
 _STATE, _ACTION, _MOST_INFO, _RANGE = 'observation.state', 'action', 1 << 20, 105.0
+# Most cells in a table, memory in which it is read [bytes], and rows that become text at once.
+_MOST_CELLS, _MEMORY, _BLOCK = 20_000_000, 2 << 30, 10_000
 # Functions of pandas that read tables, and the packages that they need.
 _PANDAS = {'.parquet': ('read_parquet', 'pandas pyarrow'),
            '.feather': ('read_feather', 'pandas pyarrow'), '.json': ('DataFrame', 'pandas'),
@@ -68,32 +70,52 @@ def table_text(path: Path, most: int, encoding: str) -> str | None:
 # The text is read three times: for its form, for the roles of its columns, and for the numbers.
 @lru_cache(maxsize=1)
 def _unpacked(path: Path, suffix: str, most: int, encoding: str, *_: int) -> str:
-    stream, reader, needs = BytesIO(read_limited(path, most)), *_PANDAS.get(suffix, ('', ''))
+    stream, (reader, needs) = BytesIO(read_limited(path, most)), _PANDAS.get(suffix, ('', ''))
     try:
-        if suffix in ('.gz', '.zip'):
-            text = _decompress(stream, suffix, most + 1)
-            if len(text) > most:
-                raise OSError(errno.EFBIG, f'unpacks to more than {in_bytes(most)}')
-            return text.decode(encoding)
-        if suffix == '.npy':
-            return _csv(_columns({'': np.load(stream)}))
-        if suffix == '.mat':
-            from scipy.io import loadmat
-            return _csv(_columns(loadmat(stream)))
-        import pandas
-        # read_json would take numbers of columns such as timestamp for dates.
-        table = pandas.DataFrame(_samples(parse_json(stream.read()))) if suffix == '.json' else \
-            getattr(pandas, reader)(stream)
+        with memory_for(_MEMORY):
+            return _text(path, stream, suffix, most, encoding, reader)
     except ImportError as problem:
         raise DataError(f'{path}: {suffix} is read with {" and ".join(needs.split())}; '
                         f'pip install {needs}, or {_CSV}') from problem
-    except (ValueError, TypeError, KeyError, EOFError, RuntimeError, BadZipFile,
+    except (ValueError, TypeError, KeyError, EOFError, RuntimeError, BadZipFile, MemoryError,
             gzip.BadGzipFile) as problem:
-        reason = ' '.join(str(problem).split())[:200]
+        reason = ' '.join(str(problem).split())[:200] or 'it takes too much memory'
         raise DataError(f'{path}: not a readable {suffix} table ({reason}); {_CSV}') from problem
+
+
+def _text(path: Path, stream: BytesIO, suffix: str, most: int, encoding: str, reader: str) -> str:
+    if suffix in ('.gz', '.zip'):
+        text = _decompress(stream, suffix, most + 1)
+        if len(text) > most:
+            raise OSError(errno.EFBIG, f'unpacks to more than {in_bytes(most)}')
+        return text.decode(encoding)
+    if suffix == '.npy':
+        return _csv(_columns({'': np.load(stream)}))
+    if suffix == '.mat':
+        from scipy.io import loadmat
+        return _csv(_columns(loadmat(stream)))
+    import pandas
+    if suffix == '.xlsx':
+        _check_sheet(stream)
+    # read_json would take numbers of columns such as timestamp for dates.
+    table = pandas.DataFrame(_samples(parse_json(stream.read()))) if suffix == '.json' else \
+        getattr(pandas, reader)(stream)
     table = table if table.index.name is None else table.reset_index()
     columns = {str(name): table[name].to_numpy() for name in table}
     return _csv(_of_episodes(path, columns) if {_STATE, _ACTION} <= columns.keys() else columns)
+
+
+def _check_sheet(stream: BytesIO) -> None:
+    """Raise ValueError if the first sheet has too many cells; one that is far away adds others."""
+    import pandas
+    cells = 0
+    for row in pandas.ExcelFile(stream).book.worksheets[0].values:
+        _check_size(cells := cells + len(row))
+
+
+def _check_size(cells: int) -> None:
+    if cells > _MOST_CELLS:
+        raise ValueError(f'it has more than {_MOST_CELLS} cells')
 
 
 def _samples(content: Any) -> Any:
@@ -166,8 +188,13 @@ def _columns(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
 
 def _csv(columns: Mapping[str, np.ndarray]) -> str:
     """Return columns as text, without a header if they come from an array without names."""
-    text, header = StringIO(), [] if '1' in columns else [[*columns]]
-    csv.writer(text, lineterminator='\n').writerows(chain(header, zip(
-        *((1 * column if column.dtype == bool else column).tolist()
-          for column in columns.values()), strict=True)))
-    return text.getvalue()
+    arrays = [1 * column if column.dtype == bool else column for column in columns.values()]
+    _check_size(sum(map(len, arrays)))
+    blocks = (zip(*(array[first:first + _BLOCK].tolist() for array in arrays), strict=True)
+              for first in range(0, max(map(len, arrays), default=0), _BLOCK))
+    parts = []
+    for rows in chain([] if '1' in columns else [[[*columns]]], blocks):
+        text = StringIO()
+        csv.writer(text, lineterminator='\n').writerows(rows)
+        parts.append(text.getvalue())
+    return ''.join(parts)

@@ -43,6 +43,8 @@ _BRACKETED = re.compile(r'[\[(]([^\[\]()]*)[\])]')
 _BEHIND_WORD = re.compile(r'.*[\[(][^\[\]()]*\w[^\[\]()]*')
 _WORD = re.compile(r'[^\W\d_]+|[°º%]')
 _FACTOR = re.compile(r'([^\W\d_]+|[°º%1])\^?([-+]?\d)?')
+# Longest name that is searched for a unit [characters]: words are compared with those before.
+_LONGEST_NAME = 500
 # Number of words at the end of a name that may form a unit.
 _MOST_WORDS = 8
 _POWERS = str.maketrans('⁰¹²³⁴⁵⁶⁷⁸⁹⁻', '0123456789-')
@@ -87,6 +89,8 @@ def split_unit(name: str) -> tuple[str, str]:
         Name without unit; unit as ``parsed`` reads it, '' if the name has none.
 
     """
+    if len(name) > _LONGEST_NAME:
+        return name, ''
     for match in _BRACKETED.finditer(name):
         if parse_unit(match[1]):
             return (name[:match.start()] + name[match.end():]).strip(), match[1].strip()

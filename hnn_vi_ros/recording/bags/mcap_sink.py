@@ -15,7 +15,7 @@ import time
 from typing import Any, BinaryIO, cast, final
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import dump_yaml
+from hnn_vi_ros.files import dump_yaml, make_folder
 from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.recording.bags.bag_metadata import (
     bag_metadata, FileExtent, NEVER, Topic, write_bag_metadata)
@@ -363,8 +363,7 @@ def _create(path: Path) -> BinaryIO:
     """Create the file in a new folder; leave nothing behind on failure."""
     folder = path.parent
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        folder.mkdir()
+        make_folder(folder, new=True)
     except FileExistsError as problem:
         raise RecordingError(f'{problem.filename}: exists already and is not overwritten; record '
                              'to a new folder') from problem

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 from uuid import NAMESPACE_OID, uuid5
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files import make_folder
 import rerun as rr
 from rerun import bindings  # type: ignore[attr-defined]  # not exported, but needed
 import rerun.blueprint as rrb
@@ -149,7 +150,7 @@ class RerunStream:
         target = self._target
         try:
             if isinstance(target, Path):
-                target.parent.mkdir(parents=True, exist_ok=True)
+                make_folder(target.parent)
                 # Exclusive creation here ensures that an existing file is not overwritten.
                 target.open('xb').close()
             elif isinstance(target, str):

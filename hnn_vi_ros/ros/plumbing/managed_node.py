@@ -9,9 +9,11 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from typing import Any
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError
+from hnn_vi_ros.files import one_line
 from hnn_vi_ros.ros.plumbing.executor import NodeExecutor
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
 from hnn_vi_ros.ros.plumbing.qos_overrides import PREFIX
@@ -206,6 +208,10 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         self.stop(0, 'shut down')
         return SUCCESS
 
+    def roll_back(self) -> None:
+        """Undo what a configuration has done before it failed."""
+        return
+
     async def autostart(self) -> None:
         """Configure and activate; raise the error of a transition that fails."""
         if await self.change_state(Transition.TRANSITION_CONFIGURE):
@@ -256,7 +262,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         Raises
         ------
         HnnViRosError
-            Raised by the callback; the transition has failed.
+            The callback raised an exception; the transition has failed.
 
         """
         available = {found[0] for found in self._machine.available_transitions}
@@ -274,9 +280,15 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         except GeneratorExit:
             # The process is ending, and ROS is already shut down.
             raise
-        except BaseException:
+        except Exception as problem:
+            if transition == Transition.TRANSITION_CONFIGURE:
+                self.roll_back()
             self._end_transition(FAILURE)
-            raise
+            if isinstance(problem, HnnViRosError):
+                raise
+            self.get_logger().debug(''.join(traceback.format_exception(problem)))
+            raise HnnViRosError(f'{_PUBLIC[transition]} failed: {type(problem).__name__}: '
+                                f'{one_line(problem)}') from problem
         self._end_transition(result)
         if result == SUCCESS:
             self.get_logger().info(f'{before.label} -> {self._machine.current_state[1]}')

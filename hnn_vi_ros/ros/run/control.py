@@ -350,9 +350,12 @@ class Simulator(ManagedNode):
     ----------
     run, control : Run, Control or None
         The simulation and its control; None while the node is not configured.
+    scene_of_the_start : str
+        Scene that the user has named.
 
     """
 
+    scene_of_the_start = ''
     run: Run | None = None
     control: Control | None = None
 
