@@ -14,7 +14,7 @@ from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
     from hnn_vi_ros.hamiltonians.arguments import Arguments, read_arguments, TIMES
-    from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+    from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian, slopes_differ
     from hnn_vi_ros.hamiltonians.expressions import GRAMMAR, Graph, Reader, SWITCHES
     from hnn_vi_ros.hamiltonians.formula import Formula
     from hnn_vi_ros.hamiltonians.kinks import is_continuous

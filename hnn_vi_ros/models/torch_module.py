@@ -8,17 +8,13 @@ from functools import cached_property
 from typing import NoReturn, TYPE_CHECKING
 
 from hnn_vi_ros.errors import ModelError, prefixed
-from hnn_vi_ros.hamiltonians import Arguments, Hamiltonian, read_arguments
+from hnn_vi_ros.hamiltonians import Arguments, Hamiltonian, read_arguments, slopes_differ
 from hnn_vi_ros.kernels import Kernel, Parameters
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 if TYPE_CHECKING:
     import torch
-
-
-# Step of differences, in the units of the state.
-_DIFFERENCE = 1e-5
 
 
 def rows_of(module: 'torch.nn.Module', arguments: Arguments
@@ -89,16 +85,9 @@ class TorchHamiltonian(Hamiltonian):
         if not np.allclose(both, np.stack([one, another], axis=1), 1e-6, 1e-9, equal_nan=True):
             self._refuse('mixes the rows of its input, or uses only the first; index columns as '
                          'in x[:, 0], and avoid layers that depend on the batch')
-
-        # Central differences: their error is about 1e-10 of the third derivative, or the rounding
-        # of H over the step.
-        direction = np.random.default_rng(0).normal(size=(2, q.size)) * _DIFFERENCE
-        up, down = (self._energy((), *(np.array([other, p]) + sign * direction))
-                    for sign in (1.0, -1.0))
-        terms = another * direction
-        if not abs(up - down - 2.0 * terms.sum()) <= 1e-4 * np.abs(terms).sum() + 1e-12 * abs(up):
-            self._refuse(f'has slopes {another.tolist()} that are not those of its values: it '
-                         'detaches a part of its input, or rounds, compares or converts it')
+        if slopes_differ(self, q, p):
+            self._refuse('has slopes that are not those of its values: it detaches a part of its '
+                         'input, or rounds, compares or converts it')
 
     def _refuse(self, why: str) -> NoReturn:
         raise ModelError(f'{type(self.module).__name__} {why}')

@@ -16,7 +16,7 @@ from hnn_vi_ros.errors import (
     CalibrationError, listed, ModelError, offered, prefixed, SceneError, UnsupportedSystem)
 from hnn_vi_ros.files import dump_yaml, find_yaml, KeyPlaces, read_yaml, StrictModel, validate
 from hnn_vi_ros.hamiltonians import (
-    COORDINATES, DESCRIBED, Hamiltonian, HAMILTONIANS, MECHANISMS, ROTATING, trace)
+    COORDINATES, DESCRIBED, Hamiltonian, HAMILTONIANS, MECHANISMS, ROTATING, slopes_differ, trace)
 from hnn_vi_ros.integrators import Integrator, INTEGRATORS, ON_FAILURE
 from hnn_vi_ros.models import file_digest
 from hnn_vi_ros.phase_space import columns, Coordinate
@@ -311,6 +311,9 @@ class Scene(StrictModel):
         state = np.array(self.initial_state.q), np.array(self.initial_state.p)
         with self.placed('hamiltonian'):
             hamiltonian.check_state(*state)
+            if isinstance(choice, PythonChoice) and slopes_differ(hamiltonian, *state):
+                raise ValueError('the gradient differs from differences of the energy; mend the '
+                                 'kernel of the Hamiltonian that the factory returns')
         hamiltonian.invariants = invariants_of(
             self.invariants, hamiltonian, not self.effects, state, self.place,
             self._origin.code_folder)

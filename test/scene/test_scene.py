@@ -201,6 +201,42 @@ def test_scene_python_factory_gives_a_hamiltonian(write):
     assert type(scene.create_hamiltonian()).__name__ == 'Tao'
 
 
+ERRING = """\
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+from hnn_vi_ros.phase_space import Coordinate
+import numpy as np
+
+
+def energy(parameters, q, p):
+    return float(np.sum(p**2) / 2.0 - np.sum(np.cos(q)))
+
+
+def gradient(parameters, q, p, dH_dq, dH_dp):
+    dH_dq[:], dH_dp[:] = np.sin(q), FACTOR * p
+
+
+def products(parameters, q, p, v_q, v_p, product_q, product_p):
+    product_q[:], product_p[:] = np.cos(q) * v_q, v_p
+
+
+class Pendulum(Hamiltonian):
+    coordinates, separable = (Coordinate('a', 'rad', 'kg m2/s'),), True
+    kernel = compiled_kernel((energy, gradient, products), (), 1)
+"""
+
+
+def test_gradient_of_code_that_errs_by_a_per_cent_is_refused_also_from_rest(write):
+    for name, factor in (('exact', '1.0'), ('erring', '1.01')):
+        write(ERRING.replace('FACTOR', factor), f'{name}.py')
+        scene = load_scene(write(GOOD.replace(
+            'harmonic_oscillator, mass: 2.0', f"python, factory: '{name}:Pendulum'")))
+        if name == 'exact':
+            assert scene.create_hamiltonian().separable
+        else:
+            with refused(SceneError):
+                scene.create_hamiltonian()
+
+
 def test_model_path_is_found_beside_its_scene(write, tmp_path):
     (tmp_path / 'm.safetensors').write_bytes(
         shipped_file('model', 'harmonic_oscillator').read_bytes())
