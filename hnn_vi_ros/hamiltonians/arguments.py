@@ -84,8 +84,10 @@ def read_arguments(function: Callable[..., Any]) -> Arguments:
 
 def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
     """Return the parameters of a function, also of one of numpy.vectorize or of TorchScript."""
+    function = getattr(function, 'pyfunc', function)
     try:
-        given = [*inspect.signature(getattr(function, 'pyfunc', function)).parameters.values()]
+        # A wrapper may have other arguments than the function that it wraps.
+        given = [*inspect.signature(function, follow_wrapped=False).parameters.values()]
     except (TypeError, ValueError):
         arguments = getattr(getattr(function, 'schema', None), 'arguments', None)
         given = [inspect.Parameter('_', inspect.Parameter.VAR_POSITIONAL)] if arguments is None \
@@ -94,6 +96,9 @@ def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
                 default=one.default_value if one.has_default_value() else inspect.Parameter.empty)
                 for one in arguments if one.name != 'self']
     if any(one.kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD) for one in given):
+        if wrapped := getattr(function, '__wrapped__', None):
+            return _parameters(wrapped.__get__(function.__self__) if inspect.ismethod(function)
+                               else wrapped)
         raise ValueError(f'H({", ".join(map(str, given))}): the names of its arguments are hidden;'
                          ' give the function or module that it calls, or write H(q, p)')
     return given

@@ -263,7 +263,7 @@ def trace(function: Callable[..., Any], q: Any) -> tuple[list[str], str]:
     """
     Return the names of the coordinates and the formula of a function H(q, p) or H(q, p, t).
 
-    The formula must have the values of the function at 100 states, half of them near this one.
+    The formula must have the values of the function at 100 states, also at large ones.
 
     Parameters
     ----------
@@ -326,12 +326,13 @@ def _compare(function: Callable[..., Any], arguments: Arguments, graph: Graph, r
     """Raise ValueError unless a formula has the values of its function, with numbers."""
     chance, names = np.random.default_rng(0), [node[1] for node in graph.nodes[:2 * start.size]]
     states = [*chance.normal(size=(_STATES, 2, *start.shape))]
-    first, times = complex(math.nan), chance.uniform(0.0, 10.0, _STATES)
+    first, times = complex(math.nan), 10.0 ** chance.uniform(-2.0, 3.0, _STATES)
     # The first one is repeated at the end.
     for k, state in enumerate((*states, states[0])):
-        state = state * (0.3, 2.0)[k % 4 // 2]
-        state[0] += start * (k % 2)
-        t = times[k % _STATES]
+        number = k % _STATES
+        state = state * (0.3, 2.0, 20.0, 200.0)[number % 8 // 2]
+        state[0] += start * (number % 2)
+        t = times[number]
         known = {TIME: t, **dict(zip(names, state.ravel(), strict=True))}
         values = graph.values([root], known)
         with np.errstate(all='ignore'):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """H as a function of Python: traced into a formula that agrees with it, or refused by name."""
 
-from functools import partial
+from functools import partial, wraps
 import math
 
 from hnn_vi_ros import load_scene, simulate
@@ -82,6 +82,7 @@ REFUSED = {
     'caught': lambda q, p: p**2 / 2 + caught(q),
     'caught function': lambda q, p: p**2 / 2 + caught(q, np.signbit),
     'type': lambda q, p: p**2 + (q**2 if isinstance(q, float) else q**4),
+    'type far away': lambda q, p: p**2 + q**2 * (2 if isinstance(q, float) and q > 12.0 else 1),
     'random': lambda q, p: p**2 + q * CHANCE.normal(),
     'slow drift': lambda q, p, calls=[0]: p**2 + q**2 * (
         1.0 + 1e-9 * (calls.append(0) or len(calls))),
@@ -135,9 +136,15 @@ def test_numpy_is_as_before_after_a_function_was_traced():
     assert (np.where, np.clip, np.linalg.solve) == before
 
 
+def momentum_first(p, q):
+    return p**2 / 2 - np.cos(q)
+
+
 @pytest.mark.parametrize('function', [
-    lambda p, q: p**2 / 2 - np.cos(q), np.vectorize(lambda p, q: p**2 / 2 - np.cos(q)),
-    lambda theta, p_theta: p_theta**2 / 2 - np.cos(theta)])
+    momentum_first, np.vectorize(momentum_first),
+    lambda theta, p_theta: p_theta**2 / 2 - np.cos(theta),
+    wraps(momentum_first)(lambda *parts: momentum_first(*parts)),
+    wraps(momentum_first)(lambda q, p: momentum_first(p, q))])
 def test_names_of_arguments_tell_coordinates_from_momenta(function):
     assert trace(function, 1.0)[1] == '0.5*p^2 - cos(q)'
 
