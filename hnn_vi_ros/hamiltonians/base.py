@@ -274,16 +274,16 @@ class Hamiltonian(ABC):
                 np.ascontiguousarray(p, dtype=np.float64).ravel())
 
 
-# Steps of differences, in the units of the state, and least error of a slope that is wrong.
-_DIFFERENCES, _SLOPE_ERROR = (1e-5, 4e-5), 1e-3
+# Steps of differences, in the units of the state, whose scale is unknown; and the largest error
+# of a slope relative to its terms.
+_DIFFERENCES, _SLOPE_ERROR = (1e-5, 1e-8, 1e-11), 1e-3
 
 
 def slopes_differ(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> bool:
     """
     Return whether the gradient of H differs from differences of H near a state, (d,) each.
 
-    Three states are compared, because H may have a kink at one of them, or be infinite. The error
-    of the differences is estimated from two of them.
+    Three states are compared, because H may have a kink at one of them, or be infinite.
     """
     if not hamiltonian.canonical:
         return False
@@ -293,11 +293,11 @@ def slopes_differ(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> boo
         way = [rng.normal(size=half.shape) for half in state]
         terms = np.concatenate([slope * change for slope, change in zip(
             hamiltonian.gradient(*state), way, strict=True)])
-        fine, coarse = (float(np.diff([hamiltonian.energy(*(
+        slopes = [float(np.diff([hamiltonian.energy(*(
             half + sign * h * change for half, change in zip(state, way, strict=True)))
-            for sign in (-1.0, 1.0)])[0] / (2.0 * h)) for h in _DIFFERENCES)
-        wrong += abs(fine - terms.sum()) > (
-            _SLOPE_ERROR * np.abs(terms).sum() + 10.0 * abs(fine - coarse))
+            for sign in (-1.0, 1.0)])[0] / (2.0 * h)) for h in _DIFFERENCES]
+        wrong += all(abs(slope - terms.sum()) > _SLOPE_ERROR * np.abs(terms).sum()
+                     for slope in slopes)
     return wrong > 1
 
 

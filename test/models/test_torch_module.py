@@ -28,7 +28,8 @@ class Written(torch.nn.Module):
     lambda x: float(x.sum()), lambda x: x[0, 0] ** 2 + x[0, 1] ** 2,
     lambda x: ((x - x.mean(0)) ** 2).sum(-1), lambda x: torch.rand(()) * x.sum(-1),
     lambda x: (x.detach() ** 2).sum(-1), lambda x: (x ** 2).sum(-1) + (x.detach() ** 2).sum(-1),
-    lambda x: x @ torch.ones(2), lambda x: x.no_such])
+    lambda x: x @ torch.ones(2), lambda x: x.no_such,
+    lambda x: (x.float() ** 2).sum(-1).double()])
 def test_module_that_is_no_function_of_rows_is_refused(formula):
     module = TorchHamiltonian(Written(formula), [X])
     with refused(ModelError):
