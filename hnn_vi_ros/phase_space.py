@@ -126,6 +126,16 @@ def column_units(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str
     return units
 
 
+# Units of momenta whose product with a velocity in the unit of the coordinate is an energy in J.
+_OF_JOULES = {'m': ('kg m/s', 'N s'), 'rad': ('kg m2/s', 'N m s'), '1': ('1', 'kg m/s', 'kg m2/s')}
+
+
+def energy_unit(coordinates: Sequence[Coordinate]) -> str:
+    """Return the unit of H: J, unless a coordinate and its momentum have other units."""
+    return next((f'({own.p_unit}) {own.q_unit}/s' for own in coordinates
+                 if own.p_unit not in _OF_JOULES.get(own.q_unit, ())), 'J')
+
+
 def raised(unit: str) -> str:
     """Return a unit with exponents as superscripts, for example kg m²/s for kg m2/s."""
     return re.sub('(?<=[A-Za-z])-?[0-9]+', lambda power: power[0].translate(_SUPERSCRIPTS), unit)

@@ -122,8 +122,9 @@ def main(argv: list[str]) -> int:
     if (causes := trajectory.energy_by_cause) is not None:
         # Between steps no work is known.
         last = causes.values[np.isfinite(causes.values).all(axis=1)][-1]
-        print('energy [J]: ' + ', '.join(f'{name} {value:.4g}' for name, value in zip(
-            causes.names, last, strict=True)), file=shown)
+        print(f'energy [{trajectory.units["H"]}]: ' + ', '.join(
+            f'{name} {value:.4g}' for name, value in zip(causes.names, last, strict=True)),
+            file=shown)
     if to_output:
         trajectory.to_csv(sys.stdout)
     write_outputs(paths | {'--csv': None} if to_output else paths, {

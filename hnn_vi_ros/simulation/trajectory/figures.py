@@ -109,7 +109,8 @@ def draw_series(trajectory: Trajectory) -> 'Figure':
         name_curves(axes)
     rows[-1].set_xlabel('t [s]')
     figure.align_ylabels(rows)
-    begin = '' if trajectory.energy.ndim == 2 else f', H(0) = {trajectory.energy[0]:.6g} J'
+    begin = '' if trajectory.energy.ndim == 2 else (
+        f', H(0) = {trajectory.energy[0]:.6g} {trajectory.units["H"]}')
     _write_title(figure, f'{trajectory.title}{begin}')
     return figure
 
@@ -133,11 +134,11 @@ def draw_energy(trajectory: Trajectory) -> 'Figure':
     t, kinds = causes.t[known], [{name: own[known] for name, own in causes.of(kind).items()}
                                  for kind in (WORK, STORED, HEAT, ERROR)]
     works, stored, heats, error = kinds
-    scene = trajectory.scene
+    scene, unit = trajectory.scene, trajectory.units['H']
     named = {} if scene is None or scene.hamiltonian.kind not in HAMILTONIANS else {
         REST.removeprefix(STORED): scene.hamiltonian.kind}
     # Only rises count: the zero of a stored energy is arbitrary, and named.
-    stored = {f'{named.get(name, name)} - ({own.min(initial=np.inf):.4g} J)':
+    stored = {f'{named.get(name, name)} - ({own.min(initial=np.inf):.4g} {unit})':
               own - own.min(initial=np.inf) for name, own in stored.items()}
     works = {name: own for name, own in works.items() if name not in heats}
     figure = new_figure(_WIDTH, 2.5 * _HEIGHT + _HEIGHT + _MARGINS)
@@ -154,8 +155,8 @@ def draw_energy(trajectory: Trajectory) -> 'Figure':
                    label=f'work: {name}')
     upper.axhline(0.0, color=COLOURS[-1], linewidth=0.6)
     lower.plot(t, error[''], color=COLOURS[0], linewidth=1.2, label='unexplained')
-    upper.set_ylabel('lost   |   stored [J]')
-    lower.set_ylabel('unexplained [J]')
+    upper.set_ylabel(label('lost   |   stored', unit))
+    lower.set_ylabel(label('unexplained', unit))
     for axes in rows:
         axes.grid(alpha=0.3)
         axes.margins(x=0.0)
@@ -205,14 +206,16 @@ def _panels(trajectory: Trajectory, half: int) -> list[_Panel]:
 def _energy_panels(trajectory: Trajectory) -> list[_Panel]:
     """Return panels of the change of H, and of that change minus the work of effects."""
     t, change, work = trajectory.t, trajectory.energy - trajectory.energy[:1], trajectory.work
+    unit = trajectory.units['H']
     if change.ndim == 2:
-        return [_Panel('H - H(0) [J]', [
+        return [_Panel(label('H - H(0)', unit), [
             (f'trajectory {k}', t, change[:, k]) for k in range(change.shape[1])])]
-    panels = [_Panel('H - H(0) [J]', [('H - H(0)', t, change)])]
+    panels = [_Panel(label('H - H(0)', unit), [('H - H(0)', t, change)])]
     if work is not None:
         known = np.isfinite(work)
         panels[0].curves.append(('work W', t[known], work[known]))
-        panels.append(_Panel('H - H(0) - W [J]', [('error', t[known], (change - work)[known])]))
+        panels.append(_Panel(label('H - H(0) - W', unit), [
+            ('error', t[known], (change - work)[known])]))
     return panels
 
 

@@ -14,7 +14,8 @@ from hnn_vi_ros.errors import listed, optional, RecordingError
 from hnn_vi_ros.files import dump_yaml, no_file, one_line, parse_json, written
 from hnn_vi_ros.hamiltonians import Hamiltonian, Mechanism, MECHANISMS, skeleton
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
+from hnn_vi_ros.phase_space import (
+    column_units, columns, Coordinate, energy_unit, Event, momentum_name)
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.scene import described_scene, plain_data, Scene
 from hnn_vi_ros.simulation.checks import check_numbers
@@ -215,7 +216,7 @@ class Trajectory:
         """Return the units by column name, including ``t`` and ``H``."""
         pairs = zip((*self.names[0], *self.names[1]),
                     (unit for own in column_units(self.coordinates) for unit in own), strict=True)
-        return {'t': 's', **dict(pairs), 'H': 'J'}
+        return {'t': 's', **dict(pairs), 'H': energy_unit(self.coordinates)}
 
     @property
     def title(self) -> str:
@@ -305,7 +306,7 @@ class Trajectory:
         """Return a short summary: samples, time span, energy."""
         many = f' of {self.q.shape[1]} trajectories' if self.q.ndim == 3 else ''
         change = float(np.abs(self.energy - self.energy[:1]).max(initial=0.0))
-        first = np.ravel(self.energy[:1])
+        first, unit = np.ravel(self.energy[:1]), energy_unit(self.coordinates)
         balance = self.balance()
         by_effects = ''
         # Smaller changes are rounding errors.
@@ -318,7 +319,7 @@ class Trajectory:
                 f't = {self.t[0]:g} to {self.t[-1]:g} s' if len(self.t) else 'no samples',
                 'H = ' + (f'{first[0]:.6g}' if first.size == 1 else
                           f'{first.min(initial=np.inf):.6g} to {first.max(initial=-np.inf):.6g}')
-                + f' J, largest change {change:.2g} J{by_effects}']
+                + f' {unit}, largest change {change:.2g} {unit}{by_effects}']
 
     def balance(self) -> np.ndarray | None:
         """Return H - H(0) - W [J], shape (n,), where W is known; None if no effect does work."""

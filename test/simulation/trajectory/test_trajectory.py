@@ -58,6 +58,16 @@ def test_trajectory_knows_its_names_units_and_scene(run):
     assert '\n' not in text and len(text) < 160
 
 
+def test_energy_has_the_unit_of_momentum_times_velocity_where_that_is_not_J():
+    scene = Scene.build(
+        hamiltonian={'kind': 'formula', 'H': 'p_x^2/2 + x^2/2', 'coordinates': [
+            {'name': 'x', 'q_unit': 'm', 'p_unit': 'm/s'}]},
+        integrator='gauss4', step_size=0.1, initial_state=([1.0], [0.0]))
+    found = simulate(scene, 1.0)
+    assert found.units['H'] == '(m/s) m/s' and 'H = 0.5 (m/s) m/s, ' in repr(found)
+    assert found.plot().axes[-1].get_ylabel() == 'H - H(0) [(m/s) m/s]'
+
+
 def test_units_of_a_pose_are_those_of_its_parts():
     pose = replace(TURNING, coordinates=(Coordinate('b', 'm', 'kg m/s', 'pose'),)).units
     assert [pose[name] for name in ('b_x', 'b_qw', 'p_b_x', 'p_b_rz')] == [
