@@ -102,6 +102,20 @@ def test_wait_after_the_first_command_that_is_too_long_ends_the_run_or_is_warned
     assert found == status and word in error
 
 
+def test_controller_that_dies_ends_the_wait_with_a_line(tmp_path):
+    process = start(tmp_path, duration=0.05, record=False, rerun_sink='none', **GIVEN)
+    with peer() as other:
+        commands = other.publisher(JointState, '~/joint_commands')
+        heard = other.hear(JointState, 'joint_states')
+        other.spin_until(lambda: heard and commands.get_subscription_count())
+        commands.publish(JointState(header=heard[-1].header, name=['angle'], effort=[0.1]))
+        other.spin_until(lambda: heard[-1].header.stamp.nanosec == 20_000_000)
+    # Sooner than the 60 s of lockstep_timeout.
+    found, _, error = finish(process)
+    assert found == 1 and ('stopped: lockstep: no command on ~/joint_commands with the stamp '
+                           '0.02 s: its publisher is gone') in error
+
+
 @pytest.mark.parametrize(('name', 'word'), [
     ('lockstep', 'takes no commands'), ('publish_loop_forces', 'has no loops')])
 def test_scene_without_joint_commands_or_loops_has_no_use_for_them(tmp_path, name, word):

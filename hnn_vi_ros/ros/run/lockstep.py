@@ -12,6 +12,8 @@ from hnn_vi_ros.ros.topics.inputs import JOINT_COMMANDS
 
 # Wall time after which the awaited state is published again for late subscribers [s].
 REPEAT_PERIOD = 1.0
+# Wall time without a publisher of commands after which the controller counts as gone [s].
+_MAX_ABSENCE = 5.0
 
 
 class Lockstep:
@@ -55,9 +57,9 @@ class Lockstep:
         self.awaited: int | None = None
         self.repeated: int | None = None
         self.on_answer: Callable[[], None] = lambda: None
-        # Wall time at which the wait began [s], and whether an answer has come: the first wait has
-        # no limit.
-        self._since, self._begun = 0.0, False
+        # Wall times at which the wait began, and at which commands last had a publisher [s]; and
+        # whether an answer has come: the first wait has no limit.
+        self._since, self._seen, self._begun = 0.0, 0.0, False
 
     def observe(self, sample: Sample, last: bool) -> None:
         """Wait for the answer to a sample if a period ends with it, but not after the last."""
@@ -80,18 +82,20 @@ class Lockstep:
                 f'that of {self.awaited / 1e9:.9g} s is awaited')
             raise ValueError(f'lockstep: answers the state of {stamp / 1e9:.9g} s, but {wanted}; '
                              'stamp each command with the stamp of the state that it answers')
-        self._begun = True
+        self._begun, self._seen = True, time.monotonic()
         return self._go_on if stamp == self.awaited else None
 
-    def check(self, going: bool, publish_again: Callable[[], None],
+    def check(self, going: bool, publishers: int, publish_again: Callable[[], None],
               tell: Callable[[str, str], None]) -> str:
         """
-        Publish an awaited state again, and end too long a wait.
+        Publish an awaited state again, and end a wait that is too long or for nobody.
 
         Parameters
         ----------
         going : bool
             True if the run would continue without the wait.
+        publishers : int
+            Number of publishers of commands.
         publish_again : callable
             Publishes the last sample once more.
         tell : callable
@@ -104,6 +108,8 @@ class Lockstep:
 
         """
         now = time.monotonic()
+        self._seen = now if publishers or not going else self._seen
+        gone = now - self._seen > _MAX_ABSENCE
         if self.awaited is None:
             return ''
         publish_again()
@@ -112,9 +118,10 @@ class Lockstep:
         self.repeated = self.awaited
         if not going or not self._begun:
             self._since = now
-        elif now - self._since > self._timeout:
+        elif gone or now - self._since > self._timeout:
+            why = ': its publisher is gone' if gone else f' within {self._timeout:g} s'
             text = (f'lockstep: no command on {JOINT_COMMANDS.topic} with the stamp '
-                    f'{self.awaited / 1e9:.9g} s within {self._timeout:g} s')
+                    f'{self.awaited / 1e9:.9g} s{why}')
             if not self._holds:
                 return f'stopped: {text}'
             tell(f'{text}; the last command is held', 'WARN')

@@ -22,7 +22,7 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import (
     DiagnosticsPublisher, EVENT, OK, state_values, Status, WARN)
-from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
+from hnn_vi_ros.ros.topics.inputs import JOINT_COMMANDS, OBSERVATIONS
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import ConfiguredRun, DIAGNOSTICS, EVENTS, PREDICTION_ERROR
 from hnn_vi_ros.ros.topics.topics import Topics
@@ -201,7 +201,9 @@ class Run:
     def watch_lockstep(self, going: bool) -> None:
         """Publish an awaited state again, and end too long a wait of a run that is `going`."""
         if self.lockstep is not None and (reason := self.lockstep.check(
-                going, self._topics.publish_again, self.tell)):
+                going, self._node.count_publishers(
+                    self._node.resolve_topic_name(JOINT_COMMANDS.topic)),
+                self._topics.publish_again, self.tell)):
             self._stop(1, reason)
 
     def step(self, most: float = math.inf) -> int | None:
