@@ -98,7 +98,8 @@ def scene() -> Parser:
         'ROBOT.yaml)'))
     source = parser.add_mutually_exclusive_group()
     complete_by(source.add_argument('--like', metavar='SCENE', help=(
-        'with --new: scene to copy, a shipped name or a file (default: exact_pendulum)')),
+        'with --new: scene to copy, a shipped name, a file, or a bag of the simulator (default: '
+        'exact_pendulum)')),
         'scene')
     source.add_argument('--formula', metavar='H', help=(
         'with --new: H [J] as a function of coordinates c and momenta p_c; other names become '

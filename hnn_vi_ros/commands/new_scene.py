@@ -12,13 +12,13 @@ import re
 import sys
 import warnings
 
-from hnn_vi_ros.errors import ModelError, prefixed, SceneError, StepFailure
+from hnn_vi_ros.errors import ModelError, prefixed, RecordingError, SceneError, StepFailure
 from hnn_vi_ros.files import (
     dump_yaml, one_line, package_file, Parser, SCHEME, share_folder, write_new_scene)
 from hnn_vi_ros.hamiltonians import (
     CONSTANTS, Formula, Graph, Joint, MOST_JOINTS, read_urdf, Reader, RigidBodyTree, Robot,
     SLIDING, TIMES)
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import described_scene, load_scene, Scene
 import numpy as np
 from scipy.optimize import minimize
 
@@ -388,6 +388,8 @@ def _quoted(text: str) -> str:
     return plain if plain == text and not set(text) & set(',:#[]{}') else json.dumps(text)
 
 
+# Suffixes of the files of bags.
+BAG_SUFFIXES = ('.mcap', '.db3')
 # Line that points editors to the schema; shipped scenes have a relative path in it.
 _SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')
 
@@ -443,8 +445,14 @@ def write_new(options: Namespace, parser: Parser) -> int:
     if options.formula is not None:
         text, parameters = formula_text(options.formula, schema)
     else:
-        scene = load_scene(options.like or 'exact_pendulum')
-        text = _SCHEMA.sub(lambda line: schema, scene.source.read_text(encoding='utf-8'))
+        like = Path(options.like or 'exact_pendulum')
+        if like.is_dir() or like.suffix in BAG_SUFFIXES:
+            scene = recorded_scene(like)
+            text = f'{schema}\n' + dump_yaml(scene.model_dump(
+                by_alias=True, exclude_defaults=True))
+        else:
+            scene = load_scene(like)
+            text = _SCHEMA.sub(lambda line: schema, scene.source.read_text(encoding='utf-8'))
         for name, file in scene.model_files().items():
             # Paths relative to the folder of the original would be wrong for the copy.
             if '/' in name and '://' not in name:
@@ -454,6 +462,17 @@ def write_new(options: Namespace, parser: Parser) -> int:
     if parameters:
         print(f'  parameters set to 1: {", ".join(parameters)}')
     return 0
+
+
+def recorded_scene(bag: Path) -> Scene:
+    """Return the scene in a bag of the simulator; RecordingError if there is none."""
+    # Imported lazily: other new scenes need no bags.
+    from hnn_vi_ros.recording import BagReader
+    text = BagReader(bag).attachment('scene.yaml')
+    if text is None:
+        raise RecordingError(f'{bag}: contains no scene.yaml; give a bag that the simulator '
+                             'recorded itself')
+    return described_scene(text, f'{bag}: its scene')[0]
 
 
 def _print_next_steps(path: Path) -> int:

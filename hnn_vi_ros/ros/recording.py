@@ -16,8 +16,8 @@ from hnn_vi_ros.ros.plumbing.environment import distribution
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.run import (
-    bag_lines, picture_lines, report_files, RunFiles, Sampler, STATE_FILE, state_file,
-    TimingFigures)
+    bag_lines, LAST_STATE_FILE, picture_lines, report_files, RunFiles, Sampler, STATE_FILE,
+    state_file, TimingFigures)
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -147,7 +147,7 @@ class BagOutput(Sink):
             'parameters.yaml': dump_yaml(asdict(self._settings)).encode()}
         # Data that the topics lack: the state after earlier steps, and a command that is held.
         state, held = state_file(simulation), simulation.snapshot()['live.command']
-        if state != self._begun_at or held.any():
+        if state != self._begun_at or held.any() or self._settings.resume:
             attachments[STATE_FILE] = state
         sink = McapSink(bag, self._topics.tick, attachments, distribution() or 'unknown')
         latched = [(self._topics.scene, described)]
@@ -172,7 +172,7 @@ class BagOutput(Sink):
         self._sink.flush()
 
     def close(self) -> None:
-        self._sink.close()
+        self._sink.close({LAST_STATE_FILE: state_file(self._begin.simulation)})
 
     @property
     def delay(self) -> float:

@@ -100,8 +100,8 @@ class Settings:
     scene: str = parameter(
         'harmonic_oscillator', 'name of a shipped scene, or path of a scene file (.yaml)')
     resume: str = parameter(
-        '', 'bag from which to resume, with its last state and its recorded scene instead of '
-        '`scene`; empty: start a new run')
+        '', 'bag from which to resume, with its last state and its recorded scene, or with '
+        '`scene`, if it is given: other effects on the same coordinates; empty: start a new run')
     trust_code: bool = parameter(
         False, 'run the Python code named in the scene of a bag (`resume`), or in a scene file '
         'that is set while the node runs; that of the scene given at the start is run in any case',

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from hnn_vi_ros.run.report import EffectCosts, measure_effects, scene_report
     from hnn_vi_ros.run.run_folder import bag_lines, picture_lines, report_files, RunFiles
     from hnn_vi_ros.run.sampling import nanoseconds_of, Sampler, stamp_of, steps_between
-    from hnn_vi_ros.run.saved_state import restore_state, STATE_FILE, state_file
+    from hnn_vi_ros.run.saved_state import (
+        LAST_STATE_FILE, restore_state, STATE_FILE, state_file)
     from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine, TimingFigures
 
 __getattr__, __dir__ = lazy_exports(__name__)

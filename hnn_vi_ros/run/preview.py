@@ -29,6 +29,7 @@ def preview_bounds(simulation: Simulation, seconds: float) -> Bounds:
     """
     simulation.compile()
     q0, p0, step = simulation.q.copy(), simulation.p.copy(), simulation.steps
+    row = simulation.row
     met = [np.concatenate([q0, p0])[None]]
     left, batch = max(1.0, seconds // simulation.step_size), 1
     until = time.monotonic() + _MAX_WALL_TIME
@@ -41,4 +42,6 @@ def preview_bounds(simulation: Simulation, seconds: float) -> Bounds:
         met += [states.min(axis=0, keepdims=True), states.max(axis=0, keepdims=True)]
         left, batch = left - n, 2 * batch
     simulation.restart(q0, p0, step=step)
+    # A resumed run also has a memory of its solver, its work, and held commands.
+    simulation.put(row)
     return box_of(*np.hsplit(np.vstack(met), [q0.size]))

@@ -61,7 +61,7 @@ class Sampler:
     """
 
     def __init__(self, simulation: Simulation, rate: float, origin: int = 0):
-        self._simulation, self._energy0 = simulation, simulation.energy
+        self._simulation, self._energy0 = simulation, simulation.initial_energy
         self._origin = origin
         h = simulation.step_size
         # The product underflows to zero for a tiny step.

@@ -13,6 +13,8 @@ import safetensors.numpy
 # Kept in bags that do not begin at the initial state of their scene: (q, p) lacks the memory of
 # the solver, the random numbers drawn, and a command that is being held.
 STATE_FILE = 'state.safetensors'
+# The state at the end of a bag, from which a run can be resumed.
+LAST_STATE_FILE = 'last_state.safetensors'
 
 
 def state_file(simulation: Simulation) -> bytes:
@@ -20,7 +22,8 @@ def state_file(simulation: Simulation) -> bytes:
     return safetensors.numpy.save(simulation.snapshot())
 
 
-def restore_state(simulation: Simulation, data: bytes, where: str, shift: float = -0.0) -> None:
+def restore_state(simulation: Simulation, data: bytes, where: str, shift: float = -0.0,
+                  name: str = STATE_FILE) -> None:
     """
     Restore a state, so that the simulation continues bit by bit like the saved one.
 
@@ -34,6 +37,8 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
         Name of the container of the file, for errors.
     shift : float
         Added to each coordinate and momentum; -0.0 changes none, 0.0 changes the sign of -0.0.
+    name : str
+        Name of the file.
 
     Raises
     ------
@@ -47,16 +52,16 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
         safetensors_header(BytesIO(data))
         found = safetensors.numpy.load(data)
     except (safetensors.SafetensorError, ValueError, KeyError) as problem:
-        raise RecordingError(f'{where}: its {STATE_FILE} is damaged') from problem
-    if {name: (array.shape, array.dtype) for name, array in found.items()} != {
-            name: (array.shape, array.dtype) for name, array in own.items()}:
-        raise RecordingError(f'{where}: its {STATE_FILE} belongs to another simulation; was it '
+        raise RecordingError(f'{where}: its {name} is damaged') from problem
+    if {key: (array.shape, array.dtype) for key, array in found.items()} != {
+            key: (array.shape, array.dtype) for key, array in own.items()}:
+        raise RecordingError(f'{where}: its {name} belongs to another simulation; was it '
                              'recorded by another version?')
     # No number in a file may be out of the range of the methods, which all have memories:
     # `way` is the number of the active method.
-    methods = {name.partition('.')[0] for name in own if name.startswith('memory')}
+    methods = {key.partition('.')[0] for key in own if key.startswith('memory')}
     if found['steps'] < 0 or f'memory{found["way"]}' not in methods | {'memory0'}:
-        raise RecordingError(f'{where}: its {STATE_FILE} is damaged')
-    for name in ('point.q', 'point.p'):
-        found[name] = found[name] + shift
+        raise RecordingError(f'{where}: its {name} is damaged')
+    for key in ('point.q', 'point.p'):
+        found[key] = found[key] + shift
     simulation.restore(found)

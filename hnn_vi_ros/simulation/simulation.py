@@ -338,6 +338,11 @@ class Simulation:
         return self.system.constraints.forces(self.q.ravel(), means)
 
     @property
+    def initial_energy(self) -> float:
+        """Return H0 of the energy balance [J]."""
+        return self._energy0
+
+    @property
     def energy_balance(self) -> float:
         """Return the energy error H - H0 - W [J], which is of the order of the method."""
         return self.energy - self._energy0 - self.work

@@ -8,6 +8,7 @@ import re
 
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from hnn_vi_ros import load_scene, Scene
+from hnn_vi_ros.commands.scene_tool import main
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.files import share_folder
 from hnn_vi_ros.kernels import identity
@@ -18,9 +19,9 @@ from hnn_vi_ros.ros.replay import replay_check
 from hnn_vi_ros.ros.replay.recorded_run import CAUSES, RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays, stamp_gaps, StampGap
 from hnn_vi_ros.ros.rerun_bridge import BridgePicture
-from hnn_vi_ros.ros.run.preparation import _load
+from hnn_vi_ros.ros.run.preparation import _continue, _load
 from hnn_vi_ros.ros.settings import Settings
-from hnn_vi_ros.run import restore_state, Sampler, STATE_FILE, state_file
+from hnn_vi_ros.run import preview_bounds, restore_state, Sampler, STATE_FILE, state_file
 from hnn_vi_ros.simulation import build, simulate
 from mcap.opcode import Opcode
 from messages import assert_message, refused
@@ -459,6 +460,47 @@ def test_run_resumed_from_a_log_goes_on_as_the_unbroken_one(tmp_path, name):
         # No solver memory is kept: equal to the implicit equation's round-off, which grows.
         assert np.allclose(simulation.q, q, rtol=0.0, atol=1e-10)
         assert np.allclose(simulation.p, p, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize('name', [
+    'exact_double_pendulum', 'exact_damped_driven_pendulum', 'brownian_oscillator',
+    'bouncing_mass'])
+def test_run_resumed_from_a_closed_log_has_the_bits_of_the_unbroken_one(tmp_path, name):
+    """Its work and its energy error go on as well."""
+    scene = load_scene(name).changed({'energy_by_cause': True})
+    whole = build(scene)
+    whole.advance(150)
+    record_run(tmp_path / 'bag', scene, 100, rate=1.0 / scene.step_size)
+    found_scene, found = _load(Settings(resume=str(tmp_path / 'bag')), False)
+    simulation = build(found_scene)
+    line, = _continue(simulation, found_scene, found, 'bag')
+    assert line.text == f'resumed bag at t = {100 * scene.step_size:g} s from its complete state'
+    preview_bounds(simulation, 1.0)
+    simulation.advance(50)
+    own, other = (Sampler(one, 1.0 / scene.step_size).sample() for one in (simulation, whole))
+    for field in ('step', 'q', 'p', 'dH_dq', 'energy', 'energy_error', 'work', 'causes'):
+        assert np.array_equal(getattr(own, field), getattr(other, field)), field
+
+
+def test_log_is_resumed_with_other_effects(tmp_path):
+    """The scene that is written of it is the recorded one, until its effects are changed."""
+    scene, bag = load_scene('exact_damped_driven_pendulum'), tmp_path / 'bag'
+    record_run(bag, scene, 100)
+    file = tmp_path / 'scene.yaml'
+    assert main(['--new', str(file), '--like', str(bag)]) == 0
+    assert load_scene(file).model_dump() == scene.model_dump()
+    file.write_text(file.read_text().replace('effects:', 'effects:\n- {kind: gravity, '
+                                             'coordinate: angle}'))
+    written, found = _load(Settings(resume=str(bag), scene=str(file)), False)
+    assert next(effect.kind for effect in written.effects) == 'gravity'
+    simulation = build(written)
+    line, = _continue(simulation, written, found, 'bag')
+    last = [*RecordedRun(bag).samples()][-1]
+    assert line.text.endswith(' from q and p alone') and np.array_equal(simulation.q, last[1])
+    with refused(ParameterError):
+        _load(Settings(resume=str(bag), scene='exact_double_pendulum'), False)
+    with refused(RecordingError):
+        main(['--new', str(file), '--force', '--like', str(tmp_path / 'none.mcap')])
 
 
 def test_resumed_log_is_verified_from_its_own_first_step(tmp_path):

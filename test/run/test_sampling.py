@@ -14,7 +14,8 @@ LAST = 2**31 * 10**9 - 1
 
 
 def sampler(step_size: float, rate: float, origin: int = 0, steps: int = 0) -> Sampler:
-    return Sampler(SimpleNamespace(energy=1.0, step_size=step_size, steps=steps), rate, origin)
+    return Sampler(SimpleNamespace(initial_energy=1.0, step_size=step_size, steps=steps), rate,
+                   origin)
 
 
 @pytest.mark.parametrize('step_size, rate, origin, steps', [

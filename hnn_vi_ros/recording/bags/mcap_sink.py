@@ -12,6 +12,7 @@ from pathlib import Path
 import shlex
 from threading import Event, RLock, Thread
 import time
+from types import MappingProxyType
 from typing import Any, BinaryIO, cast, final
 
 from hnn_vi_ros.errors import RecordingError
@@ -230,9 +231,14 @@ class McapSink:
         if not self._is_closed():
             self._flush()
 
-    def close(self) -> None:
+    def close(self, attachments: Mapping[str, bytes] = MappingProxyType({})) -> None:
         """
         Complete the file and write metadata.yaml; a second call has no effect.
+
+        Parameters
+        ----------
+        attachments : mapping of str to bytes, optional
+            Files that document the end of the recording, by name.
 
         Raises
         ------
@@ -243,10 +249,11 @@ class McapSink:
         with self._disk:
             if not self._is_closed():
                 self._flush()
-                self._finish()
+                self._finish(attachments)
 
-    def _finish(self) -> None:
+    def _finish(self, attachments: Mapping[str, bytes]) -> None:
         with self._abandoning():
+            self._attach(attachments)
             self._add_metadata()
             self._writer.finish()
             _write_all(self._stream, self._pending.take())

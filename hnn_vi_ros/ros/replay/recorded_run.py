@@ -16,7 +16,7 @@ from hnn_vi_ros.recording import BagReader, decode_state, RecordedMessage, State
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.outputs import JOINT_STATES
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
-from hnn_vi_ros.run import nanoseconds_of, stamp_of, steps_between
+from hnn_vi_ros.run import LAST_STATE_FILE, nanoseconds_of, stamp_of, steps_between
 from hnn_vi_ros.scene import described_scene, ONE_RUN, only_scene, Scene
 import numpy as np
 from rclpy.serialization import deserialize_message
@@ -35,9 +35,10 @@ class ResumePoint:
     """
     The point from which a simulator continues a log.
 
-    The log keeps the state (q, p) and the time of the run before. It does not keep the memory of
-    the solver, so the next steps of an implicit method differ by round-off from an uninterrupted
-    run. It also lacks the work so far, the random numbers drawn, and the last command.
+    A log that was closed keeps the complete state, with which the next steps are those of an
+    uninterrupted run. That of a killed process keeps q, p and the time alone: without the memory
+    of the solver, steps of an implicit method differ by round-off; the work so far, the random
+    numbers drawn and the last command are missing.
 
     Parameters
     ----------
@@ -49,6 +50,8 @@ class ResumePoint:
         Stamp of step 0 of the run [ns].
     damage : str
         Report on the unreadable parts of the log, '' if there are none.
+    state : bytes or None
+        Complete last state; see ``restore_state``.
 
     """
 
@@ -56,6 +59,7 @@ class ResumePoint:
     step: int
     origin: int
     damage: str = ''
+    state: bytes | None = None
 
 
 # Name of the energy by cause among the values of a sample.
@@ -264,7 +268,8 @@ class RecordedRun:
             raise RecordingError(f'{self.reader.path}: contains no state from which to resume')
         stamp, q, p = last
         scene = self.scene.changed({'initial_state': {'q': q.tolist(), 'p': p.tolist()}})
-        return ResumePoint(scene, self.step_of(stamp), self.origin, self.reader.damage)
+        return ResumePoint(scene, self.step_of(stamp), self.origin, self.reader.damage,
+                           self.reader.attachment(LAST_STATE_FILE))
 
     def _count(self, name: str) -> int:
         value = self.described.get(name, 0)

@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Preparation of a run, which takes long and therefore runs in its own thread."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 import time
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TYPE_CHECKING
 import warnings
 
 from hnn_vi_ros.effects import LoopManifold, OBSERVATION
-from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.errors import listed, ParameterError
 from hnn_vi_ros.kernels import announced, kept_only, NotKept
 from hnn_vi_ros.recording import BagTopics
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
@@ -20,13 +21,16 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import JOINT_COMMANDS
 from hnn_vi_ros.ros.topics.remapped_topics import KEY
 from hnn_vi_ros.run import (
-    compile_in_background, joint_sensor, JointSensor, Members, preview_bounds, Sampler,
-    scene_report, Twin)
+    compile_in_background, joint_sensor, JointSensor, LAST_STATE_FILE, Members, preview_bounds,
+    restore_state, Sampler, scene_report, stamp_of, Twin)
 from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation import (
     BandGuard, BoxGuard, build, Choice, choose, Chosen, EnergyGuard, PoleGuard,
     RunFacts, Simulation, StateGuard, Tolerance, tolerance_of, Watch)
 import numpy as np
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.ros.replay.recorded_run import ResumePoint
 
 
 class LogLine(NamedTuple):
@@ -179,21 +183,18 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
                              'lockstep:=true, or remove lockstep_period')
     begin('loading the scene')
     factor = settings.real_time_factor
-    scene, step, origin, damage = _load(settings, trust_code)
+    scene, found = _load(settings, trust_code)
     begin('selecting the integrator')
     scene, chosen, log_lines = choose_method(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
     simulation, members, twin, ready = _build(scene, settings.publish_accuracy, logger, tell)
-    if step:
-        simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
+    if found is not None:
+        log_lines += _continue(simulation, scene, found, settings.resume)
     if settings.publish_loop_forces and not isinstance(
             simulation.system.constraints, LoopManifold):
         raise ParameterError('parameter publish_loop_forces: the scene has no loops; remove it')
+    origin = 0 if found is None else found.origin
     sampler = Sampler(simulation, settings.publish_rate, origin)
-    if step:
-        log_lines.append(LogLine(f'resumed {settings.resume} at t = {sampler.time:.9g} s', 'INFO'))
-    if damage:
-        log_lines.append(LogLine(damage, 'WARN'))
     sampler.count(settings.duration)
     sensor = joint_sensor(scene, simulation, sampler.every)
     lockstep = None
@@ -224,13 +225,16 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
                        members, twin, sensor, lockstep)
 
 
-def _load(settings: Settings, trust_code: bool) -> tuple[Scene, int, int, str]:
-    """Return the scene, the first step, the stamp of step 0 [ns], and damage of a resumed log."""
+def _load(settings: Settings, trust_code: bool) -> tuple[Scene, 'ResumePoint | None']:
+    """Return the scene, and the point from which a log is resumed."""
     step_size, integrator = settings.step_size or None, settings.integrator or None
+    own = load_scene(settings.scene, trust_code) if (
+        not settings.resume or settings.scene != Settings.scene) else None
     if not settings.resume:
-        scene = load_scene(settings.scene, trust_code).with_overrides(step_size, integrator)
+        assert own is not None, 'a run that is not resumed has a scene'
+        scene = own.with_overrides(step_size, integrator)
         return scene.changed({'energy_by_cause': True}) if settings.energy_by_cause else scene, \
-            0, 0, ''
+            None
     if step_size or integrator:
         name = 'step_size' if step_size else 'integrator'
         raise ParameterError(f'parameter {name}: cannot be changed in a resumed run; remove it, '
@@ -238,10 +242,45 @@ def _load(settings: Settings, trust_code: bool) -> tuple[Scene, int, int, str]:
     # Imported lazily: only resumed runs read a bag.
     from hnn_vi_ros.ros.replay.recorded_run import resume
     found = resume(settings.resume, settings.trust_code)
+    if own is not None:
+        state = found.scene.initial_state
+        return _fitting(own, found.scene).changed({'initial_state': {
+            'q': [*state.q], 'p': [*state.p]}}), replace(found, state=None)
     if settings.energy_by_cause and not found.scene.energy_by_cause:
         raise ParameterError('parameter energy_by_cause: the resumed run did not account for it '
                              'from its start; remove it, or remove resume')
-    return found.scene, found.step, found.origin, found.damage
+    return found.scene, found
+
+
+def _fitting(scene: Scene, recorded: Scene) -> Scene:
+    """Return a scene that continues another, or raise ParameterError."""
+    own, other = ([one.name for one in each.create_hamiltonian().coordinates]
+                  for each in (scene, recorded))
+    if own != other or scene.step_size != recorded.step_size:
+        raise ParameterError(
+            f'parameter scene: {scene.name} has the coordinates {listed(own)} and step_size '
+            f'{scene.step_size}, but the bag to resume has {listed(other)} and '
+            f'{recorded.step_size}; write its scene with hnn scene --new FILE --like BAG, and '
+            'change the effects alone')
+    return scene
+
+
+def _continue(simulation: Simulation, scene: Scene, found: 'ResumePoint', bag: str
+              ) -> Iterator[LogLine]:
+    """Continue the run of a bag; yield lines for the log."""
+    start, how = scene.initial_state, 'q and p alone'
+    simulation.restart(start.q, start.p, step=found.step)
+    if found.state is not None:
+        restore_state(simulation, found.state, bag, name=LAST_STATE_FILE)
+        how = 'its complete state'
+        if simulation.steps != found.step or not np.array_equal(simulation.q, start.q):
+            # The last steps of the run have no sample.
+            simulation.restart(start.q, start.p, step=found.step)
+            how = 'q and p alone'
+    seconds = stamp_of(found.step, simulation.step_size, found.origin) / 1e9
+    yield LogLine(f'resumed {bag} at t = {seconds:.9g} s from {how}', 'INFO')
+    if found.damage:
+        yield LogLine(found.damage, 'WARN')
 
 
 def check_pace(real_time_factor: float, tick: float) -> None:
