@@ -67,6 +67,7 @@ def test_tolerance_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, pla
     status, _, error = finish(start(tmp_path, scene='auto.yaml', duration=9, real_time_factor=0,
                                     rerun_path='picture.rrd'))
     assert status == 0
+    assert 'for steps that divide the sampling interval, 0.01 s; hnn run has none' in error
     line, = [line for line in error.splitlines() if 'the tolerance is exceeded' in line]
     assert '[WARN]' in line and 'energy_error 0.001' in line and 'the limit is 0.001' in line
     assert [text in line for _, level, text in events_of(tmp_path / 'picture.rrd')

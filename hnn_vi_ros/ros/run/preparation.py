@@ -68,8 +68,14 @@ def choose_method(scene: Scene, largest_step: float, real_time_factor: float, lo
             f'scene {scene.source}: calibrating for {tolerance.kind} {tolerance.error:g} up to '
             f'{tolerance.horizon:g} s; takes some seconds, once, or longer if integrators must be '
             'compiled')
-    scene, chosen = choose(scene, largest_step)
-    return scene, chosen, choice_lines(*chosen, real_time_factor) if chosen else []
+    resolved, chosen = choose(scene, largest_step)
+    lines = choice_lines(*chosen, real_time_factor) if chosen else []
+    if chosen and scene.step_size is None:
+        lines.append(LogLine(
+            f'auto chose for steps that divide the sampling interval, {largest_step:g} s; hnn run '
+            'has none and may choose another method: set step_size in the scene for one choice',
+            'INFO'))
+    return resolved, chosen, lines
 
 
 def choice_lines(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> list[LogLine]:
