@@ -192,8 +192,8 @@ def test_trust_is_given_on_the_command_line(tmp_path, marker, on_path, capsys):
 @pytest.mark.parametrize('name, words', [
     ('rerun_bridge', ['BAG', '--trust-code', *to_file(Path('a.rrd'))]),
     ('rerun_bridge', ['BAG', *to_file(Path('a.rrd')), '-p', 'trust_code:=true']),
-    ('simulator', simulator_words(resume='BAG', trust_code='true', duration=0.1,
-                                  real_time_factor=0.0)),
+    ('simulator', simulator_words(scene='harmonic_oscillator', resume='BAG', trust_code='true',
+                                  duration=0.1, real_time_factor=0.0)),
 ], ids=['option', 'parameter', 'resume'])
 def test_executable_that_trusts_a_bag_runs_its_code(tmp_path, marker, on_path, name, words):
     bag = record(tmp_path, **PYTHON)
