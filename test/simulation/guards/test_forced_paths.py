@@ -78,12 +78,6 @@ def test_trajectories_that_step_together_are_told_of_paths_that_are_wrong():
     assert all('path not resolved' in [alarm.kind for alarm in own] for own in many.alarms)
 
 
-def test_trials_leave_no_trace_in_the_run():
-    scene = scene_of('paper', 'variational_euler', 0.02)
-    simulation = build(scene)
-    assert np.array_equal(simulate(scene, 20.0).q[1:], simulation.record(1000, 1)[0])
-
-
 @pytest.mark.parametrize('method', ['gauss4', 'generalized_leapfrog', 'implicit_midpoint'])
 def test_machine_that_a_servo_holds_at_rest_costs_few_gradients(method):
     # The terms of its force, 1250 N m, cancel but for gravity and rounding.
