@@ -14,7 +14,8 @@ from PIL import Image
 import pytest
 from sources import ROOT
 from studies import (
-    bag_to_model, hard_cases_report, known_tables, paper_figures, published_page, turning_costs)
+    bag_to_model, hard_cases_report, known_tables, paper_figures, path_error, published_page,
+    turning_costs)
 from studies.__main__ import main, studies
 from studies.accuracy_page import as_page, FOLDER, PAGE, results_of, scene_page
 
@@ -92,6 +93,7 @@ PAGES = {
         DOCS / hard_cases_report.PICTURES / hard_cases_report.GRID:
             hard_cases_report.grid_of(DOCS)},
     'published tables': lambda: {DOCS / known_tables.PAGE: known_tables.as_page(DOCS)},
+    'path error': lambda: {DOCS / path_error.PAGE: path_error.as_page(DOCS)},
     'bag to model': lambda: {DOCS / bag_to_model.PAGE: bag_to_model.as_page(DOCS)},
     'turning bodies': page_on_turning_bodies}
 
