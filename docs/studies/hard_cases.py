@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run the twenty hard cases: each run must be stable or raise an alarm."""
+"""Run the 21 hard cases: each run must be stable or raise an alarm."""
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed

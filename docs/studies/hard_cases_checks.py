@@ -11,7 +11,7 @@ import math
 from hnn_vi_ros.effects import Damping, LoopManifold
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.integrators import Gauss, INTEGRATORS
-from hnn_vi_ros.simulation import look, Simulation
+from hnn_vi_ros.simulation import Alarm, look, PathError, PathReport, Simulation, Watch
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band, rounding_walk
 from hnn_vi_ros.simulation.guards.watch import energies_of
 import numpy as np
@@ -31,6 +31,9 @@ _TORQUES, _HELD, SHARE = (8.0, -8.0, 0.0, 4.0, -4.0), 1000, 1e-3
 _EXACT = 'gauss16'
 # Steps of the reference of a driven run, for one of its own.
 _FINER = 16
+# Likewise of the reference of a path, of order 16. A path error that is wrong [1]; the largest
+# factor between an estimate below one half and the true error.
+_FINER_PATH, _WRONG, _KNOWN, _FACTOR = 4, 0.3, 0.5, 2.5
 # Times of a picture, each as many times the one before.
 _TIMES = 100
 _EPS = float(np.finfo(np.float64).eps)
@@ -234,12 +237,15 @@ def run_counts(job: Job) -> Measured:
     watch, start = watch_of(job, simulation), simulation.energy
     z = np.concatenate([simulation.q, simulation.p])
     watch.update(look(simulation))
+    report = _report(job, simulation)
     with np.errstate(over='ignore', invalid='ignore'):
         try:
             q, p = simulation.record(job.steps, 1)
         except StepFailure as failure:
-            measured.failure, measured.alarms = failure, watch.alarms
+            measured.failure = failure
+            measured.alarms = _alarms(watch, report)
             taken = simulation.steps
+            simulation.follow_by(None)
             simulation.restart(*np.split(z, 2))
             if taken:
                 energies, _ = energies_of(simulation, *simulation.record(taken, 1),
@@ -250,7 +256,7 @@ def run_counts(job: Job) -> Measured:
         watch.show(np.arange(1, job.steps + 1), (q, p), energies, job.steps)
     _note(measured, simulation, q, p)
     summarise(energies[0] - start, measured)
-    measured.alarms = watch.alarms
+    measured.alarms = _alarms(watch, report)
     _compare(job, simulation, np.vstack([z, np.hstack([q, p])]),
              reference(simulation.hamiltonian, z, simulation.time)[0], measured)
     _draw_energies(job, energies[0] - start, measured)
@@ -261,6 +267,7 @@ def _run_driven(job: Job, simulation: Simulation, measured: Measured) -> Measure
     """Run a set-up with work, with guards at every step; compare with much smaller steps."""
     watch, looks = watch_of(job, simulation), [look(simulation)]
     watch.update(looks[0])
+    report = _report(job, simulation)
     try:
         for _ in range(job.steps):
             simulation.advance(1)
@@ -268,7 +275,7 @@ def _run_driven(job: Job, simulation: Simulation, measured: Measured) -> Measure
             watch.update(looks[-1])
     except StepFailure as failure:
         measured.failure = failure
-    measured.alarms = watch.alarms
+    measured.alarms = _alarms(watch, report)
     q, p = np.array([one.q for one in looks]), np.array([one.p for one in looks])
     errors = np.array([one.energy - one.work for one in looks[1:]]) - looks[0].energy
     _note(measured, simulation, q, p)
@@ -280,6 +287,59 @@ def _run_driven(job: Job, simulation: Simulation, measured: Measured) -> Measure
         path = np.hstack(finer.record(job.steps * _FINER, 1))
         _compare(job, simulation, np.hstack([q, p]), path, measured)
     return measured
+
+
+def _report(job: Job, simulation: Simulation) -> PathReport:
+    """Have a run take its steps a second time; return the report of its path error."""
+    report = PathReport('measured')
+    report.follow(simulation, job.steps, period=None)
+    return report
+
+
+def _alarms(watch: Watch, report: PathReport) -> list[Alarm]:
+    """Return the alarms of the guards and of the path error, in order of time."""
+    found = [*watch.alarms, *(alarm for _, alarm in report.finish())]
+    return sorted(found, key=lambda alarm: alarm.step)
+
+
+def run_paths(job: Job) -> Measured:
+    """
+    Compare the path error that a run tells with the true one.
+
+    Both are the largest so far, over the amplitude of the coordinate. The true path has a quarter
+    of the step size and order 16. A run that is more than 30 % off must raise the alarm; an
+    estimate below one half is right within a factor of 2.5, and a bound holds.
+    """
+    simulation, measured = _start(job)
+    watch, report = watch_of(job, simulation), _report(job, simulation)
+    start = simulation.q[None].copy()
+    watch.update(look(simulation))
+    q, p = simulation.record(job.steps, 1)
+    watch.update(look(simulation))
+    measured.alarms = _alarms(watch, report)
+    _note(measured, simulation, q, p)
+    finer = replace(job, method=_EXACT, set_up=job.set_up.model_copy(
+        update={'step_size': job.set_up.step_size / _FINER_PATH})).simulation()
+    path, _ = finer.record(job.steps, _FINER_PATH)
+    amplitude = 0.5 * np.ptp(np.concatenate([start, path]), axis=0)
+    true = np.maximum.accumulate((np.abs(q - path) / amplitude).max(axis=1))
+    told, t = report.errors()[0], _times(job, job.steps)
+    measured.t, measured.error = _thinned(job, true)
+    measured.other = np.interp(measured.t, told.t, told.value, right=math.nan)
+    _judge_path(true[np.searchsorted(t, told.t[-1], side='right') - 1], true[-1], told, measured)
+    return measured
+
+
+def _judge_path(error: float, last: float, told: PathError, measured: Measured) -> None:
+    """Judge what a run tells of its path, given its true error there and at its end."""
+    measured.measures = {'path error': float(last), 'told': told.largest}
+    if last > _WRONG and not measured.alarms:
+        measured.broken.append('no alarm')
+    ratio = told.largest / error
+    if told.estimated and told.largest < _KNOWN and not 1.0 / _FACTOR < ratio < _FACTOR:
+        measured.broken.append('estimate')
+    if not told.estimated and told.largest < error:
+        measured.broken.append('bound')
 
 
 def run_books(job: Job) -> Measured:
@@ -349,4 +409,5 @@ def _note(measured: Measured, simulation: Simulation, q: np.ndarray, p: np.ndarr
 
 _CHECKS: dict[str, Callable[[Job], Measured]] = {
     'motion': run_motion, 'dissipation': run_dissipation, 'constraint': run_constraint,
-    'repeatability': run_repeatability, 'counts': run_counts, 'books': run_books}
+    'repeatability': run_repeatability, 'counts': run_counts, 'books': run_books,
+    'paths': run_paths}

@@ -37,12 +37,14 @@ _LABELS = {
     'motion': 'largest abs(H - H0) of a block [J]',
     'counts': 'largest abs(H - H0) so far [J]',
     'books': 'largest abs(H - H0 - W) so far,\nrelative to the largest work or heat [1]',
+    'paths': 'path error so far,\nrelative to the amplitude [1]',
     'constraint': 'largest error until t:\nlength [m], its rate [m/s]',
     'repeatability': 'largest difference of q or p [SI]',
 }
 # Checks with two curves: the legend of the second, dashed one, and the limits of both.
 _SECOND = {
     'constraint': ('solid: length; dashed: its rate', (LENGTH, RATE)),
+    'paths': ('solid: true; dashed: told by the run', ()),
     'repeatability': (
         'solid: repeated, and resumed midway;\ndashed: start with one rounding error', ()),
 }

@@ -78,7 +78,7 @@ class Case(StrictModel):
     title: str
     claim: str
     check: Literal['motion', 'dissipation', 'constraint', 'repeatability', 'counts',
-                   'books'] = 'motion'
+                   'books', 'paths'] = 'motion'
     gates: list[Literal['G1', 'G2', 'G3', 'G4', 'G5']] = ['G1', 'G2', 'G3', 'G4', 'G5']
     steps: Steps = 1_000_000
     quick_steps: Steps

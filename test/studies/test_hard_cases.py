@@ -10,7 +10,7 @@ import shutil
 from hnn_vi_ros.errors import ParameterError, StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS, Requirements
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
-from hnn_vi_ros.simulation import Alarm, Simulation
+from hnn_vi_ros.simulation import Alarm, PathError, Simulation
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from matplotlib.figure import Figure
 from messages import refused
@@ -117,8 +117,8 @@ def test_no_committed_run_of_explicit_euler_is_stable():
     assert ends == {'alarm', 'stopped'}
 
 
-def test_all_twenty_cases_run_exact_and_learned_or_say_why_not():
-    assert [case.number for case in PLAN.cases] == list(range(1, 21))
+def test_all_cases_run_exact_and_learned_or_say_why_not():
+    assert [case.number for case in PLAN.cases] == list(range(1, 22))
     for case in PLAN.cases:
         kinds = {set_up.kind for set_up in case.set_ups}
         assert kinds == {'exact', 'learned'} or case.without
@@ -302,6 +302,16 @@ def test_other_bits_are_found(monkeypatch):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize('told, estimated, alarms, broken', [
+    (0.4, True, [], ['no alarm']), (0.4, True, [Alarm('', 0, 1.0, 0.1, '', '1')], []),
+    (0.1, True, [], ['no alarm', 'estimate']), (0.3, False, [], ['no alarm', 'bound'])])
+def test_path_error_that_is_not_true_is_found(told, estimated, alarms, broken):
+    measured = calm(alarms=alarms)
+    error = PathError(np.ones(1), np.array([told]), estimated)
+    hard_cases_checks._judge_path(0.35, 0.35, error, measured)
+    assert measured.broken == broken
+
+
 def test_lyapunov_time_is_short_in_chaos_and_long_on_a_regular_orbit():
     chaotic = job(5, 'variational_euler', steps=1_000_000)
     regular = replace(chaotic, set_up=chaotic.set_up.model_copy(
