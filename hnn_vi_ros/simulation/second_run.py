@@ -348,7 +348,9 @@ class SecondRun:
         return min(now.most - now.taken, self._chunk), True
 
     def take(self, q: np.ndarray) -> None:
-        """Take the states after the next steps, (n, N)."""
+        """Take the states after the next steps, (n, N); none if the first of them failed."""
+        if not len(q):
+            return
         stretch = self._stretches[-1]
         if len(q) == self._chunk:
             self._chunk = min(2 * len(q), max(1, _BLOCK_NUMBERS // q.shape[1]))

@@ -11,6 +11,7 @@ from hnn_vi_ros.simulation import build, PathReport, second_run, Simulation
 from hnn_vi_ros.simulation.trajectory import many
 import numpy as np
 import pytest
+from scene_files import FAILING
 
 KIND = 'path not resolved'
 # One step of the reference of order 16, of whose multiples the others are.
@@ -224,6 +225,17 @@ def test_coarser_run_that_fails_leaves_the_finer_one(monkeypatch):
     assert run.alarms == () and run.path_error.estimated
     # Without the second run the order is not seen: h^2 / 12 t, overestimated as order 1/2.
     assert 1.0 < run.path_error.largest / (0.02**2 / 12.0 * 10.0) < 10.0
+
+
+def test_failure_of_a_step_is_raised_where_no_step_of_a_block_succeeded(tmp_path):
+    """A node takes few steps at a time."""
+    (tmp_path / 'scene.yaml').write_text(FAILING)
+    simulation, report = build(load_scene(tmp_path / 'scene.yaml')), PathReport('measured')
+    report.follow(simulation, period=None)
+    with pytest.raises(StepFailure):
+        for _ in range(100):
+            simulation.advance(1)
+    assert len(report.finish()) <= 1
 
 
 def test_chaos_is_told_and_raises_no_alarm():
