@@ -12,7 +12,7 @@ from hnn_vi_ros.effects import JointCommand
 from hnn_vi_ros.simulation import build
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BSpline, make_interp_spline
 
 METHODS = ('implicit_midpoint', 'variational_euler', 'rk4', 'gauss4', 'kahan_li8', 'gauss8',
            'gauss16', 'dop853')
@@ -238,15 +238,20 @@ class Judge:
             **scene, integrator='implicit_midpoint', step_size=0.01)
 
     @cached_property
-    def paths(self) -> list[CubicSpline]:
+    def paths(self) -> list[BSpline]:
         """Return the path of each start as a function of time, beyond the duration."""
         starts = self.system.starts or [(self._simulation.q, self._simulation.p)]
-        return [CubicSpline(self.times, self._path(np.array(q), np.array(p))) for q, p in starts]
+        return [self._between(self.times, self._path(np.array(q), np.array(p)))
+                for q, p in starts]
 
     @cached_property
     def times(self) -> np.ndarray:
         """Return the times of the paths [s]."""
         return np.linspace(0.0, 1.3 * self.system.duration, INSTANTS)
+
+    def _between(self, t: np.ndarray, q: np.ndarray) -> BSpline:
+        """Return a path as a function of time; cubic polynomials would swing beside impacts."""
+        return make_interp_spline(t, q, 1 if self.system.kind == 'impacts' else 3)
 
     def _path(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         if self.system.force is not None:
@@ -255,7 +260,7 @@ class Judge:
         end = float(self.times[-1])
         found = simulate(self.parts, end, integrator=method, step_size=end / steps,
                          commands=self.system.commands, path_error='off')
-        return CubicSpline(found.t, found.q)(self.times)
+        return self._between(found.t, found.q)(self.times)
 
     def _solved(self, q: np.ndarray, p: np.ndarray, force: Force) -> np.ndarray:
         d, gradient = len(q), self.hamiltonian.gradient

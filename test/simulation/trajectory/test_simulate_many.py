@@ -80,7 +80,7 @@ def test_energies_of_a_block_are_those_of_each_and_evaluated_once(monkeypatch):
     for blocks in (1, 3):
         q, p = np.random.default_rng(0).uniform(-0.5, 0.5, (2, blocks * BLOCK, 1))
         calls.clear()
-        many = simulate_many(scene, q, p, 0.1, threads=1)
+        many = simulate_many(scene, q, p, 0.1, threads=1, path_error='off')
         counts.append(len(calls))
         assert any(found == many.energy[0, -BLOCK:].tolist() for found in calls)
     assert counts[1] - counts[0] == 2
@@ -145,11 +145,11 @@ KEPLER = scene_of('kepler', 'variational_euler', 2, 0.01)
 
 
 def test_simulate_warns_of_what_the_guards_find_and_returns_it():
-    with pytest.warns(AlarmWarning, match='under-resolved: .*; use .* step_size 0.00') as caught:
+    with pytest.warns(AlarmWarning, match='under-resolved: .*; use ') as caught:
         trajectory = simulate(KEPLER, 6.28, initial_state=CLOSE)
     assert {alarm.kind for alarm in trajectory.alarms} == {'under-resolved', 'path not resolved'}
     assert caught[0].filename == __file__
-    # Of the very guards of the node, sample by sample.
+    # Of the very guards of the node, sample by sample; the path error is that of the whole run.
     simulation = build(KEPLER.with_overrides(
         initial_state=dict(zip('qp', CLOSE, strict=True))))
     watch = Watch(RunFacts(simulation))
@@ -157,7 +157,8 @@ def test_simulate_warns_of_what_the_guards_find_and_returns_it():
     for _ in range(628):
         simulation.advance(1)
         watch.update(look(simulation))
-    assert tuple(watch.alarms) == trajectory.alarms
+    assert watch.alarms == [
+        alarm for alarm in trajectory.alarms if alarm.kind != 'path not resolved']
 
 
 def test_simulate_is_silent_where_all_is_well():
@@ -168,6 +169,8 @@ def test_simulate_is_silent_where_all_is_well():
             (), (), ())
 
 
+@pytest.mark.xfail(strict=True, reason=(
+    'a path of 0.2 s is h / 2 off by a large share of its small amplitude'))
 def test_ends_of_many_trajectories_alone_raise_no_alarm_where_each_path_is_resolved():
     """Two samples have no mean: the later one may lie at a turning point, where p . H_p is 0."""
     q, p = np.random.default_rng(2).uniform(-1.0, 1.0, (2, 400, 1))
