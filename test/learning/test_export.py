@@ -444,11 +444,19 @@ def test_columns_of_a_pose_are_refused_as_canonical_coordinates(tmp_path):
                {'q': box, 'p': box})
 
 
-@pytest.mark.parametrize('forward', [
-    lambda p, q: p**2 / 2 + q**4, lambda x, p_x: p_x**2 / 2 + x**4])
-def test_names_of_arguments_tell_coordinates_from_momenta(forward, tmp_path):
+class MomentaFirst(nn.Module):
+    """A module of (p, q) for TorchScript, which needs its source."""
+
+    def forward(self, p, q):
+        return p**2 / 2 + q**4
+
+
+@pytest.mark.parametrize('make', [
+    MomentaFirst, lambda: Signed(lambda x, p_x: p_x**2 / 2 + x**4),
+    lambda: torch.jit.script(MomentaFirst())])
+def test_names_of_arguments_tell_coordinates_from_momenta(make, tmp_path):
     path = tmp_path / 'model.safetensors'
-    export(Signed(forward), path, ['x'], BOX[1])
+    export(make(), path, ['x'], BOX[1])
     # Exact up to the rounding of two products.
     assert abs(load_learned(path).energy([0.5], [2.0]) - (2.0 + 0.5**4)) < 1e-15
 
