@@ -62,7 +62,7 @@ def read_arguments(function: Callable[..., Any]) -> Arguments:
 
     """
     given = _parameters(function)
-    shown = f'H({", ".join(one.name if one.default is one.empty else str(one) for one in given)})'
+    shown = f'H({", ".join(map(_text, given))})'
     times = [one for one in given if one.name in TIMES]
     bound = function.keywords if isinstance(function, partial) else {}
     if len(times) > 1 or any(one.name in bound or not (
@@ -82,6 +82,11 @@ def read_arguments(function: Callable[..., Any]) -> Arguments:
               or one.default is not one.empty), ''))
 
 
+def _text(one: inspect.Parameter) -> str:
+    """Return a parameter in a line, without its type."""
+    return ' '.join(str(one.replace(annotation=one.empty)).split())[:40]
+
+
 def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
     """Return the parameters of a function, also of one of numpy.vectorize or of TorchScript."""
     function = getattr(function, 'pyfunc', function)
@@ -99,8 +104,8 @@ def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
         if wrapped := getattr(function, '__wrapped__', None):
             return _parameters(wrapped.__get__(function.__self__) if inspect.ismethod(function)
                                else wrapped)
-        raise ValueError(f'H({", ".join(map(str, given))}): the names of its arguments are hidden;'
-                         ' give the function or module that it calls, or write H(q, p)')
+        raise ValueError(f'H({", ".join(map(_text, given))}): the names of its arguments are '
+                         'hidden; give the function or module that it calls, or write H(q, p)')
     return given
 
 
