@@ -18,6 +18,8 @@ FEW_STEPS_LIMIT = 0.25
 _ROUNDING = 1e-12
 # Largest error over the distance of a run with looser tolerances, measured with dry friction.
 _TOLERANCE_BOUND = 3.0
+# Margin of the bound of a method of order one, whose errors reach it; measured with such methods.
+_FIRST_ORDER_MARGIN = 1.5
 # Reason of a run whose path error nobody asked for.
 OFF = 'path_error is off'
 # Turns during which a path must be kept; in chaos, where it cannot be kept for long, one.
@@ -267,7 +269,8 @@ class Repetition:
     @property
     def bound(self) -> float:
         """Return the largest error over the distance of the second run: that of order one."""
-        return _TOLERANCE_BOUND if self.adaptive else 1.0 / abs(self.factors[0] - 1.0)
+        margin = _FIRST_ORDER_MARGIN if self.exponents[1] == 1.0 else 1.0
+        return _TOLERANCE_BOUND if self.adaptive else margin / abs(self.factors[0] - 1.0)
 
     @property
     def _ratio(self) -> float:
