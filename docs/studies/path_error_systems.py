@@ -258,7 +258,10 @@ class Judge:
             return self._solved(q, p, self.system.force)
         method, steps = self.system.reference
         end = float(self.times[-1])
-        found = simulate(self.parts, end, integrator=method, step_size=end / steps,
+        # Each command is held for whole steps.
+        held = min(self.system.hold, end)
+        found = simulate(self.parts, end, integrator=method,
+                         step_size=held / math.ceil(held / end * steps),
                          commands=self.system.commands, path_error='off')
         return self._between(found.t, found.q)(self.times)
 
