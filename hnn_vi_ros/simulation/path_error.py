@@ -434,7 +434,7 @@ def path_error_of(repetition: Repetition, step_size: float, origin: int, early: 
     ends = turns.ends[0 if not math.isnan(doubling) else 1, row]
     return PathError((origin + at) * step_size, error, True, doubling * step_size, limit,
                      (origin + float(ends)) * step_size,
-                     float(exponents[-1]) if len(exponents) else math.nan)
+                     float(exponents[-1]) if small.size else repetition.exponents[1])
 
 
 def _doubling(steps: np.ndarray, error: np.ndarray) -> float:

@@ -158,11 +158,13 @@ class _Stretch:
         Maximum number of steps.
     until_turned : bool
         End after ten turns.
+    told : set of int
+        Trajectories whose alarm was raised.
 
     """
 
     def __init__(self, simulation: Simulation, repetition: Repetition, most: int,
-                 until_turned: bool):
+                 until_turned: bool, told: set[int]):
         self._simulation, self._repetition, self._until_turned = (
             simulation, repetition, until_turned)
         self.origin, self.most, self.taken, self.over = simulation.steps, most, 0, False
@@ -178,7 +180,7 @@ class _Stretch:
         self._early = np.zeros_like(self._motion.values(q[None])[0])
         self._first: list[np.ndarray] | None = (
             None if 1 in repetition.strides or repetition.adaptive else [])
-        self._told = set[int]()
+        self._told = told
 
     def _other(self, k: int) -> _Other:
         run, repetition = self._simulation, self._repetition
@@ -322,6 +324,7 @@ class SecondRun:
         self._most = max(_SHORT, min(_MAX_STEPS, _MAX_NUMBERS // max(simulation.q.size, 1)))
         self._chunk = _FIRST_BLOCK
         self._stretches, self._next = list[_Stretch](), simulation.steps
+        self._told = set[int]()
         self._first, self._expected = simulation.steps, simulation.steps
         self._rows = simulation.q.size // simulation.hamiltonian.dimension
         self._period = period or 0.0
@@ -335,14 +338,12 @@ class SecondRun:
         simulation, steps = self._simulation, self._simulation.steps
         now = self._stretches[-1] if self._stretches else None
         if now is not None and not now.over and steps != self._expected:
-            # The state was replaced.
-            now.over = True
-            self._next = steps
+            self.begin_anew()
         if now is None or now.over:
             if steps < self._next:
                 return self._next - steps, False
             self._stretches.append(now := _Stretch(
-                simulation, self._repetition, self._most, until_turned=bool(self._stretches)))
+                simulation, self._repetition, self._most, bool(self._stretches), self._told))
             self._next = self._first + 2 * max(steps - self._first, self._most)
             self._expected = steps
         return min(now.most - now.taken, self._chunk), True
@@ -361,6 +362,12 @@ class SecondRun:
             if not self._helper.started and stretch.taken >= _MIN_THREAD_STEPS:
                 self._helper.start()
             self._wake.set()
+
+    def begin_anew(self) -> None:
+        """Begin another stretch at the next step, whose state is not that of the last one."""
+        if self._stretches:
+            self._stretches[-1].over = True
+        self._next = self._simulation.steps
 
     def command(self, command: Command) -> None:
         """Take a command that is set before the next step."""

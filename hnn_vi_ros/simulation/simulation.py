@@ -180,6 +180,8 @@ class Simulation:
                 held: dict[str, np.ndarray] | None = None) -> None:
         """Restart from a state at a step, holding a snapshot's commands; errors as in __init__."""
         q, p = self.system.check_state(q, p)
+        if self.second is not None:
+            self.second.begin_anew()
         self.system.effect_state.reset(stream, step * self.step_size, held)
         if held is None:
             self.motors.begin()
@@ -383,6 +385,8 @@ class Simulation:
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
         """Restore a snapshot of an equal simulation; the following steps are bit-identical."""
         self.put(self.state.row_of(snapshot))
+        if self.second is not None:
+            self.second.begin_anew()
 
     @property
     def row(self) -> np.ndarray:

@@ -71,7 +71,7 @@ def error_of(run, path: np.ndarray) -> float:
 def test_estimate_is_right_within_a_factor_of_two(path, others, method, h):
     run = simulate(orbit(method, h), END)
     error, told = error_of(run, path), run.path_error
-    assert told.estimated and len(others) == 3
+    assert told.estimated and len(others) == 2
     assert 0.01 < error < 0.5 and 0.5 < told.largest / error < 2.0
     assert told.t[-1] == pytest.approx(END, abs=13.0 * h) and np.isnan(told.chaotic)
     assert f'{100.0 * told.largest:.2g} % of the amplitude' in str(told) and str(told) in repr(run)
@@ -82,8 +82,7 @@ def test_estimate_is_right_within_a_factor_of_two(path, others, method, h):
 def test_bound_holds_and_saves_the_third_run(path, others, method, h):
     run = simulate(orbit(method, h), END)
     assert not run.path_error.estimated and not run.alarms
-    # Beside the second run only the first steps with h / 2.
-    assert others == [(13.0 / 8.0, 1.0), (0.5, 1.0)]
+    assert others == [(13.0 / 8.0, 1.0)]
     assert error_of(run, path) <= run.path_error.largest < 0.01
     assert str(run.path_error).startswith('path error below ')
 
@@ -91,7 +90,7 @@ def test_bound_holds_and_saves_the_third_run(path, others, method, h):
 @pytest.mark.parametrize('scene, more, steps', [
     (orbit(), {'duration': 2.0}, [0.5]),
     (PUSHED, {'duration': 20.0, 'commands': lambda t: [0.1]}, [0.5]),
-    (orbit(), {'duration': 2.1}, [13.0 / 8.0, 0.5])], ids=['short', 'commands', 'others'])
+    (orbit(), {'duration': 2.1}, [13.0 / 8.0, 8.0 / 13.0])], ids=['short', 'commands', 'others'])
 def test_runs_that_are_short_or_commanded_are_repeated_with_half_the_step(
         scene, more, steps, others):
     told = simulate(scene, **more).path_error
@@ -130,9 +129,7 @@ def test_second_run_leaves_no_trace_and_threads_change_no_result(period):
     assert np.array_equal(found.value, expected.path_error.value)
 
 
-@pytest.mark.parametrize('how', ['restart', 'restore', pytest.param(
-    'restart at a step', marks=pytest.mark.xfail(strict=True, reason=(
-        'a state that is replaced at the same step is taken for a lost path')))])
+@pytest.mark.parametrize('how', ['restart', 'restore', 'restart at a step'])
 def test_comparison_begins_anew_where_the_state_is_replaced(how):
     simulation, report = build(OSCILLATOR), PathReport('measured')
     report.follow(simulation, period=None)

@@ -230,6 +230,7 @@ class Run:
             return None
         except StoppedByEvent as stop:
             self._hand_out_events()
+            self._finish_second_run()
             self._stop(0, f'stopped by the event {stop.event.when}')
             return 0
         except StepFailure as failure:

@@ -149,7 +149,7 @@ class ResolutionGuard(BandGuard):
     """
 
     kind = 'under-resolved'
-    remedy = ('use a smaller step_size, such as the one that `simulate` and `hnn run` recommend, '
+    remedy = ('use a smaller step_size, such as the one that `path not resolved` recommends, '
               'or a method of higher order')
 
     def __init__(self, share: float, scale: Scale, plain: float = 1.0, order: int = 2):
