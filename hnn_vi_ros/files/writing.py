@@ -92,7 +92,7 @@ def _temporary(path: Path, mode: int = 0o666) -> Iterator[BufferedWriter]:
     except OSError as problem:
         # Users know the other file.
         if problem.filename in (None, str(temporary)):
-            problem.filename, problem.filename2 = str(path), None
+            problem.filename = str(path)
         raise
 
 

@@ -27,8 +27,9 @@ _PLAIN = re.compile(
 # Programs of torch by a member of their archives, and the call that loads them.
 _PROGRAMS = {'constants.pkl': 'torch.jit.load(FILE)',
              'archive_format': 'torch.export.load(FILE).module()'}
-# Number of uses of a tuple that was already used: hashing nested ones takes 2^n.
-_MOST_SHARED = 20
+# Number of uses of a tuple that was already used: hashing nested ones takes 2^n; and of integers
+# that may have the hash of others.
+_MOST_SHARED, _MOST_ODD = 20, 1000
 # Pickles at the start of a file before torch 1.6: number, version, system, object, keys.
 _PICKLES = 5
 
@@ -111,14 +112,15 @@ def _checked_archive(stream: BinaryIO, most: int, path: Path) -> BytesIO:
 
 def _check_pickle(stream: BinaryIO) -> None:
     """Read a pickle without running it; raise ValueError for other types than plain ones."""
-    tuples, encoders, shared, before, texts = set[object](), set[object](), 0, '', False
+    tuples, encoders, shared, before, texts, odd = set[object](), set[object](), 0, '', False, 0
     for opcode, value, _ in pickletools.genops(stream):
         if opcode.name == 'GLOBAL' and not _PLAIN.fullmatch(str(value)) and not any(
                 str(value).replace(' ', '.') == name for _, name in _NUMBERS):
             raise ValueError(f'contains {str(value)[:80]!r}')
-        if isinstance(value, int) and 'LONG' in opcode.name and abs(value) >= 1 << 60:
-            # All multiples of 2^61 - 1 have one hash: a table of such keys takes n^2.
-            raise ValueError(f'contains the number {value:.3g}')
+        # Multiples of 2^61 - 1 have one hash, as -1 and -2: a table of such keys takes n^2.
+        odd += isinstance(value, int) and not 0 <= value < 1 << 60
+        if odd > _MOST_ODD:
+            raise ValueError('contains too many negative or huge integers')
         # Bytes of numpy are encoded text; encoded repeatedly, such as in hex, they double.
         if texts and not ('PUT' in opcode.name or 'UNICODE' in opcode.name):
             raise ValueError('contains text that is encoded again')

@@ -28,8 +28,6 @@ _DIGEST, _SHARD = b'hnn_vi_ros.digest', b'hnn_vi_ros.shard'
 _SEAL = re.compile(rb'(\d{1,10}) sha256:([0-9a-f]{64})')
 _DIGEST_PLACEHOLDER = b'0' * 64
 _MAX_SHARD_SIZE = 2**31
-# Memory in which a small shard is checked [bytes].
-_SPARE_MEMORY = 2**29
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
 _LISTS = {'event_times': pa.list_(pa.float64()), 'events': pa.list_(pa.string())}
 
@@ -152,7 +150,7 @@ def check_shard(path: Path, digest: str, shard: int) -> tuple[int, Counter[str]]
             raise ValueError('its SHA-256 differs from the recorded one')
         # Without threads: one that still starts when the process ends would abort it.
         # The numbers of a row take more in the file than these columns in memory.
-        with memory_for(len(content) + _SPARE_MEMORY):
+        with memory_for(len(content) + 2**29):
             table = pq.ParquetFile(pa.BufferReader(content)).read(
                 ['failure', 'index', 'alarms'], use_threads=False)
             # A trajectory has the same alarms in all of its rows, and one row if it failed.

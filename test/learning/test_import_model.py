@@ -4,7 +4,7 @@
 
 import codecs
 from collections import Counter
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 import pickle
 import zipfile
@@ -198,6 +198,14 @@ def assert_refused(path: Path) -> None:
 
 
 LINEAR = {'0.weight': torch.ones(3, 2), '0.bias': torch.ones(3), '2.weight': torch.ones(1, 3)}
+
+
+@pytest.mark.parametrize('keys', [
+    [k * (2**61 - 1) for k in range(1, 2000)], [*product((-1, -2), repeat=10)]])
+def test_keys_of_one_hash_are_refused_before_they_take_their_time(tmp_path, keys):
+    torch.save(dict.fromkeys(keys), tmp_path / 'a.pt')
+    with pytest.raises(ValueError, match='integers'):
+        load_tensors(tmp_path / 'a.pt', 1 << 20)
 
 
 @pytest.mark.parametrize('state', [

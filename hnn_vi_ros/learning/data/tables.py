@@ -78,7 +78,7 @@ def _unpacked(path: Path, suffix: str, most: int, encoding: str, *_: int) -> str
         raise DataError(f'{path}: {suffix} is read with {" and ".join(needs.split())}; '
                         f'pip install {needs}, or {_CSV}') from problem
     except (ValueError, TypeError, KeyError, EOFError, RuntimeError, BadZipFile, MemoryError,
-            gzip.BadGzipFile) as problem:
+            SyntaxError, gzip.BadGzipFile) as problem:
         reason = ' '.join(str(problem).split())[:200] or 'it takes too much memory'
         raise DataError(f'{path}: not a readable {suffix} table ({reason}); {_CSV}') from problem
 
@@ -96,7 +96,7 @@ def _text(path: Path, stream: BytesIO, suffix: str, most: int, encoding: str, re
         return _csv(_columns(loadmat(stream)))
     import pandas
     if suffix == '.xlsx':
-        _check_sheet(stream)
+        _check_sheet(stream, pandas.ExcelFile(stream))
     # read_json would take numbers of columns such as timestamp for dates.
     table = pandas.DataFrame(_samples(parse_json(stream.read()))) if suffix == '.json' else \
         getattr(pandas, reader)(stream)
@@ -105,11 +105,12 @@ def _text(path: Path, stream: BytesIO, suffix: str, most: int, encoding: str, re
     return _csv(_of_episodes(path, columns) if {_STATE, _ACTION} <= columns.keys() else columns)
 
 
-def _check_sheet(stream: BytesIO) -> None:
+def _check_sheet(stream: BytesIO, file: Any) -> None:
     """Raise ValueError if the first sheet has too many cells; one that is far away adds others."""
-    import pandas
+    # Each cell takes a dozen bytes, also in other sheets.
+    _check_size(sum(part.file_size for part in ZipFile(stream).infolist()) // 12)
     cells = 0
-    for row in pandas.ExcelFile(stream).book.worksheets[0].values:
+    for row in file.book.worksheets[0].values:
         _check_size(cells := cells + len(row))
 
 

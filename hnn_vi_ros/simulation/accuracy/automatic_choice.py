@@ -45,8 +45,6 @@ _MAX_COST_BEYOND_FLOOR = 10.0
 _TIMED_SHARE, _MIN_TIMED_STEPS = 0.01, 10
 # Format version of cached choices; changing it invalidates the cache.
 _FORMAT = 6
-# Maximum size of a cached choice [bytes].
-_MAX_SIZE = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -219,7 +217,7 @@ def remembered(task: CalibrationTask, name: str) -> Choice:
                       find_spec('heyoka') is not None])
     name = f'{sha256(key.encode()).hexdigest()[:32]}.json'
     try:
-        return Choice(**parse_json(read_limited(own_cache('calibration') / name, _MAX_SIZE)))
+        return Choice(**parse_json(read_limited(own_cache('calibration') / name, 1 << 16)))
     except (OSError, ValueError, TypeError):
         # Missing or unreadable: calibrate again.
         choice = calibrate(task)
