@@ -182,8 +182,8 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
         'MATPLOTLIBRC', 'MPLCONFIGDIR', 'NUMBA_CACHE_DIR') if os.environ.get(name)}
     sys.meta_path.insert(0, _OutsideWorkingFolder())
     try:
-        _answer_at_once(name, argv)
         _check_shell()
+        _answer_at_once(name, argv)
         status = run_module(module_of(name), argv, shown)
     except SystemExit as end:
         # From argparse, which has printed the help or an error.
