@@ -16,7 +16,7 @@ from hnn_vi_ros.ros.replay.recorded_run import CAUSES, RecordedRun, simulators
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
 from hnn_vi_ros.run import (
     joint_sensor, joints_of, nanoseconds_of, restore_state, Sampler, STATE_FILE)
-from hnn_vi_ros.simulation import build, Simulation
+from hnn_vi_ros.simulation import build, PathReport, Simulation
 import numpy as np
 
 # Relative changes of the initial state: one far above round-off and far below the motion, and
@@ -124,18 +124,22 @@ def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict
         where = 'under conditions other than those of the log, where ' + ', '.join(
             f'{name} is {value}' for name, value in others.items()) if there \
             else 'of a log that states neither machine nor versions'
-    begin = simulation.steps
+    begin, path_error = simulation.steps, PathReport(run.scene.path_error)
+    path_error.follow(simulation, period=0.0)
     readings = _Readings(run, simulation)
     samples, difference = _first_difference(run, simulation, readings)
     missing = _gap_report(run, begin)
     if difference is None and not samples:
+        path_error.close()
         return Verdict(f'{run.reader.path}: contains no samples to compare{missing}', False)
     compared = 'work' if simulation.ledger is None else f'work, and the {CAUSES},'
     agreed = f'{run.reader.path}: q, p, dp/dt, H and {compared} of {samples} samples are ' \
         f'bit-identical, {where}'
     if difference is None:
         missing = readings.report() + missing
-        return Verdict(f'{agreed}{readings.omitted}{missing}', not missing)
+        path_error.finish()
+        return Verdict(f'{agreed}{readings.omitted}; {path_error}{missing}', not missing)
+    path_error.close()
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
     within = margin.difference <= margin.explained < np.inf
