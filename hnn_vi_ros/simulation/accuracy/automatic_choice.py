@@ -41,6 +41,8 @@ _MIN_FORCE_RATIO, _BASES, _FORCES = 6.0, ('gauss8', 'gauss6', 'gauss4'), (1.0, 0
 # Once a method has reached its round-off floor above the tolerance, others are tried up to this
 # multiple of its cost.
 _MAX_COST_BEYOND_FLOOR = 10.0
+# Errors, relative to the largest coordinate, that round-off may explain.
+_ROUNDING = 1e-9
 # Share of a run used to measure the reported computing time, and its minimum number of steps.
 _TIMED_SHARE, _MIN_TIMED_STEPS = 0.01, 10
 # Format version of cached choices; changing it invalidates the cache.
@@ -194,8 +196,12 @@ def _refusal(study: CostStudy, tolerance: Tolerance) -> str:
     if nearest is None or nearest.failure:
         return (f'{wanted}: every small enough step_size exceeds the limit of gradients; '
                 'allow a larger error or a shorter horizon')
-    reason = ('smaller steps do not help because of round-off' if nearest.method in study.at_floor
-              else 'smaller steps exceed the limit of gradients')
+    reason = 'smaller steps exceed the limit of gradients'
+    if nearest.method in study.at_floor:
+        rounding = _ROUNDING * np.abs(study.reference.states).max(initial=1.0)
+        reason = 'smaller steps do not help because of round-off' if study.error(
+            nearest) <= rounding else (
+                'smaller steps hardly help, as where a force has limits or kinks')
     return (f'{wanted}; the best is {nearest.method} with h = {nearest.step_size:g} s and error '
             f'{study.error(nearest):.2g}: {reason}; allow a larger error or a shorter horizon')
 
