@@ -417,6 +417,9 @@ def path_error_of(repetition: Repetition, step_size: float, origin: int, early: 
                          np.maximum(repetition.bound * value, 2.0 * early),
                          limit=limit, needed=(origin + ten) * step_size)
     at, finer = third.at(row)
+    # Behind a lost path, where the comparisons end, nothing is known.
+    steps, value = steps[:_until_lost(value)], value[:_until_lost(value)]
+    at, finer = at[:_until_lost(finer)], finer[:_until_lost(finer)]
     known = np.searchsorted(steps, at, side='right') - 1
     coarser = np.where(known < 0, value[:1] if len(value) else np.inf, value[known] if len(
         value) else np.inf)
@@ -427,14 +430,19 @@ def path_error_of(repetition: Repetition, step_size: float, origin: int, early: 
                          repetition.exponents[0], exponents)
     error = np.maximum(repetition.error(coarser, finer, exponents),
                        early / (1.0 - 0.5 ** repetition.exponents[1]))
-    # Behind a lost path nothing is known.
-    end = int((error >= LOST).argmax()) + 1 if (error >= LOST).any() else len(error)
+    end = _until_lost(error)
     at, error, exponents = at[:end], error[:end], exponents[:end]
     doubling = _doubling(at, error)
     ends = turns.ends[0 if not math.isnan(doubling) else 1, row]
     return PathError((origin + at) * step_size, error, True, doubling * step_size, limit,
                      (origin + float(ends)) * step_size,
                      float(exponents[-1]) if small.size else repetition.exponents[1])
+
+
+def _until_lost(error: np.ndarray) -> int:
+    """Return the number of the first errors, up to that at which a path is lost."""
+    lost = error >= LOST
+    return int(lost.argmax()) + 1 if lost.any() else len(error)
 
 
 def _doubling(steps: np.ndarray, error: np.ndarray) -> float:

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 import math
+import sys
 from threading import Event
 from typing import cast, NamedTuple
 
@@ -39,6 +40,8 @@ _FIRST_BLOCK, _BLOCK_NUMBERS, _MIN_THREAD_STEPS = 1024, 2**17, 512
 _LEAST_FACTOR = 1e-3
 # Instants that are compared at a time.
 _PART = 1024
+# Ratio of successive numbers of steps at which a run in real time is judged.
+_JUDGED = 1.25
 _HALVES, _TOLERANCES = (0.5, 0.25), (32.0, 1.0 / 32.0)
 # Range of exponents of a tolerance in the error.
 _TOLERANCE_EXPONENTS = 0.2, 1.2
@@ -87,12 +90,14 @@ class _Other:
         self._next, self._steps, self._q = 0, np.empty(0, int), np.empty(0)
         simulation.put_from(run, row)
 
-    def follow(self, items: 'list[_Block | Command]') -> None:
-        """Follow the items that are new."""
+    def follow(self, items: 'list[_Block | Command]', until: float) -> None:
+        """Follow the items that are new, until a step of the run."""
         try:
             while not self.ended and (len(self._steps) or self._next < len(items)):
                 if len(self._steps):
-                    self._take()
+                    if self._steps[0] > until:
+                        return
+                    self._take(until)
                 elif isinstance(item := items[self._next], _Block):
                     self._gather(items)
                 else:
@@ -125,9 +130,10 @@ class _Other:
         self._steps = self._stride * (
             blocks[0].first // self._stride + 1 + np.arange(len(self._q)))
 
-    def _take(self) -> None:
+    def _take(self, until: float) -> None:
         """Compare the next instants, in parts: little is then computed behind a lost path."""
-        simulation, size, row = self._simulation, min(_PART, len(self._q)), self._simulation.row
+        simulation, row = self._simulation, self._simulation.row
+        size = min(_PART, int(np.searchsorted(self._steps, until, side='right')))
         simulation.rescue_ready = self._run.rescue_ready
         while True:
             try:
@@ -158,16 +164,22 @@ class _Stretch:
         Maximum number of steps.
     until_turned : bool
         End after ten turns.
+    live : bool
+        Judge it also before its end.
+    expected : float
+        Number of steps of the whole run; inf if it is not known.
     told : set of int
         Trajectories whose alarm was raised.
 
     """
 
     def __init__(self, simulation: Simulation, repetition: Repetition, most: int,
-                 until_turned: bool, told: set[int]):
-        self._simulation, self._repetition, self._until_turned = (
-            simulation, repetition, until_turned)
+                 until_turned: bool, live: bool, expected: float, told: set[int]):
+        self._simulation, self._repetition, self._until_turned, self._expected = (
+            simulation, repetition, until_turned, expected)
         self.origin, self.most, self.taken, self.over = simulation.steps, most, 0, False
+        # Alarms do not depend on the speed of the machine: the run is judged at these steps.
+        self._judged_next, self._judged = _MIN_JUDGED_STEPS if live else sys.maxsize, False
         self._row = simulation.state.without_counts(simulation.row)
         q = simulation.q.reshape(-1, simulation.hamiltonian.dimension)
         self._motion = ComparedMotion(simulation.hamiltonian, simulation.system.turning, q.copy())
@@ -192,31 +204,52 @@ class _Stretch:
 
     def add(self, q: np.ndarray) -> None:
         """Add the states after the next steps, (n, m, d)."""
-        first, self.taken = self.taken, self.taken + len(q)
-        self._items.append(_Block(first, self.taken, {
+        first, taken = self.taken, self.taken + len(q)
+        self._items.append(_Block(first, taken, {
             stride: q[stride - 1 - first % stride::stride].copy()
             for stride in self._repetition.strides}))
         if self._first is not None and first < _SHORT:
             self._first.append(q[:_SHORT - first].copy())
         if not self.turns.counted:
             self._turned.append((first + 1, q.copy()))
-        self.over = self.over or self.taken >= self.most
+        # Last: a thread then finds all that it counts.
+        self.taken = taken
+        self.over = self.over or taken >= self.most
 
     def command(self, command: Command) -> None:
         """Add a command before the next step."""
         self._items.append(command)
 
-    def work(self, end: bool = False) -> None:
-        """Take the other runs as far as the run; `end` if no steps follow."""
+    def work(self, end: bool = False) -> list[tuple[int, Alarm]]:
+        """Take the other runs as far as the run, `end` if no steps follow; return new alarms."""
+        end, taken = end or self.over, self.taken
         turned = [self._turned.popleft() for _ in range(len(self._turned))]
         if turned:
             self.turns.add(turned[0][0], np.concatenate([q for _, q in turned]))
         if self._first is not None:
-            if self.taken < _SHORT and not end:
-                return
+            if taken < _SHORT and not end:
+                return []
             self._compare_first(np.concatenate(self._first))
             self._first = None
-        self.second.follow(self._items)
+        found = list[tuple[int, Alarm]]()
+        while not self._judged and self._judged_next <= taken:
+            self._follow(self._judged_next)
+            found += self._alarms(self._judged_next)
+            other = self.second if self.third is None else self.third
+            turned_by = self.turns.ends[1] <= self._judged_next
+            self._judged = other.ended or (self._until_turned and bool(turned_by.all()))
+            self._judged_next = min(math.ceil(_JUDGED * self._judged_next), max(
+                self.most, self._judged_next + 1))
+        if not self._judged:
+            self._follow(math.inf if end else self._judged_next, end)
+            if end:
+                found += self._alarms(taken)
+        self._judged = self._judged or end
+        self.over = self.over or self._judged
+        return found
+
+    def _follow(self, until: float, end: bool = False) -> None:
+        self.second.follow(self._items, until)
         if end:
             self.second.separation.finish()
         if self.third is None and (
@@ -224,11 +257,9 @@ class _Stretch:
                 or (self._repetition.bound * self.second.separation.last > ACCURATE).any()):
             self.third = self._other(1)
         if self.third is not None:
-            self.third.follow(self._items)
+            self.third.follow(self._items, until)
             if end:
                 self.third.separation.finish()
-        other = self.second if self.third is None else self.third
-        self.over = self.over or other.ended or (self._until_turned and self.turns.counted)
 
     def _compare_first(self, q: np.ndarray) -> None:
         """Compare the first states with those of a run with h / 2."""
@@ -238,27 +269,31 @@ class _Stretch:
             separation.add(np.arange(len(q)), q, other.reshape(q.shape), end=True)
         self._early = separation.apart
 
-    def error(self, row: int) -> PathError:
-        """Return the path error of a trajectory."""
+    def error(self, row: int, steps: int) -> PathError:
+        """Return the path error of a trajectory that was judged at a number of steps."""
         second = self.second.separation
         early = float(second.share(self._early)[row])
         return path_error_of(
             self._repetition, self._simulation.step_size, self.origin, early, second,
             None if self.third is None else self.third.separation, self.turns, row,
-            LIMIT if self.taken >= _MIN_JUDGED_STEPS else FEW_STEPS_LIMIT)
+            LIMIT if steps >= _MIN_JUDGED_STEPS else FEW_STEPS_LIMIT)
 
-    def alarms(self, row: int) -> Iterator[Alarm]:
-        """Yield the alarm of a trajectory, once."""
-        error, h = self.error(row), self._simulation.step_size
-        if row not in self._told and not math.isnan(error.lost):
-            self._told.add(row)
-            yield _alarm(error, self._repetition, h, self.taken * h)
-        elif row not in self._told and self.third is not None and not math.isnan(
-                self.third.failed):
-            self._told.add(row)
-            yield Alarm(KIND, self.origin + int(self.third.failed), math.inf, LIMIT, (
-                'a repetition with smaller steps fails where the run does not: the path is '
-                'wrong; use a smaller step_size'), '1')
+    def _alarms(self, steps: int) -> Iterator[tuple[int, Alarm]]:
+        """Yield the alarm of each trajectory that was judged at a number of steps, once."""
+        h = self._simulation.step_size
+        for row in range(self._motion.start.shape[0]):
+            error = self.error(row, steps)
+            if row in self._told:
+                continue
+            if not math.isnan(error.lost):
+                self._told.add(row)
+                end = steps if math.isinf(self._expected) else self._expected
+                yield row, _alarm(error, self._repetition, h, end * h)
+            elif self.third is not None and not math.isnan(self.third.failed):
+                self._told.add(row)
+                yield row, Alarm(KIND, self.origin + int(self.third.failed), math.inf, LIMIT, (
+                    'a repetition with smaller steps fails where the run does not: the path is '
+                    'wrong; use a smaller step_size'), '1')
 
 
 def _alarm(error: PathError, repetition: Repetition, h: float, end: float) -> Alarm:
@@ -321,6 +356,7 @@ class SecondRun:
     def __init__(self, simulation: Simulation, steps: float = math.inf,
                  period: float | None = None):
         self._simulation, self._repetition = simulation, _repetition(simulation, steps)
+        self._steps = steps
         self._most = max(_SHORT, min(_MAX_STEPS, _MAX_NUMBERS // max(simulation.q.size, 1)))
         self._chunk = _FIRST_BLOCK
         self._stretches, self._next = list[_Stretch](), simulation.steps
@@ -343,7 +379,8 @@ class SecondRun:
             if steps < self._next:
                 return self._next - steps, False
             self._stretches.append(now := _Stretch(
-                simulation, self._repetition, self._most, bool(self._stretches), self._told))
+                simulation, self._repetition, self._most, bool(self._stretches),
+                bool(self._period or self._stretches), self._steps, self._told))
             self._next = self._first + 2 * max(steps - self._first, self._most)
             self._expected = steps
         return min(now.most - now.taken, self._chunk), True
@@ -384,10 +421,8 @@ class SecondRun:
     def _follow(self, end: bool = False) -> None:
         """Follow the run as far as it is known, and publish what is found."""
         for stretch in self._stretches:
-            stretch.work(end)
-            for row in range(self._rows):
-                self._alarms += [(row, alarm) for alarm in stretch.alarms(row)]
-        self.errors = [stretch.error(row) for stretch in self._stretches[:1]
+            self._alarms += stretch.work(end)
+        self.errors = [stretch.error(row, stretch.taken) for stretch in self._stretches[:1]
                        for row in range(self._rows)]
 
     def alarms(self) -> list[tuple[int, Alarm]]:
