@@ -103,7 +103,8 @@ def test_run_that_may_be_wrong_ends_with_that_line_and_strictly_with_status_3(st
     with pytest.warns(AlarmWarning, match='exceeds 5 % of the energy scale') as told:
         assert run.main(words) == 3 * strict
     last = capsys.readouterr().out.splitlines()[-1]
-    assert last == ('the run may be qualitatively wrong: under-resolved, separatrix not resolved'
+    assert last == ('the run may be qualitatively wrong: under-resolved, path not resolved, '
+                    'separatrix not resolved'
                     + ' (status 3)' * strict)
     # The size of the error stands in the line of the result alone.
     assert not any(' J' in str(one.message) for one in told if 'under' in str(one.message))

@@ -220,7 +220,7 @@ def writes(call: ast.Call) -> str:
         return name if creates or (owner, name) == ('os', 'open') else ''
     if name == 'replace':
         # That of os, or of a path, which has one argument.
-        return name if owner == 'os' or (len(arguments) == 1 and owner) else ''
+        return name if owner == 'os' or (len(call.args) == 1 and owner) else ''
     by_name = isinstance(function, ast.Name) and name in ('write_text', 'write_bytes')
     return name if name in WRITING and not by_name and owner in OWNERS.get(name, {owner}) else ''
 
