@@ -15,6 +15,7 @@ from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.saddles import SaddleSearch
 from hnn_vi_ros.simulation.guards.samples import accounted_energy, Observed, SampleBlock
 from hnn_vi_ros.simulation.guards.scale import Scale
+from hnn_vi_ros.simulation.guards.time_jumps import TimeJumps
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
@@ -397,6 +398,8 @@ class EnergyGuard(BlockGuard):
         Simulation whose method is not symplectic, so that its energy drifts.
     works : callable, optional
         Returns the work done so far by each effect [J]; the alarm names the largest.
+    jumps : callable, optional
+        Returns the work of jumps of H in time so far [J]; see TimeJumps.
 
     """
 
@@ -406,7 +409,9 @@ class EnergyGuard(BlockGuard):
 
     def __init__(self, share: float, scale: Scale, conservative: bool = True,
                  drifting: Simulation | None = None,
-                 works: Callable[[], dict[str, float]] = dict):
+                 works: Callable[[], dict[str, float]] = dict,
+                 jumps: Callable[[SampleBlock], np.ndarray] | None = None):
+        self._jumps, self._jumped = jumps, 0.0
         self.raised, self._how, self._drifting = False, (share, ''), drifting
         # The effects' works at the end of the last block.
         self._works_now, self._works = works, works()
@@ -428,15 +433,22 @@ class EnergyGuard(BlockGuard):
         yield cls(run.change_limit, run.scale, run.conservative, run.simulation if method.explicit
                   and not method.requirements.symplectic else None,
                   dict if run.conservative or run.in_rows
-                  else lambda: run.simulation.works)
+                  else lambda: run.simulation.works,
+                  None if run.in_rows or run.hamiltonian.time is None
+                  else TimeJumps(run.simulation))
 
     def allow(self, band: float, change: float) -> None:
         self._share = change
 
     def take(self, block: SampleBlock) -> list[Alarm]:
+        scales = self._scale_at(block)
+        if self._jumps is not None:
+            jumped = self._jumps(block)
+            self._jumped = float(jumped[-1])
+            block = block._replace(accounted=block.accounted - jumped, work=block.work + jumped)
         if self._start is None:
             self._start = float(block.accounted[0])
-        scales = _turn_over(self._turned, block.work, self._scale_at(block))
+        scales = _turn_over(self._turned, block.work, scales)
         alarms, first = [], 0
         while first < len(scales):
             # Stop at the end of a block of this guard.
@@ -460,11 +472,12 @@ class EnergyGuard(BlockGuard):
             return super().calm
         if self._start is None:
             return math.inf, -math.inf
-        return self._start - self._jump * self._scale, self._start + self._jump * self._scale
+        start = self._start + self._jumped
+        return start - self._jump * self._scale, start + self._jump * self._scale
 
     def renew(self, sample: Observed) -> Alarm | None:
         assert self._start is not None, 'a sample has raised an alarm'
-        change = abs(accounted_energy(sample) - self._start)
+        change = abs(accounted_energy(sample) - self._jumped - self._start)
         return self._alarm(sample.step, change, *self._how)
 
     def _end_block(self) -> float:

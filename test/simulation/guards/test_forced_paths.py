@@ -194,3 +194,17 @@ def test_pulse_between_stages_is_told_and_a_jump_is_not():
 
     assert 'drive not resolved' in kinds('piecewise(t > 10, cos(200 * pi * t), 0)')
     assert 'drive not resolved' not in kinds('piecewise(t > 4.13, 0.1, 0)')
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('method, h', [('dop853', 0.1), ('gauss4', 0.05)])
+def test_jumps_of_h_in_time_are_work_of_the_drive(method, h):
+    scene = Scene.build(
+        hamiltonian={'kind': 'formula', 'coordinates': ['x'],
+                     'H': 'p_x^2 / 2 + x^2 / 2 - x * piecewise(t > 4.13, 1, 0)'},
+        integrator=method, step_size=h, initial_state=([0.1], [0.0]))
+    run = simulate(scene, 60.0)
+    assert not run.alarms
+    # H jumps by -x = -0.1 cos(4.13), its work is not that of a step without it.
+    drift = simulate(scene.changed({'integrator': {'kind': 'explicit_euler'}}), 60.0)
+    assert 'energy not accounted for' in {alarm.kind for alarm in drift.alarms}
