@@ -299,7 +299,7 @@ class Repetition:
         return (third if self.factors[0] > 1.0 else second) / (1.0 - self._ratio ** exponent)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PathError:
     """
     Error of the path of a run, relative to the amplitude of its coordinates.
@@ -358,6 +358,9 @@ class PathError:
         """Return the time [s] at which the error exceeds its limit too early; NaN if none."""
         time = self.until(self.limit)
         return time if self.estimated and time < self.needed else math.nan
+
+    def __repr__(self) -> str:
+        return f'PathError({self})'
 
     def __str__(self) -> str:
         if self.reason or not len(self.value):

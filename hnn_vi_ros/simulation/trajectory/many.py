@@ -347,7 +347,6 @@ class _Many:
                                     [self.alarms[k] for k in kept])
         return found
 
-
     @property
     def _steps(self) -> int:
         """Return the number of steps of a trajectory."""
