@@ -344,6 +344,11 @@ class PathError:
         return cls(np.empty(0), np.empty(0), reason=reason)
 
     @property
+    def numbers(self) -> tuple[object, ...]:
+        """Return the other arguments than t and value, in their order."""
+        return (self.estimated, self.chaotic, self.limit, self.needed, self.exponent, self.reason)
+
+    @property
     def largest(self) -> float:
         """Return the error at the end, or where the comparison ended; NaN if not measured."""
         return float(self.value[-1]) if len(self.value) else math.nan

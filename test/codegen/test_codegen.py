@@ -111,7 +111,7 @@ def exported(name):
     """Return a scene, its code, and the folder and prefix of its files."""
     scene = SCENES[name]()
     code = compile_scene(scene, name)
-    folder = Path(tempfile.mkdtemp())
+    folder = Path(tempfile.mkdtemp(), name)
     write_project(folder, name, code)
     return scene, code, folder
 

@@ -197,7 +197,7 @@ def test_exit_status_is_1_when_a_verdict_differs(short, tmp_path, monkeypatch, c
 
 def test_case_that_does_not_exist_is_an_error_that_names_the_valid_ones(tmp_path):
     with refused(ParameterError):
-        hard_cases.main(['--case', '21', '--out', str(tmp_path)])
+        hard_cases.main(['--case', '22', '--out', str(tmp_path)])
 
 
 def test_folder_of_another_run_is_refused(tmp_path):

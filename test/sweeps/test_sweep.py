@@ -508,7 +508,9 @@ def test_another_sweep_and_another_folder_are_refused(whole, tmp_path):
 def test_folder_counts_what_failed_and_what_is_missing(whole):
     plan = make_plan(LENGTHS)
     folder = SweepFolder(whole)
-    assert folder.survey(plan) == ([], [], 0, {})
+    *rest, alarms = folder.survey(plan)
+    # In four steps of order one some paths are off.
+    assert rest == [[], [], 0] and alarms.keys() == {'path not resolved'}
     assert SweepFolder(whole / 'none').survey(plan).missing == [0, 1, 2, 3]
 
 

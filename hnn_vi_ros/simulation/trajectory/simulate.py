@@ -145,7 +145,7 @@ def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = N
                   effects: Sequence[Mapping[str, Any]] | None = None,
                   energy_by_cause: bool = False, path_error: str | None = None) -> Parts:
     """Return the parts of a resolved scene with overrides applied; see ``simulate``."""
-    more = ({'energy_by_cause': True} if energy_by_cause else {}) | (
+    more = ({'energy_by_cause': energy_by_cause} if energy_by_cause else {}) | (
         {'path_error': path_error} if path_error else {})
     if isinstance(scene, Parts):
         if more:

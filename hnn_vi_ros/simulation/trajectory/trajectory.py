@@ -23,7 +23,7 @@ from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.guards.base import Alarm
-from hnn_vi_ros.simulation.path_error import OFF
+from hnn_vi_ros.simulation.path_error import OFF, PathError
 from hnn_vi_ros.simulation.run_samples import record, Schedule
 from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
@@ -516,8 +516,13 @@ class Trajectory:
         causes = self.energy_by_cause
         if causes is not None:
             arrays['causes'] = np.ascontiguousarray(causes.values)
+        errors = self._path_errors()
+        if errors:
+            arrays['path_errors'] = np.concatenate([
+                np.column_stack([error.t, error.value]) for error in errors])
         rest = {'coordinates': [asdict(own) for own in self.coordinates], 'alarms': self.alarms,
                 'causes': causes and causes.names,
+                'path_errors': [(len(error.t), *error.numbers) for error in errors],
                 'events': [plain_data(asdict(event)) for event in self.events]}
         scene = '' if self.scene is None else dump_yaml(self.scene.model_dump() | {
             'source': str(self.scene.source), 'model_files': self.scene.model_digests})
@@ -548,7 +553,12 @@ class Trajectory:
                 texts = file.metadata()
             rest, text = parse_json(texts['trajectory'].encode()), texts['scene']
             many, causes = arrays['q'].ndim == 3, arrays.pop('causes', None)
+            paths, errors = arrays.pop('path_errors', np.empty((0, 2))), list[PathError]()
+            for count, *numbers in rest['path_errors']:
+                errors.append(PathError(*paths[:count].T, *numbers))
+                paths = paths[count:]
             return cls(
+                path_error=(tuple(errors) if many else errors[0]) if errors else None,
                 energy_by_cause=None if causes is None else EnergyByCause(
                     arrays['t'], tuple(rest['causes']), causes),
                 **arrays, coordinates=tuple(Coordinate(**own) for own in rest['coordinates']),
@@ -627,10 +637,15 @@ class Trajectory:
         parts = [self.title, ', '.join(self.facts()), *self._path_facts(), *alarms]
         return f'Trajectory({"; ".join(parts)})'
 
+    def _path_errors(self) -> list[PathError]:
+        """Return the path errors of all trajectories, [] if there are none."""
+        if self.path_error is None:
+            return []
+        return [self.path_error] if self.q.ndim == 2 else list(self.path_error)
+
     def _path_facts(self) -> list[str]:
         """Return the path error in a line, for m trajectories the largest; [] if it is off."""
-        errors = [self.path_error] if self.q.ndim == 2 else list(self.path_error or ())
-        errors = [error for error in errors if error is not None and error.reason != OFF]
+        errors = [error for error in self._path_errors() if error.reason != OFF]
         measured = [error for error in errors if len(error.value)]
         if not measured or self.q.ndim == 2:
             return list(map(str, errors[:1]))
