@@ -443,9 +443,9 @@ class EnergyGuard(BlockGuard):
     def take(self, block: SampleBlock) -> list[Alarm]:
         scales = self._scale_at(block)
         if self._jumps is not None:
-            jumped = self._jumps(block)
-            self._jumped = float(jumped[-1])
-            block = block._replace(accounted=block.accounted - jumped, work=block.work + jumped)
+            jumps = self._jumps(block)
+            self._jumped = float(jumps[-1])
+            block = block._replace(accounted=block.accounted - jumps, work=block.work + jumps)
         if self._start is None:
             self._start = float(block.accounted[0])
         scales = _turn_over(self._turned, block.work, scales)

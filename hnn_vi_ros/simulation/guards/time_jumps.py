@@ -49,8 +49,8 @@ class TimeJumps:
         """Yield the index of the sample after each jump, and the jump [J]."""
         changes = np.abs(np.diff(samples.accounted))
         size = np.abs(samples.energy[1:]) + np.abs(samples.work[1:])
-        for i in np.flatnonzero(changes > _MIN_CHANGE * size):
-            low, high = samples.step[i:i + 2] * self._step_size
+        for i in np.flatnonzero(changes > _MIN_CHANGE * size).tolist():
+            low, high = (samples.step[i:i + 2] * self._step_size).tolist()
             whole, start, end = self._change(samples, i, low, high), low, high
             for _ in range(_HALVINGS):
                 middle = 0.5 * (low + high)
