@@ -21,7 +21,7 @@ from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import PhasePoint
 from hnn_vi_ros.kernels import Block, block, object_code, type_of
 from hnn_vi_ros.models import domain_of
-from hnn_vi_ros.phase_space import column_units, columns
+from hnn_vi_ros.phase_space import column_units, columns, energy_unit
 from hnn_vi_ros.scene import Condition, Scene
 from hnn_vi_ros.simulation import build, resolve, Simulation
 import numpy as np
@@ -223,15 +223,16 @@ def _outputs(simulation: Simulation, z: PhasePoint, z1: PhasePoint, events: Even
             offset=one.offset)
         add(2, k, f'{one.name}_velocity', f'{units[leader]}/s', f'follows {leader}',
             factor=one.multiplier)
+    unit = energy_unit(coordinates)
     totals = [('gradients', '1', "gradients of H and products with H'' so far"),
               ('residual', '1', 'residual of the last implicit step'),
-              ('energy', 'J', 'H(q, p)'),
-              ('initial_energy', 'J', 'H at the start'),
-              ('energy_error', 'J', 'H minus its initial value and all works'),
+              ('energy', unit, 'H(q, p)'),
+              ('initial_energy', unit, 'H at the start'),
+              ('energy_error', unit, 'H minus its initial value and all works'),
               ('outside_domain', '1', 'distance from the domain of the training data in its '
                                       'half-widths, 0 inside or without one'),
               ('rescued_steps', '1', 'steps so far that on_failure has taken'),
-              *((f'work_{label}', 'J', f'work of {label}') for label in system.labels)]
+              *((f'work_{label}', unit, f'work of {label}') for label in system.labels)]
     add(4, 0, 'time', 's', 'simulated time', factor=simulation.step_size)
     for k, words in enumerate(totals, 1):
         add(4, k, *words)

@@ -12,6 +12,7 @@ from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.run import check_outputs, write_outputs
 from hnn_vi_ros.errors import CalibrationError, ParameterError
 from hnn_vi_ros.files import dump_yaml, ProgressLine
+from hnn_vi_ros.phase_space import energy_unit
 from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation import (
     build, Choice, choose, CostStudy, measure_costs, Method, MethodCost, problem_of, Tolerance)
@@ -80,7 +81,8 @@ def _measure(scene: Scene, duration: float, seconds: float, base: float | None) 
 def _lines(scene: Scene, study: CostStudy, error: float | None) -> Iterator[str]:
     """Yield lines on the error measurement, the table, and the methods not in it."""
     what = 'path errors' if not study.no_path else (
-        f'energy errors, relative to {study.known.energy_scale:.3g} J')
+        f'energy errors, relative to {study.known.energy_scale:.3g} '
+        f'{energy_unit(study.problem.hamiltonian.coordinates)}')
     yield f'{scene.name}: {what} up to {study.reference.horizon:g} s, and run times'
     yield f'no reference: {study.no_path}' if study.no_path else (
         f'reference: {study.reference.how}, accurate to {study.floor:.1e}')
@@ -106,8 +108,9 @@ def _errors_of_model(study: CostStudy) -> Iterator[str]:
                   for horizon, errors in card.prediction_error.horizons.items()
                   if None not in errors]
     if card.energy_error is not None:
-        found.append(f'H by {card.energy_error.rms:.2g} J (RMS in its box), of a spread of '
-                     f'{card.energy_error.spread:.2g} J')
+        unit = energy_unit(card.coordinates)
+        found.append(f'H by {card.energy_error.rms:.2g} {unit} (RMS in its box), of a spread of '
+                     f'{card.energy_error.spread:.2g} {unit}')
     yield (f'error of the model {card.name} itself, which no method reduces: '
            f'{", ".join(found) or "not on its card"}')
 

@@ -13,7 +13,7 @@ from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.effects import Commanded
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files import json_schema, shipped_names
-from hnn_vi_ros.phase_space import column_units, columns, Coordinate
+from hnn_vi_ros.phase_space import column_units, columns, Coordinate, energy_unit
 from hnn_vi_ros.scene import AutoChoice, lacks_a_model, load_scene, Scene
 import numpy as np
 
@@ -146,7 +146,7 @@ def explain(scene: Scene) -> Iterator[str]:
         # Alarms of the run are not about its parts.
         warnings.simplefilter('ignore')
         moved = energy_moved(simulate(parts, energy_by_cause=True), costs.added)
-    yield from _times(costs, scene, moved)
+    yield from _times(costs, scene, moved, energy_unit(hamiltonian.coordinates))
 
 
 def _coordinates(coordinates: Sequence[Coordinate], scene: Scene) -> Iterator[str]:
@@ -186,7 +186,7 @@ def lyapunov_line(scene: Scene, steps: int) -> str:
 
 
 def energy_moved(run: 'Trajectory', labels: Iterable[str]) -> dict[str, float]:
-    """Return the ranges of work and stored energy of each effect, and of the error as '' [J]."""
+    """Return the ranges of work and stored energy of each effect, and of the error as ''."""
     causes = run.energy_by_cause
     assert causes is not None, 'requested'
     moved = dict.fromkeys(['', *labels], 0.0)
@@ -199,7 +199,8 @@ def energy_moved(run: 'Trajectory', labels: Iterable[str]) -> dict[str, float]:
     return moved
 
 
-def _times(costs: 'EffectCosts', scene: Scene, moved: Mapping[str, float]) -> Iterator[str]:
+def _times(costs: 'EffectCosts', scene: Scene, moved: Mapping[str, float], unit: str
+           ) -> Iterator[str]:
     yield f'time per step: {1e6 * costs.total:.3f} us'
     if not math.isnan(costs.bare):
         yield f'  integrator alone: {1e6 * costs.bare:.3f} us'
@@ -207,9 +208,10 @@ def _times(costs: 'EffectCosts', scene: Scene, moved: Mapping[str, float]) -> It
         text = 'cannot be removed' if math.isnan(added) else f'adds {1e6 * added:.3f} us'
         if added < -_DIFFERS * costs.total:
             text += ' (steps of the motion without it take longer)'
-        text += f', moves {moved[label]:.3g} J in {scene.duration:g} s'
+        text += f', moves {moved[label]:.3g} {unit} in {scene.duration:g} s'
         if 0.0 < moved[label] < moved['']:
-            text += f', less than the error of the method, {moved[""]:.2g} J: not called for'
+            text += (f', less than the error of the method, {moved[""]:.2g} {unit}: not called '
+                     'for')
         yield f'  {label} {text}'
 
 

@@ -30,7 +30,7 @@ from hnn_vi_ros.learning import (
     predicted_by, read_motions, refitted, Solution, source_of, split_runs, steps_between,
     warnings_of, Windows)
 from hnn_vi_ros.models import force_unit
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.phase_space import Coordinate, energy_unit
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.simulation import build, DifferentiableRun, resolve
 import numpy as np
@@ -268,7 +268,8 @@ def _energies(free: FreeScene, solution: Solution) -> list[str]:
         return []
     # The work of a passive effect is the negative of its heat, but for the stored energy.
     found = predicted_by(free, solution.values, solution.windows).log.energies(solution.starts)
-    texts = [f'{name.replace("/", " of ", 1)} {value:.4g} J' for name, value in found.items()
+    unit = energy_unit(parts.hamiltonian.coordinates)
+    texts = [f'{name.replace("/", " of ", 1)} {value:.4g} {unit}' for name, value in found.items()
              if name.replace('work/', 'heat/', 1) not in found or name.startswith('heat/')]
     return [f'Energy in the windows, by the fitted scene: {", ".join(texts)}'] if texts else []
 

@@ -20,7 +20,7 @@ class Listener(RobustNode):
 
     def _on_energy(self, message: Float64) -> None:
         if self._count % 100 == 0:
-            self.get_logger().info(f'sample {self._count}: H = {message.data:.6f} J')
+            self.get_logger().info(f'sample {self._count}: H = {message.data:.6f}')
         self._count += 1
 
 

@@ -7,6 +7,7 @@ from functools import partial
 import math
 import time
 
+from hnn_vi_ros.phase_space import energy_unit
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.run.timing import Timing
 from hnn_vi_ros.simulation import (
@@ -38,9 +39,11 @@ class EnergyRecord:
     band : float
         Largest abs(H~ - H~0) so far [J]; NaN if no modified energy is known or work is done.
     drift_per_hour : float
-        Slope of the energy error at the last evaluation [1/h] or [J/h]; NaN until it is known.
+        Slope of the energy error at the last evaluation, per hour; NaN until it is known.
     unit : str
-        Unit of the energy error: ``'1'``, or ``'J'`` if H0 is zero.
+        Unit of the energy error: ``'1'``, or that of H if H0 is zero.
+    energy_unit : str
+        Unit of H.
     tolerance : Tolerance or None
         The scene's tolerance.
     largest : float
@@ -55,7 +58,8 @@ class EnergyRecord:
         self._modified0 = math.nan if modified is None else modified
         self.band = math.nan if modified is None else 0.0
         self.drift_per_hour = math.nan
-        self.unit = '1' if simulation.energy else 'J'
+        self.energy_unit = energy_unit(simulation.hamiltonian.coordinates)
+        self.unit = '1' if simulation.energy else self.energy_unit
         self._size, self._steepest = abs(simulation.energy) or 1.0, 0.0
         self._tick, self._samples = tick, 0
         self._least = _MIN_DRIFT_TIMES * time_scale(

@@ -295,8 +295,9 @@ class StatusLine:
 
     """
 
-    def __init__(self, log: Callable[[str], object], now: Callable[[], float] = time.monotonic):
-        self._log, self._now = log, now
+    def __init__(self, log: Callable[[str], object], unit: str,
+                 now: Callable[[], float] = time.monotonic):
+        self._log, self._unit, self._now = log, unit, now
         self._terminal = sys.stdout.isatty()
         self._interval = 0.2 if self._terminal else 5.0
         self._shown = False
@@ -308,16 +309,17 @@ class StatusLine:
         self._last, self._next = (now, stamp), now + self._interval
 
     def show(self, sample: Sample, overruns: int, relative: bool) -> None:
-        """Display a sample if the line is due; its energy error is relative to H0, or in J."""
+        """Display a sample if the line is due; its energy error is relative to H0, or not."""
         now = self._now()
         if now < self._next:
             return
         wall, stamp = self._last
         pace = (sample.stamp - stamp) * 1e-9 / (now - wall)
         self._last, self._next = (now, sample.stamp), now + self._interval
-        text = (f't = {sample.stamp * 1e-9:.2f} s   H = {sample.energy:.6g} J   '
-                + ('relative energy error {:+.2e}' if relative else 'energy error {:+.2e} J'
-                   ).format(sample.energy_error) + f'   {pace:.2f} x real time'
+        error = f'energy error {sample.energy_error:+.2e}'
+        text = (f't = {sample.stamp * 1e-9:.2f} s   H = {sample.energy:.6g} {self._unit}   '
+                + (f'relative {error}' if relative else f'{error} {self._unit}')
+                + f'   {pace:.2f} x real time'
                 + (f'   {overruns} overruns' if overruns else ''))
         if self._terminal:
             rewrite_line(sys.stdout, text)

@@ -197,13 +197,13 @@ def test_explain_tells_the_energy_that_each_effect_moved_and_which_one_is_not_ca
              'stored/hamiltonian', 'heat/drag', 'error')
     values = np.outer([0.0, 1.0, 0.5], [2.0, -1.0, -1e-7, 0.3, 5.0, 1e-7, 1e-6])
     run = replace(simulate('exact_pendulum', 0.02), energy_by_cause=EnergyByCause(
-        np.arange(3.0), names, values))
+        np.arange(3.0), names, values, 'J'))
     labels = ['motors', 'lag', 'drag', 'spring', 'idle']
     moved = energy_moved(run, labels)
     # The range of each column, of all joints; heat is not counted again.
     assert moved == {'': 1e-6, 'motors': 3.0, 'lag': 2.0, 'drag': 1e-7, 'spring': 0.3, 'idle': 0.0}
     costs = EffectCosts(1e-6, 5e-7, dict.fromkeys(labels, 1e-7) | {'spring': -5e-6})
-    told = list(_times(costs, load_scene('exact_pendulum'), moved))
+    told = list(_times(costs, load_scene('exact_pendulum'), moved, 'J'))
     assert told[2] == '  motors adds 0.100 us, moves 3 J in 10 s'
     assert told[4].endswith('less than the error of the method, 1e-06 J: not called for')
     assert '-5.000 us (steps of the motion without it take longer)' in told[5]

@@ -208,7 +208,7 @@ class Parts:
 
 
 def alarm(kind: str, step: int = 1) -> Alarm:
-    return Alarm(kind, step, 0.5, 0.25, f'{kind} at {step}')
+    return Alarm(kind, step, 0.5, 0.25, f'{kind} at {step}', 'J')
 
 
 def test_health_tells_every_alarm_but_logs_a_kind_only_now_and_then(monkeypatch):

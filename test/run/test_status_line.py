@@ -27,7 +27,7 @@ class Shown:
     def __init__(self, monkeypatch: pytest.MonkeyPatch):
         self.time, self.terminal = 0.0, Terminal()
         monkeypatch.setattr(sys, 'stdout', self.terminal)
-        self.line = StatusLine(None, lambda: self.time)
+        self.line = StatusLine(None, 'J', lambda: self.time)
 
     def run(self, begin: int, seconds: float, pace: float) -> None:
         """Show samples of a run at a pace, every 20 ms of wall time, from a stamp on."""

@@ -148,7 +148,7 @@ def test_gates_leave_out_what_a_method_does_not_claim_and_what_is_rounding():
 
 
 def test_verdict_names_a_failure_before_an_alarm_before_a_gate():
-    alarm = Alarm('under-resolved', 5, 1.0, 0.5, 'text')
+    alarm = Alarm('under-resolved', 5, 1.0, 0.5, 'text', 'J')
     failure = StepFailure('not finite', 0.1, 0.01, 0.0, 1)
     assert verdict(calm(), []) == 'stable'
     assert verdict(calm(), ['G3']) == 'unstable'
@@ -173,7 +173,7 @@ def test_row_beyond_a_limit_is_unstable_and_not_as_expected():
 
 
 def test_difference_is_told_for_another_alarm_and_for_a_row_without_a_verdict():
-    row = row_of(calm(alarms=[Alarm('under-resolved', 5, 1.0, 0.5, 'text')]))
+    row = row_of(calm(alarms=[Alarm('under-resolved', 5, 1.0, 0.5, 'text', 'J')]))
     assert differences([row], {row.key: Expectation('alarm', 'under-resolved', {}, {})}) == []
     (line,) = differences([row], {row.key: Expectation('alarm', 'not finite', {}, {})})
     assert 'expected alarm (not finite)' in line

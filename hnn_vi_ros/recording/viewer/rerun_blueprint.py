@@ -8,7 +8,8 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import Ball, Hamiltonian, Line, Part, Trail
-from hnn_vi_ros.phase_space import column_units, columns, Coordinate, momentum_name, raised
+from hnn_vi_ros.phase_space import (
+    column_units, columns, Coordinate, energy_unit, momentum_name, raised)
 from hnn_vi_ros.recording.viewer.phase_portrait import contours, Frame, ticks
 import numpy as np
 import rerun as rr
@@ -63,9 +64,10 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
 
     """
     error = 'H - H0' if conservative else 'H - H0 - W'
-    second = {} if conservative else {'/energy/work': ['work W [J]']}
+    unit = raised(energy_unit(coordinates))
+    second = {} if conservative else {'/energy/work': [f'work W [{unit}]']}
     if conservative and modified:
-        second = {'/energy/modified': ['modified H [J]']}
+        second = {'/energy/modified': [f'modified H [{unit}]']}
     (q_names, p_names), (q_units, p_units) = columns(coordinates), column_units(coordinates)
     bands = {BANDS[0]: q_names, BANDS[1]: [momentum_name(name) for name in p_names]}
     return {
@@ -75,11 +77,11 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
                      for name, unit in zip(p_names, p_units, strict=True)],
         **({path: [f'{name} {end}' for end in ('lowest', 'highest') for name in names]
             for path, names in bands.items()} if band else {}),
-        '/energy/H': ['H [J]'],
+        '/energy/H': [f'H [{unit}]'],
         **second,
-        '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [J]'],
+        '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [{unit}]'],
         **({'/invariants': list(invariants)} if invariants else {}),
-        **{path: [f'{causes[k].partition("/")[2].replace("hamiltonian", "rest of H")} [J]'
+        **{path: [f'{causes[k].partition("/")[2].replace("hamiltonian", "rest of H")} [{unit}]'
                   for k in entries] for path, entries in entries_of(causes).items()},
     }
 

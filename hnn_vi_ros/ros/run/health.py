@@ -223,6 +223,7 @@ class RunStatus:
     def _energy(self) -> Status:
         record, sample, tolerance = (
             self._monitor.energy, self._monitor.newest, self._monitor.energy.tolerance)
+        unit = record.energy_unit
         level, message, allowed = OK, 'conservative', {}
         if not self._simulation.conservative:
             message = 'not conservative: the error is the energy change minus the work'
@@ -233,10 +234,12 @@ class RunStatus:
             if record.largest > tolerance.error:
                 level, message = WARN, self._monitor.over_tolerance()
         return Status('energy', level, message, {
-            'H [J]': _field(sample, 'energy'), 'modified_H [J]': _field(sample, 'modified_energy'),
-            'work [J]': _field(sample, 'work'), 'energy_scale [J]': self._monitor.energy_scale,
+            f'H [{unit}]': _field(sample, 'energy'),
+            f'modified_H [{unit}]': _field(sample, 'modified_energy'),
+            f'work [{unit}]': _field(sample, 'work'),
+            f'energy_scale [{unit}]': self._monitor.energy_scale,
             f'energy_error [{record.unit}]': _field(sample, 'energy_error'),
-            'modified_energy_band [J]': record.band,
+            f'modified_energy_band [{unit}]': record.band,
             f'drift_per_hour [{record.unit}/h]': record.drift_per_hour, **allowed})
 
     def _recorder(self) -> Status:

@@ -12,6 +12,7 @@ from typing import Any
 from hnn_vi_ros.errors import ParameterError, prefixed, StepFailure, StoppedByEvent
 from hnn_vi_ros.files import dump_yaml, parse_mapping
 from hnn_vi_ros.hamiltonians import Payload, payload_of
+from hnn_vi_ros.phase_space import energy_unit
 from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.plumbing.graph import publisher_conflicts, RepetitionFilter
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, PaceClock
@@ -94,11 +95,11 @@ class Run:
         self.pacer = Pacer(self.sampler.tick, settings.real_time_factor, clock, lambda: clock.led)
         self._diagnostics = DiagnosticsPublisher(
             node, partial(topics.send, DIAGNOSTICS), self.scene.name)
-        self._status = StatusLine(node.get_logger().info)
         self._warn_of_crowd = RepetitionFilter(lambda text: self.tell(text, 'WARN'))
         self.lockstep = prepared.lockstep
         self._path_error = PathReport(self.scene.path_error)
         monitor = self._make_monitor()
+        self._status = StatusLine(node.get_logger().info, monitor.energy.energy_unit)
         topics.open(
             ConfiguredRun(self.simulation, monitor, prepared.box, self.scene.mechanism,
                           settings.frame_id, bool(self.scene.events), self._spread,
@@ -272,10 +273,11 @@ class Run:
             return
         for event in self._watched.take_events():
             (stamp, step), text = self.sampler.place_of(event.t), str(event)
+            coordinates = self.simulation.hamiltonian.coordinates
             self._events.publish([Status(EVENT, OK, text, {
                 'when': event.when, 'direction': event.direction, 't [s]': repr(stamp / 1e9)}
-                | state_values(self.simulation.hamiltonian.coordinates, event.q, event.p)
-                | {'H [J]': repr(event.energy)})], stamp)
+                | state_values(coordinates, event.q, event.p)
+                | {f'H [{energy_unit(coordinates)}]': repr(event.energy)})], stamp)
             self.recording.event(text, 'INFO', (stamp, step))
             log(self._node, text, 'INFO')
 

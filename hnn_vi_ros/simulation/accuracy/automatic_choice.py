@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import CalibrationError
 from hnn_vi_ros.files import own_cache, parse_json, read_limited, write_text
+from hnn_vi_ros.phase_space import energy_unit
 from hnn_vi_ros.scene import AutoChoice, Scene
 from hnn_vi_ros.simulation.accuracy.cost import (
     coarser, CostStudy, fastest, ladder, measure, MethodCost, refusal, TOO_EXPENSIVE, try_between)
@@ -46,7 +47,7 @@ _ROUNDING = 1e-9
 # Share of a run used to measure the reported computing time, and its minimum number of steps.
 _TIMED_SHARE, _MIN_TIMED_STEPS = 0.01, 10
 # Format version of cached choices; changing it invalidates the cache.
-_FORMAT = 6
+_FORMAT = 7
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,11 @@ class Choice:
     arguments : mapping
         Arguments of the method.
     energy_scale : float
-        Energy that energy errors are relative to [J].
+        Energy that energy errors are relative to.
     largest_step : float or None
         Upper limit of the step size [s] if the step size equals it; None for a shorter step.
+    energy_unit : str
+        Unit of the energy scale.
 
     """
 
@@ -86,12 +89,14 @@ class Choice:
     arguments: Mapping[str, Any]
     energy_scale: float
     largest_step: float | None = None
+    energy_unit: str = 'J'
 
     def explain(self, tolerance: Tolerance) -> str:
         """Return the choice and its reason on one line."""
         extent = '' if self.checked >= 0.999 * tolerance.horizon else (
             f', measured over {self.checked:.3g} s and extrapolated to {tolerance.horizon:g} s')
-        relative = f' of {self.energy_scale:.3g} J' if tolerance.kind == 'energy_error' else ''
+        relative = (f' of {self.energy_scale:.3g} {self.energy_unit}'
+                    if tolerance.kind == 'energy_error' else '')
         limit = '' if self.largest_step is None else (
             f'; h is at most the sampling interval of {self.largest_step:g} s: a lower publish '
             'rate may allow a cheaper choice')
@@ -138,7 +143,8 @@ def calibrate(task: CalibrationTask) -> Choice:
     return Choice(best.method.kind, best.step_size, study.error(best), best.checked,
                   fastest(problem, simulation, steps) / (steps * best.step_size), best.work,
                   dict(best.method.arguments), study.known.energy_scale,
-                  task.largest_step if best.step_size == task.largest_step else None)
+                  task.largest_step if best.step_size == task.largest_step else None,
+                  energy_unit(problem.hamiltonian.coordinates))
 
 
 def held_costs(task: CalibrationTask) -> CostStudy:

@@ -193,10 +193,12 @@ class ResolutionGuard(BandGuard):
     def _tell(self, step: int, band: float, limit: float, times: float) -> Alarm:
         if not (limit > 0.0 and math.isfinite(band / limit)):
             return Alarm(self.kind, step, band, limit, 'the energy is not finite: '
-                         f'under-resolved; use {self.smaller}, or another initial state')
+                         f'under-resolved; use {self.smaller}, or another initial state',
+                         self.energy_unit)
         return Alarm(self.kind, step, band, limit,
                      f'the energy error exceeds {100.0 * self._share * times:g} % of the energy '
-                     f'scale; use {self.smaller}, or a method of higher order')
+                     f'scale; use {self.smaller}, or a method of higher order',
+                     self.energy_unit)
 
 
 class BarrierGuard(BandGuard):
@@ -265,8 +267,9 @@ class BarrierGuard(BandGuard):
 
     def _alarm(self, step: int) -> Alarm:
         return Alarm(self.kind, step, self.band, self.limit,
-                     f'the energy error is {self.band:.2g} J, but the {self._name} is only '
-                     f'{self.limit:.2g} J away: {self.kind}; use {self.smaller}')
+                     f'the energy error is {self.band:.2g} {self.energy_unit}, but the '
+                     f'{self._name} is only {self.limit:.2g} {self.energy_unit} away: '
+                     f'{self.kind}; use {self.smaller}', self.energy_unit)
 
 
 # Spacing of finite differences relative to the state; an accuracy of a tenth suffices.
@@ -506,22 +509,23 @@ class EnergyGuard(BlockGuard):
         if not math.isfinite(value):
             return Alarm(self.kind, step, value, share * self._scale,
                          f'the energy is not finite; use {self.smaller}, or another initial '
-                         'state')
+                         'state', self.energy_unit)
         cause = ''
         if self._drifting is not None:
             time = max(step, 1) * self._drifting.step_size
             cause = (f'{method_name(self._drifting.integrator)} is not symplectic, and its energy '
-                     f'drifts by {value / time:.2g} J/s; ')
+                     f'drifts by {value / time:.2g} {self.energy_unit}/s; ')
         # The window of the alarm is the block in which it is found.
         moved = {name: work - self._works.get(name, 0.0)
                  for name, work in self._works_now().items()}
         if moved:
             most = max(moved, key=lambda name: abs(moved[name]))
-            cause += f'of the effects {most} did the most work meanwhile, {moved[most]:.2g} J; '
+            cause += (f'of the effects {most} did the most work meanwhile, {moved[most]:.2g} '
+                      f'{self.energy_unit}; ')
         return Alarm(self.kind, step, value, share * self._scale,
                      f'the energy has {how} by more than {100.0 * share:g} % of the energy '
                      f'scale, apart from the work done: {cause}use a symplectic method or '
-                     f'{self.smaller}')
+                     f'{self.smaller}', self.energy_unit)
 
 
 def is_wrong(kind: str) -> bool:

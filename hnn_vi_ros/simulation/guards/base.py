@@ -36,7 +36,7 @@ class Alarm(NamedTuple):
     value: float
     limit: float
     message: str
-    unit: str = 'J'
+    unit: str
 
 
 class Guard(ABC):
@@ -51,12 +51,15 @@ class Guard(ABC):
         Remedy against its alarms; the page on troubleshooting lists them all.
     smaller : str
         Cause of shorter steps with the method of the run, for messages.
+    energy_unit : str
+        Unit of H.
 
     """
 
     kind: str
     remedy: ClassVar[str]
     smaller: str = 'a smaller step_size'
+    energy_unit: str = 'J'
 
     @classmethod
     def of_run(cls, run: RunFacts) -> Iterator['Guard']:

@@ -8,6 +8,7 @@ import warnings
 
 from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.models import domain_of
+from hnn_vi_ros.phase_space import energy_unit
 from hnn_vi_ros.simulation.accuracy.diagnostics import scales_along
 from hnn_vi_ros.simulation.guards.bands import (
     BarrierGuard, EnergyGuard, InvariantGuard, plain_share, ResolutionGuard)
@@ -47,6 +48,7 @@ def make_guards(run: RunFacts, kinds: tuple[type[Guard], ...] = (Guard,)) -> Ite
     for kind in GUARDS:
         if issubclass(kind, kinds):
             for guard in kind.of_run(run):
+                guard.energy_unit = energy_unit(run.hamiltonian.coordinates)
                 if run.simulation.integrator.tolerances:
                     guard.smaller = 'smaller tolerances'
                 yield guard

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.errors import optional, StateError, StepFailure
 from hnn_vi_ros.hamiltonians import Hamiltonian
-from hnn_vi_ros.phase_space import check_state
+from hnn_vi_ros.phase_space import check_state, energy_unit
 from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.construction import build_at
@@ -213,7 +213,8 @@ class _Many:
             ledger = self.simulation().ledger
             assert ledger is not None, 'requested'
             self.energy_by_cause = EnergyByCause(self.t, ledger.names, np.full(
-                (samples + 1, self.count, len(ledger.names)), np.nan))
+                (samples + 1, self.count, len(ledger.names)), np.nan),
+                energy_unit(parts.hamiltonian.coordinates))
 
     def simulation(self, block: slice = _FIRST) -> Simulation:
         """Return a simulation of a block of trajectories in their initial states."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import listed
+from hnn_vi_ros.phase_space import energy_unit
 from hnn_vi_ros.scene import Choice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.construction import build, resolve
@@ -206,7 +207,7 @@ def by_cause(simulation: Simulation, t: np.ndarray, causes: np.ndarray | None
              ) -> EnergyByCause | None:
     """Return the energy by cause of samples; None if it was not requested."""
     return None if simulation.ledger is None or causes is None else EnergyByCause(
-        t, simulation.ledger.names, causes)
+        t, simulation.ledger.names, causes, energy_unit(simulation.hamiltonian.coordinates))
 
 
 def _scene(scene: Scene | str | Path) -> Scene:

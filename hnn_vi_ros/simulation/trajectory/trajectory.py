@@ -43,7 +43,7 @@ _LEAST_DRAWN = 500
 
 class EnergyByCause(NamedTuple):
     """
-    Energy of a run by cause, all in J.
+    Energy of a run by cause.
 
     Parameters
     ----------
@@ -54,17 +54,20 @@ class EnergyByCause(NamedTuple):
         ``stored/CAUSE`` at present, and ``error``, H - H(0) - W, which no cause explains.
     values : np.ndarray, shape (N, C) or (N, m, C)
         Columns in this order; NaN at times between steps.
+    unit : str
+        Unit of H, and of all columns.
 
     """
 
     t: np.ndarray
     names: tuple[str, ...]
     values: np.ndarray
+    unit: str
 
     @property
     def units(self) -> dict[str, str]:
         """Return the units by column name, including ``t``."""
-        return {'t': 's', **dict.fromkeys(self.names, 'J')}
+        return {'t': 's', **dict.fromkeys(self.names, self.unit)}
 
     def of(self, kind: str) -> dict[str, np.ndarray]:
         """Return the columns of ``work/``, ``stored/`` or ``heat/`` by cause."""
@@ -557,11 +560,12 @@ class Trajectory:
             for count, *numbers in rest['path_errors']:
                 errors.append(PathError(*paths[:count].T, *numbers))
                 paths = paths[count:]
+            coordinates = tuple(Coordinate(**own) for own in rest['coordinates'])
             return cls(
                 path_error=(tuple(errors) if many else errors[0]) if errors else None,
                 energy_by_cause=None if causes is None else EnergyByCause(
-                    arrays['t'], tuple(rest['causes']), causes),
-                **arrays, coordinates=tuple(Coordinate(**own) for own in rest['coordinates']),
+                    arrays['t'], tuple(rest['causes']), causes, energy_unit(coordinates)),
+                **arrays, coordinates=coordinates,
                 alarms=tuple(tuple(Alarm(*own) for own in each) if many else Alarm(*each)
                              for each in rest['alarms']),
                 events=tuple(Event(**own | {half: np.array(own[half]) for half in 'qp'})
