@@ -15,7 +15,7 @@ from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, WARN
 from hnn_vi_ros.run import Monitor, Sampler
-from hnn_vi_ros.simulation import build, Tolerance
+from hnn_vi_ros.simulation import build, PathReport, Tolerance
 from peer import hearing, values_of
 from processes import finish, read_bag, start
 import pytest
@@ -124,7 +124,8 @@ class Run:
         self.health = Health(self.sampler.stamp_at, [], SimpleNamespace(
             publish=lambda statuses, stamp: None), self.recording, lambda *line: None)
         self.status = RunStatus(
-            scene, self.simulation, self.sampler, self.monitor, self.recording, self.health)
+            scene, self.simulation, self.sampler, self.monitor, self.recording, self.health,
+            PathReport('off'))
         self.factor = factor
 
     def advance(self, count: int) -> None:
