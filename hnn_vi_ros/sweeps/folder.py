@@ -139,7 +139,7 @@ class SweepFolder:
         try:
             write_bytes(file, content)
         except OSError as problem:
-            raise RecordingError(f'{file}: {one_line(problem)}; complete shards are kept: '
+            raise RecordingError(f'{file}: {problem.strerror}; complete shards are kept: '
                                  'correct this, and run the same command again') from problem
         # Temporary files of processes that were killed; the shard is complete now.
         for left in self.path.glob(f'.{file.stem}.*'):
