@@ -292,8 +292,9 @@ def trace(function: Callable[..., Any], q: Any) -> tuple[list[str], str]:
     given = [own[0] if single else np.array(own, dtype=object).view(_Symbols) for own in halves]
     try:
         with _symbolic_numpy():
-            made = np.asarray(arguments.call(
-                function, given, Symbol(graph, graph.name(TIME))), dtype=object)
+            # Functions of numba take no symbols.
+            made = np.asarray(arguments.call(getattr(function, 'py_func', function), given, Symbol(
+                graph, graph.name(TIME))), dtype=object)
         if graph.refusals:
             raise Untraceable(graph.refusals[0])
     except Exception as problem:  # noqa: B902  the user's code may raise any
@@ -302,8 +303,8 @@ def trace(function: Callable[..., Any], q: Any) -> tuple[list[str], str]:
             # numpy reports its own errors instead.
             told = told.__cause__ or told.__context__
         raise ValueError(
-            f'H cannot be traced: {" ".join(str(told or problem).split())}; valid: + - * / **, '
-            f"sums, products and norms of arrays, linalg.solve, inv and det, and numpy's "
+            f'H cannot be traced: {" ".join(str(told or problem).split()):.300}; valid: + - * / '
+            f"**, sums, products and norms of arrays, linalg.solve, inv and det, and numpy's "
             f'{", ".join([*_SMOOTH, *_OF_SYMBOLS])}; or give H as code (kind: python)'
             ) from problem
     if made.shape:

@@ -279,7 +279,7 @@ def _check(graph: GraphHamiltonian, function: Callable[[torch.Tensor], torch.Ten
         _refuse(kind, 'solves linear systems whose pivots vanish or change sign in the domain, '
                 'and rows are not exchanged: use positive definite matrices, or write the '
                 'solution out')
-    noise = [float(function(state * (1.0 + _ROUNDING)) - function(state.clone()))
+    noise = [(function(state * (1.0 + _ROUNDING)) - function(state.clone())).item()
              for state in z[:_BATCH]]
     if np.abs(values).max() <= 10.0 * np.abs(noise).max():
         _refuse(kind, 'is 0 up to rounding errors: it may sum the output of a normalisation')

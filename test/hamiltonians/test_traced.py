@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.hamiltonians import trace
 from hnn_vi_ros.scene import Scene
 from messages import refused
+import numba
 import numpy as np
 import pytest
 
@@ -141,7 +142,7 @@ def momentum_first(p, q):
 
 
 @pytest.mark.parametrize('function', [
-    momentum_first, np.vectorize(momentum_first),
+    momentum_first, np.vectorize(momentum_first), numba.njit(momentum_first),
     lambda theta, p_theta: p_theta**2 / 2 - np.cos(theta),
     wraps(momentum_first)(lambda *parts: momentum_first(*parts)),
     wraps(momentum_first)(lambda q, p: momentum_first(p, q))])
