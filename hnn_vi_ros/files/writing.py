@@ -7,17 +7,23 @@ All files are written with ``written``, except recordings that grow while a run 
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import errno
+import fcntl
+from glob import escape
 from io import BufferedWriter
 import os
 from pathlib import Path
 from secrets import token_hex
 import stat
+import time
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError, SceneError
 from hnn_vi_ros.files.regular_file import no_file, open_no_link
+
+# Age up to which temporary files are not removed [s].
+_YOUNG = 60.0
 
 
 def make_folder(path: Path, new: bool = False) -> None:
@@ -79,13 +85,20 @@ def _temporary(path: Path, mode: int = 0o666) -> Iterator[BufferedWriter]:
     Yield a stream to a temporary file next to another file; remove it at the end.
 
     Nobody can foresee its name, and it is created exclusively (O_EXCL): in a folder that others
-    can write to as well, it is neither their file nor a link of theirs.
+    can write to as well, it is neither their file nor a link of theirs. It is locked while its
+    process lives; the next writer of the file removes one that a kill has left.
     """
-    temporary = path.with_name(f'.{path.stem}.{token_hex(8)}{path.suffix}')
+    # Short, since the name of the file may be the longest possible.
+    start = f'.{path.stem[:40]}.'
+    for left in path.parent.glob(f'{escape(start)}{"[0-9a-f]" * 16}{escape(path.suffix)}'):
+        _remove_abandoned(left)
+    temporary = path.with_name(f'{start}{token_hex(8)}{path.suffix}')
     try:
         with open(temporary, 'xb', opener=lambda name, flags: open_no_link(
                 name, flags, mode)) as stream:
             try:
+                with suppress(OSError):  # file systems without locks
+                    fcntl.flock(stream, fcntl.LOCK_EX)
                 yield stream
             finally:
                 temporary.unlink(missing_ok=True)
@@ -94,6 +107,17 @@ def _temporary(path: Path, mode: int = 0o666) -> Iterator[BufferedWriter]:
         if problem.filename in (None, str(temporary)):
             problem.filename = str(path)
         raise
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove a temporary file of this user that no process writes to."""
+    with suppress(OSError), open(path, 'rb', opener=open_no_link) as stream:
+        state = os.fstat(stream.fileno())
+        # A younger one may not be locked yet.
+        if (stat.S_ISREG(state.st_mode) and state.st_uid == os.getuid()
+                and time.time() - state.st_mtime > _YOUNG):
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink()
 
 
 def write_bytes(path: Path, content: bytes, new: bool = False, mode: int = 0o666) -> None:

@@ -5,6 +5,7 @@
 import ast
 from collections.abc import Callable
 import errno
+import fcntl
 import os
 from pathlib import Path
 import re
@@ -128,6 +129,29 @@ def test_temporary_file_is_none_that_was_planted(tmp_path, monkeypatch, write):
     assert path.stat().st_mode & 0o777 == 0o666 & ~_umask()
     # Nothing is left but the links.
     assert len([*path.parent.iterdir()]) == 4
+
+
+def test_temporary_file_of_a_killed_process_is_removed_by_the_next_writer(tmp_path):
+    path, names = tmp_path / ('a' * 250 + '.txt'), [f'{k:016x}' for k in range(4)]
+    left, held, young, link = (tmp_path / f'.{"a" * 40}.{name}.txt' for name in names)
+    for one in (left, held, young, tmp_path / '.a.0.txt'):
+        one.write_text('half')
+        os.utime(one, (0, 0) if one != young else None)
+    link.symlink_to(held)
+    with held.open() as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        write_text(path, 'whole')
+    assert {*tmp_path.iterdir()} == {held, young, link, tmp_path / '.a.0.txt', path}
+    assert held.read_text() == 'half'
+    # The lock of a process ends with it.
+    write_text(path, 'other')
+    assert {*tmp_path.iterdir()} == {young, link, tmp_path / '.a.0.txt', path}
+
+
+def test_temporary_file_is_locked_while_it_is_written(tmp_path):
+    with written(tmp_path / 'a.txt') as stream, open(stream.name) as other, \
+            pytest.raises(BlockingIOError):
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _write_again(path: Path) -> None:
