@@ -24,7 +24,8 @@ _REQUIRED = ('numpy', 'numba', 'llvmlite', 'scipy', 'pydantic', 'yaml', 'safeten
              'contourpy')
 _OPTIONAL = {'rerun': 'the viewer', 'matplotlib': 'figures', 'torch': 'training',
              'pandas': 'to_dataframe', 'xarray': 'to_xarray', 'pyarrow': 'sweeps',
-             'ray': 'sweep --ray', 'argcomplete': 'completion',
+             'ray': 'sweep --ray', 'rosbags': 'training on bags in SQLite',
+             'argcomplete': 'completion',
              'tqdm': 'the studies, such as `make hard-cases`',
              'jinja2': 'the studies, such as `make hard-cases`'}
 _ON_PYPI = {'rerun': 'rerun-sdk', 'yaml': 'PyYAML'}

@@ -389,7 +389,7 @@ def _quoted(text: str) -> str:
 
 
 # Suffixes of the files of bags.
-BAG_SUFFIXES = ('.mcap', '.db3')
+BAG_SUFFIXES = ('.mcap',)
 # Line that points editors to the schema; shipped scenes have a relative path in it.
 _SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
+    from hnn_vi_ros.recording.bags.bag_files import bag_files, digest_of, is_sqlite
     from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, qos_profiles, Topic
     from hnn_vi_ros.recording.bags.cdr import (
         decode_float64_multi_array, decode_joint_state, decode_joint_trajectory, decode_state,

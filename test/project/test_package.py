@@ -41,9 +41,10 @@ HOMES = {
     'launch': r'ros/launching\.py', 'launch_ros': r'ros/launching\.py',
     'torch': r'(learning|identify)/(\w+/)?\w+\.py|models/torch_\w+\.py|torch\.py'
              r'|simulation/(batches|trajectory)/\w+\.py',
-    'mcap': r'recording/bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
-    'zstandard': r'recording/bags/(mcap|bag|sqlite)_\w+\.py',
-    'lz4': r'recording/bags/(mcap|bag|sqlite)_\w+\.py',
+    'mcap': r'recording/bags/(mcap|bag)_\w+\.py|learning/data/\w+\.py',
+    'zstandard': r'recording/bags/(mcap|bag)_\w+\.py',
+    'lz4': r'recording/bags/(mcap|bag)_\w+\.py',
+    'rosbags': r'learning/data/sqlite_bag\.py',
     'heyoka': r'integrators/taylor\.py',
     'gymnasium': r'envs\.py',
     'pyarrow': r'sweeps/parquet\.py',

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags as `ros2 bag record` leaves them: split, packed, in SQLite; and bags with damage."""
 
+from collections.abc import Callable
 from pathlib import Path
 import re
 import shutil
+import sys
 
 from bag_content import content_of
 from hnn_vi_ros import load_scene
@@ -75,14 +77,15 @@ def split(bag: Path, target: Path, plugin: StoragePlugin) -> Path:
     return target
 
 
-FORMS = {
-    'split': lambda bag, target: split(bag, target, StoragePlugin.MCAP),
-    'split sqlite3': lambda bag, target: split(bag, target, StoragePlugin.SQLITE3),
-    'sqlite3': lambda bag, target: converted(
-        bag, target, StoragePlugin.SQLITE3, CompressionMode.NONE)}
-FORMS |= {f'{plugin.name} with zstd around each {mode.name}':
-          lambda bag, target, plugin=plugin, mode=mode: converted(bag, target, plugin, mode)
-          for plugin in StoragePlugin for mode in (CompressionMode.MESSAGE, CompressionMode.FILE)}
+def forms_of(plugin: StoragePlugin) -> dict[str, Callable[[Path, Path], Path]]:
+    """Return writers of bags in the forms of a storage, by name."""
+    return {f'{plugin.name}, split': lambda bag, target: split(bag, target, plugin)} | {
+        f'{plugin.name} with zstd around each {mode.name}':
+        lambda bag, target, mode=mode: converted(bag, target, plugin, mode)
+        for mode in (CompressionMode.MESSAGE, CompressionMode.FILE)}
+
+
+FORMS, SQLITE = forms_of(StoragePlugin.MCAP), forms_of(StoragePlugin.SQLITE3)
 
 
 @pytest.fixture(scope='module', params=FORMS)
@@ -99,10 +102,26 @@ def test_foreign_bag_holds_the_same_messages(run, foreign):
     assert half == sorted(half) and set(half) == {10**9, 10**9 + 10**7}
 
 
-def test_foreign_bag_is_trained_on_like_ours(run, foreign):
+@pytest.mark.parametrize('form', FORMS | SQLITE)
+def test_foreign_bag_is_trained_on_like_ours(run, tmp_path, form):
+    foreign = (FORMS | SQLITE)[form](run, tmp_path / 'bag')
     theirs, ours = make_dataset(DATA, 0, Path(), [foreign]), make_dataset(DATA, 0, Path(), [run])
     for name in ('q', 'p', 'dq_dt', 'dp_dt', 't'):
         assert np.array_equal(getattr(theirs, name), getattr(ours, name))
+
+
+def test_bag_in_sqlite_is_read_as_training_data_only(run, tmp_path, monkeypatch):
+    bag = converted(run, tmp_path / 'bag', StoragePlugin.SQLITE3, CompressionMode.NONE)
+    for use in (BagReader, resume, check_replay):
+        with refused(RecordingError):
+            use(bag)
+    # Alone, without its metadata.
+    (bag / 'metadata.yaml').unlink()
+    theirs, ours = (make_dataset(DATA, 0, Path(), [one]) for one in (bag, run))
+    assert np.array_equal(theirs.q, ours.q)
+    monkeypatch.setitem(sys.modules, 'rosbags.rosbag2', None)
+    with refused(DataError):
+        make_dataset(DATA, 0, Path(), [bag])
 
 
 @pytest.mark.parametrize('reset', [True, False], ids=['reset', 'started again'])
@@ -134,7 +153,7 @@ def show(bag: Path) -> None:
 
 
 @pytest.mark.parametrize('foreign', [
-    pytest.param(form, marks=[pytest.mark.long] * (form != 'split sqlite3')) for form in FORMS],
+    pytest.param(form, marks=[pytest.mark.long] * (form != 'MCAP, split')) for form in FORMS],
     indirect=True)
 def test_foreign_bag_is_replayed(run, foreign):
     status, _, log = finish(start_executable(

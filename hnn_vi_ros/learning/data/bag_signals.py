@@ -10,9 +10,10 @@ from typing import final, TypeVar
 
 from hnn_vi_ros.errors import DataError, listed, RecordingError
 from hnn_vi_ros.files import parse_mapping
+from hnn_vi_ros.learning.data.sqlite_bag import SqliteBag
 from hnn_vi_ros.recording import (
-    BagReader, decode_float64_multi_array, decode_joint_state, decode_joint_trajectory,
-    decode_string, MOMENTUM, qos_profiles, RecordedMessage)
+    bag_files, BagReader, decode_float64_multi_array, decode_joint_state,
+    decode_joint_trajectory, decode_string, is_sqlite, MOMENTUM, qos_profiles, RecordedMessage)
 from hnn_vi_ros.run import STATE_FILE
 import numpy as np
 import safetensors
@@ -64,7 +65,7 @@ class SignalReader:
 
     Attributes
     ----------
-    bag : BagReader
+    bag : BagReader or SqliteBag
         The open bag.
     stamps : str
         ``'header'`` or ``'log'``: source of the message times. It may be set before the first
@@ -79,7 +80,8 @@ class SignalReader:
 
     def __init__(self, path: Path, joints: Sequence[str], columns: Sequence[int] = ()):
         try:
-            self.bag = BagReader(path)
+            files = bag_files(path)
+            self.bag = SqliteBag(path, files) if is_sqlite(files[0]) else BagReader(path)
         except RecordingError as problem:
             raise DataError(str(problem)) from problem
         self.path = self.bag.path

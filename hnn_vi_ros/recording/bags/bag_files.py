@@ -1,22 +1,22 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Find and open the files of a bag: MCAP and SQLite, also compressed as a whole."""
+"""Find and open the files of a bag, also compressed as a whole."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
+from hashlib import file_digest, sha256
 import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TypeAlias
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import open_regular
 from hnn_vi_ros.recording.bags.bag_metadata import read_bag_metadata
 from hnn_vi_ros.recording.bags.mcap_file import McapFile, UnpackLimit
-from hnn_vi_ros.recording.bags.sqlite_bag import SqliteBag
 import zstandard
 
-Source: TypeAlias = McapFile | SqliteBag
-_SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
+_SQLITE = '.db3', '.db3.zstd'
+_SUFFIXES = '.mcap', '.mcap.zstd', *_SQLITE
 _BLOCK_SIZE = 2**20
 
 
@@ -63,25 +63,41 @@ def _nearest(folder: Path) -> str:
     return f'; did you mean {bags[0]}?' if bags else ''
 
 
-def open_sources(files: list[Path]) -> tuple[list[Source], ExitStack]:
+def is_sqlite(file: Path) -> bool:
+    """Return True for the name of a bag's file in SQLite."""
+    return file.name.endswith(_SQLITE)
+
+
+def digest_of(files: Sequence[Path]) -> str:
+    """Return the SHA-256 of some files."""
+    found = sha256()
+    for path in files:
+        with open_regular(path) as stream:
+            file_digest(stream, lambda: found)
+    return found.hexdigest()
+
+
+def open_sources(files: Sequence[Path]) -> tuple[list[McapFile], ExitStack]:
     """
     Return readers of the files of a bag, and the owner of their decompressed copies.
 
     Raises
     ------
     RecordingError
-        A file does not belong to a bag, or is too large when decompressed.
+        A file does not belong to a bag in MCAP, or is too large when decompressed.
     OSError
         A file cannot be read.
 
     """
+    for path in filter(is_sqlite, files):
+        raise RecordingError(f'{path}: is in SQLite, which is read as training data only; convert '
+                             'the bag to MCAP with `ros2 bag convert`')
     with ExitStack() as copies:
         if any(path.suffix == '.zstd' for path in files):
             folder = Path(copies.enter_context(TemporaryDirectory(prefix='hnn_vi_ros_bag_')))
             files = [_decompress(path, folder) if path.suffix == '.zstd' else path
                      for path in files]
-        return [SqliteBag(path) if path.suffix == '.db3' else McapFile(path)
-                for path in files], copies.pop_all()
+        return [McapFile(path) for path in files], copies.pop_all()
 
 
 def _decompress(path: Path, folder: Path) -> Path:

@@ -3,15 +3,15 @@
 """Read the messages of a bag in the order of their times, even if it is unfinished or damaged."""
 
 from collections.abc import Collection, Iterator
-from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import final, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files import in_bytes, open_regular
-from hnn_vi_ros.recording.bags.bag_files import bag_files, open_sources, Source
+from hnn_vi_ros.files import in_bytes
+from hnn_vi_ros.recording.bags.bag_files import bag_files, digest_of, open_sources
 from hnn_vi_ros.recording.bags.bag_metadata import metadata_message_count
-from hnn_vi_ros.recording.bags.mcap_file import MAX_RECORD_SIZE, MessagePart, UnpackLimit
+from hnn_vi_ros.recording.bags.mcap_file import (
+    MAX_RECORD_SIZE, McapFile, MessagePart, UnpackLimit)
 from mcap.records import Channel, Schema
 import zstandard
 
@@ -45,7 +45,7 @@ class _Part(NamedTuple):
     """A piece of a file, with the map from its channel numbers to the reader's."""
 
     piece: MessagePart
-    source: Source
+    source: McapFile
     numbers: dict[int, int]
 
 
@@ -54,7 +54,7 @@ class BagReader:
     """
     A bag: finished, truncated or damaged; only its outline is held in memory.
 
-    It is one file in MCAP or SQLite, or several split by rosbag2, possibly compressed as files or
+    It is one file in MCAP, or several split by rosbag2, possibly compressed as files or
     message by message. Channels of one topic in several files are merged.
 
     Parameters
@@ -126,11 +126,7 @@ class BagReader:
 
     def digest(self) -> str:
         """Return the SHA-256 of the files."""
-        found = sha256()
-        for path in self._files:
-            with open_regular(path) as stream:
-                file_digest(stream, lambda: found)
-        return found.hexdigest()
+        return digest_of(self._files)
 
     def attachment(self, name: str) -> bytes | None:
         """Return an attachment of the bag by name; None if it does not exist."""
@@ -198,7 +194,7 @@ class BagReader:
             else:
                 yield RecordedMessage(message.log_time, number, data)
 
-    def _join(self, source: Source) -> dict[int, int]:
+    def _join(self, source: McapFile) -> dict[int, int]:
         """Add the channels of a file; return their numbers in this reader."""
         known = {self._key(channel, self.schemas): number
                  for number, channel in self.channels.items()}

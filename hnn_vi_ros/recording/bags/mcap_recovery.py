@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files import dump_yaml, numbered_paths, open_regular, written
-from hnn_vi_ros.recording.bags.bag_files import bag_files
+from hnn_vi_ros.recording.bags.bag_files import bag_files, is_sqlite
 from hnn_vi_ros.recording.bags.bag_metadata import (
     bag_metadata, FileExtent, metadata_message_count, NEVER, read_description, Topic,
     write_bag_metadata)
@@ -102,7 +102,7 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
     """
     files = bag_files(bag)
     path = files[0]
-    if len(files) > 1 or path.name.endswith(('.db3', '.zstd')):
+    if len(files) > 1 or is_sqlite(path) or path.suffix == '.zstd':
         raise RecordingError(f'{bag}: expected one .mcap file, found '
                              f'{listed(file.name for file in files)}; give one, unpacked')
     try:
