@@ -29,7 +29,6 @@ FOR_ROS = [
     'new_scene = hnn_vi_ros.cli:new_scene',
     'recover_bag = hnn_vi_ros.cli:recover_bag',
     'replay = hnn_vi_ros.cli:replay',
-    'rerun_bridge = hnn_vi_ros.cli:rerun_bridge',
     'scene = hnn_vi_ros.cli:scene',
     'simulator = hnn_vi_ros.cli:simulator',
     'sweep = hnn_vi_ros.cli:sweep',

@@ -43,7 +43,7 @@ LONGEST = (
     'ros/test_health.py', 'ros/test_services.py', 'ros/test_memory.py', 'ros/test_soak.py',
     'ros/test_lifecycle.py', 'ros/test_hostile_messages.py',
     'ros/test_time_control.py', 'ros/test_topics.py',
-    'ros/test_given_parameters.py', 'ros/test_recording.py', 'ros/test_rerun_bridge.py',
+    'ros/test_given_parameters.py', 'ros/test_recording.py',
     'ros/test_replay_check.py', 'ros/test_launch.py', 'ros/test_security.py',
     'ros/test_web_viewer.py')
 

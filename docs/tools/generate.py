@@ -50,8 +50,7 @@ def parameter_page() -> str:
         'or with `ros2 param set`.'), '']
     for node, table in (('simulator', parameters.PARAMETERS),
                         ('controller', parameters.CONTROLLER_PARAMETERS),
-                        ('replay', parameters.REPLAY_PARAMETERS),
-                        ('rerun_bridge', parameters.BRIDGE_PARAMETERS)):
+                        ('replay', parameters.REPLAY_PARAMETERS)):
         changes = ' can be set |' if node == 'simulator' else ''
         text += [f'## {node}', '', f'| parameter | default | unit |{changes} meaning |',
                  '|---|---|---|---|' + '---|' * bool(changes),

@@ -95,8 +95,8 @@ def _kernels() -> Finding:
 def _ros() -> Iterator[Finding]:
     found = find_spec('rclpy')
     if found is None:
-        yield Finding('ROS 2', 'absent', 'needed only for simulator, replay, listener and '
-                      'rerun_bridge: source ROS 2 Jazzy, or run `make build` in the checkout')
+        yield Finding('ROS 2', 'absent', 'needed only for simulator, controller, replay and '
+                      'listener: source ROS 2 Jazzy, or run `make build` in the checkout')
         return
     named = os.environ.get('AMENT_PREFIX_PATH', '')
     try:

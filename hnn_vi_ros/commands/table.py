@@ -17,8 +17,7 @@ GROUPS = {
               'identify': 'identify.identify', 'check': 'identify.check',
               'import': 'learning.import_model'},
     'control': {'controller': 'ros.controller_node'},
-    'ROS': {'simulator': 'ros.simulator_node', 'rerun_bridge': 'ros.rerun_bridge',
-            'listener': 'ros.listener_node'},
+    'ROS': {'simulator': 'ros.simulator_node', 'listener': 'ros.listener_node'},
     'data': {'replay': 'ros.replay.replay_node', 'recover_bag': 'recording.bags.recover_bag'},
     'this installation': {'doctor': 'commands.doctor', 'completion': 'commands.completion'},
 }

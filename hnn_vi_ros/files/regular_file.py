@@ -51,7 +51,7 @@ def no_file(path: Path, missing: str = 'no such file') -> str:
     """Describe the object at a path that cannot be read as a file."""
     if os.path.isdir(path):
         bag = os.path.exists(path / 'metadata.yaml')
-        return 'is a bag, which hnn replay and hnn rerun_bridge read' if bag else 'is a folder'
+        return 'is a bag, which hnn replay reads' if bag else 'is a folder'
     return 'is not a regular file' if os.path.exists(path) else missing
 
 

@@ -8,8 +8,7 @@ from textwrap import fill
 
 from hnn_vi_ros.files import Parser
 from hnn_vi_ros.ros.settings import (
-    BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, help_of, PARAMETERS, REPLAY_PARAMETERS,
-    Specification)
+    CONTROLLER_PARAMETERS, help_of, PARAMETERS, REPLAY_PARAMETERS, Specification)
 
 _SIMULATOR = """\
 The node publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene, ~/state_set and
@@ -23,8 +22,6 @@ lifecycle. ~ is /hnn_simulator."""
 _REPLAY = """\
 The node publishes the topics of the bag and, with publish_clock, /clock. Services: ~/set_pause
 and ~/step. ~ is /hnn_replay. Each parameter is also an option."""
-_BRIDGE = """\
-The node subscribes to the topics of the simulator, and offers no services."""
 _CONTROLLER = """\
 The node subscribes to joint_states (for rotating bodies, hnn_simulator/state) and publishes
 commands on hnn_simulator/joint_commands or hnn_simulator/commands, in its namespace, and
@@ -48,40 +45,27 @@ def simulator() -> Parser:
 def replay() -> Parser:
     """Return the parser of ``replay``."""
     parser = Parser('replay', (
-        'Publish a recorded bag, or verify it by simulating it again.'), [
+        'Publish a recorded bag, verify it by simulating it again, or show it in rerun.'), [
             'hnn replay runs/pendulum-20260101T120000Z/bag --rate 2 --loop',
             'hnn replay BAG --verify',
+            'hnn replay BAG --rerun bag.rrd',
             'hnn replay BAG --ros-args -p publish_clock:=true'],
         _details(_REPLAY, REPLAY_PARAMETERS))
     parser.add_argument('bag', type=Path, metavar='BAG', help=(
         'folder of a bag, or its .mcap file, which may be truncated'))
     parser.add_argument('--verify', action='store_true', help=(
         'simulate the bag again from its own scene, and compare its states bit by bit'))
+    parser.add_argument('--rerun', type=Path, metavar='FILE', help=(
+        'write a recording of the bag for rerun: a new .rrd file'))
     parser.add_argument('--node', default='', metavar='NAME', help=(
-        'with --verify: check the run of this simulator, such as /left/hnn_simulator (default: '
-        'all in the bag)'))
+        'with --verify or --rerun: the run of this simulator, such as /left/hnn_simulator '
+        '(default: all in the bag)'))
     parser.add_argument('--trust-code', action='store_true', help=(
-        'with --verify: run the Python code named in the scene of the bag'))
+        'with --verify or --rerun: run the Python code named in the scene of the bag'))
     for item in REPLAY_PARAMETERS:
         kind = {'action': 'store_true', 'default': None} if isinstance(item.default, bool) \
             else {'type': type(item.default)}
         parser.add_argument(f'--{item.name.replace("_", "-")}', help=item.description, **kind)
-    return parser
-
-
-def rerun_bridge() -> Parser:
-    """Return the parser of ``rerun_bridge``."""
-    parser = Parser('rerun_bridge', (
-        'Show a running simulator or a bag in rerun. It runs in a separate process, so the '
-        'simulation never waits for it.'), [
-            'hnn rerun_bridge',
-            'hnn rerun_bridge BAG --ros-args -p rerun_sink:=file '
-            '-p rerun_path:=bag.rrd'],
-        _details(_BRIDGE, BRIDGE_PARAMETERS), [item.name for item in BRIDGE_PARAMETERS])
-    parser.add_argument('bag', type=Path, nargs='?', metavar='BAG', help=(
-        'show this bag (folder or .mcap file) instead of a running simulator'))
-    parser.add_argument('--trust-code', action='store_true', help=(
-        'run the Python code named in a scene, which others may have written'))
     return parser
 
 

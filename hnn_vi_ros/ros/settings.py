@@ -175,24 +175,6 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class BridgeSettings:
-    """Parameters of the rerun bridge."""
-
-    simulator: str = parameter('hnn_simulator', 'name of the simulator node')
-    controller: str = parameter(
-        'hnn_controller', 'name of the controller node whose plans are shown')
-    rerun_sink: str = parameter(
-        'connect', 'visualisation with rerun: write a file, connect to a running viewer, or serve '
-        'viewers', choices=('file', 'connect', 'serve'))
-    rerun_path: str = parameter(
-        '', 'file: the .rrd file, which must not exist. connect: URL of the viewer; empty: the '
-        'local viewer. serve: the port; empty: 9876')
-    trust_code: bool = parameter(
-        False, 'run the Python code named in the scene on `~/scene` or in the bag; set by '
-        '`--trust-code`')
-
-
-@dataclass(frozen=True)
 class ReplaySettings:
     """Parameters of the replay node."""
 
@@ -233,9 +215,9 @@ class ControllerSettings:
 
 PARAMETERS = specifications(Settings)
 # The parameters of the other nodes can be set only at their start.
-BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, REPLAY_PARAMETERS = (
+CONTROLLER_PARAMETERS, REPLAY_PARAMETERS = (
     tuple(replace(item, changes=START) for item in specifications(settings))
-    for settings in (BridgeSettings, ControllerSettings, ReplaySettings))
+    for settings in (ControllerSettings, ReplaySettings))
 
 
 def as_markdown(value: Value) -> str:

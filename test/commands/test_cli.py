@@ -233,8 +233,7 @@ def test_help_tells_every_option():
 
 
 @pytest.mark.parametrize('executable, table', [
-    ('simulator', parameters.PARAMETERS), ('replay', parameters.REPLAY_PARAMETERS),
-    ('rerun_bridge', parameters.BRIDGE_PARAMETERS)])
+    ('simulator', parameters.PARAMETERS), ('replay', parameters.REPLAY_PARAMETERS)])
 def test_help_tells_every_parameter_with_unit_values_and_default(executable, table):
     entries = parser_of(executable).format_help().split('NAME:=VALUE):\n')[1]
     for item in table:

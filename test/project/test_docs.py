@@ -131,8 +131,7 @@ def test_every_error_and_alarm_has_a_remedy_on_the_page_on_troubleshooting(gener
 
 def test_written_pages_list_parameters_and_commands(generate):
     page = generate.parameter_page()
-    for table in (parameters.PARAMETERS, parameters.REPLAY_PARAMETERS,
-                  parameters.BRIDGE_PARAMETERS):
+    for table in (parameters.PARAMETERS, parameters.REPLAY_PARAMETERS):
         assert generate.markdown_table(table) in page
     page = generate.command_page()
     assert all(parser_of(name).format_help().strip() in page for name in COMMANDS)

@@ -45,7 +45,7 @@ except MissingPackage as problem:
 else:
     raise AssertionError('it is hidden')
 hidden -= {RECORDING!r}
-for module in ('ros.rerun_bridge', 'recording.viewer.rerun_sink'):
+for module in ('ros.replay.picture', 'recording.viewer.rerun_sink'):
     import_module(f'hnn_vi_ros.{{module}}')
 assert not {TRAINING!r} & {{*sys.modules}}
 """, TRAINING | RECORDING | {'scipy'})

@@ -32,7 +32,7 @@ INNER_FLOORS = {
                  'graph_of_module', 'export_module', 'import_model', 'user_module', 'tasks',
                  'train', 'evaluate'),
     'ros': ('worlds', 'plumbing', 'settings', 'node_parameters', 'arguments', 'recording',
-            'topics', 'replay', 'run', 'rerun_bridge', 'services', 'initial_state',
+            'topics', 'replay', 'run', 'services', 'initial_state',
             'controller_node', 'listener_node', 'launching', 'simulator_node')}
 REGISTRIES = {'effects': EFFECTS, 'hamiltonians': HAMILTONIANS | DESCRIBED}
 CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'safetensors'}

@@ -26,8 +26,7 @@ import yaml
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md')),
          *sorted((ROOT / 'docs').glob('[!_]*/*.md'))]
 TABLES = {'simulator': parameters.PARAMETERS, 'replay': parameters.REPLAY_PARAMETERS,
-          'controller': parameters.CONTROLLER_PARAMETERS,
-          'rerun_bridge': parameters.BRIDGE_PARAMETERS}
+          'controller': parameters.CONTROLLER_PARAMETERS}
 PARAMETERS = {name: {item.name: item for item in table} for name, table in TABLES.items()}
 # What stands for something of the reader's.
 READERS = re.compile(r'my_|^\./|\.npz$|\.yaml$')

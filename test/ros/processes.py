@@ -37,11 +37,6 @@ def simulator_words(**parameters: object) -> list[str]:
         '-r' if name.startswith('__') else '-p', f'{name}:={value}'))]
 
 
-def to_file(path: Path) -> list[str]:
-    """Return the arguments by which rerun_bridge writes a file."""
-    return ['--ros-args', '-p', 'rerun_sink:=file', '-p', f'rerun_path:={path}']
-
-
 def start_executable(name: str, *words: object, folder: Path | None = None) -> Executable:
     """Start one of the package's executables."""
     started.append(process := Executable(name, [*map(str, words)], folder))

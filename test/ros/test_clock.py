@@ -16,7 +16,7 @@ from hnn_vi_ros.ros.simulator_node import SimulatorNode
 from messages import assert_message
 from peer import Peer, peer, ros, simulating, SIMULATOR, stamp, wait_for_way_back
 from processes import (
-    finish, refusal, simulator_words, standard_error, start, start_executable, to_file, wait_until)
+    finish, refusal, simulator_words, standard_error, start, start_executable, wait_until)
 import pytest
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
@@ -45,8 +45,7 @@ def test_time_that_cannot_be_is_told_and_ends_no_node(tmp_path: Path):
              for name, words in {
                  'hnn_controller': ['controller', '--ros-args'],
                  'hnn_listener': ['listener', '--ros-args'],
-                 'hnn_replay': ['replay', bag, '--loop', '--ros-args'],
-                 'hnn_rerun_bridge': ['rerun_bridge', *to_file(Path('run.rrd'))]}.items()}
+                 'hnn_replay': ['replay', bag, '--loop', '--ros-args']}.items()}
     with peer() as other:
         clock = other.publisher(Clock, '/clock', qos_profile_sensor_data)
         other.spin_until(lambda: clock.get_subscription_count() == len(nodes))

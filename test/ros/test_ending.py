@@ -84,7 +84,7 @@ def test_hangup_is_noted_like_other_signals_unless_it_is_ignored():
 
 
 # The moment in which each executable is interrupted by `make test` [s].
-MOMENTS = {'simulator': 1.5, 'replay': 0.5, 'rerun_bridge': 0.0, 'listener': 0.5,
+MOMENTS = {'simulator': 1.5, 'replay': 0.5, 'listener': 0.5,
            'controller': 1.5, 'train': 0.0, 'scene': 0.0}
 
 

@@ -4,12 +4,11 @@
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.recording import BagReader
-from hnn_vi_ros.ros import rerun_bridge
-from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.replay import picture
 from hnn_vi_ros.ros.topics.outputs import EVENTS
 import numpy as np
-from peer import peer, ros, SIMULATOR, stamp, values_of
-from processes import finish, start, to_file
+from peer import peer, SIMULATOR, stamp, values_of
+from processes import finish, start
 from rclpy.serialization import deserialize_message
 from recorded import assert_agrees
 from scene_files import write_scene
@@ -59,25 +58,22 @@ def test_events_are_published_recorded_shown_and_end_the_run(tmp_path, monkeypat
     # The run ends in the step of the event: no sample comes after it.
     assert reader.last <= recorded[-1].time + 10**7
     assert_agrees(tmp_path / 'bag')
-    assert_bridge_shows(tmp_path, monkeypatch)
+    assert_picture_shows(tmp_path, monkeypatch)
 
 
-def assert_bridge_shows(folder, monkeypatch):
-    """Show the bag by the bridge, and compare the times of its events."""
+def assert_picture_shows(folder, monkeypatch):
+    """Show the bag, and compare the times of its events."""
     shown = []
 
-    class Sink(rerun_bridge.RerunSink):
+    class Sink(picture.RerunSink):
 
         def event(self, text, level='INFO', at=None):
             shown.append((text, level, at))
             super().event(text, level, at)
 
-    monkeypatch.setattr(rerun_bridge, 'RerunSink', Sink)
-    with ros(*to_file(folder / 'bag.rrd')):
-        node = RerunBridge()
-        assert node.show_bag(folder / 'bag') > 100
-        node.close()
-        node.destroy_node()
+    monkeypatch.setattr(picture, 'RerunSink', Sink)
+    samples, _ = picture.write_picture(folder / 'bag', folder / 'bag.rrd')
+    assert samples > 100
     # A machine that is busy adds alarms of the pace.
     events = [event for event in shown if not event[0].startswith('real-time overrun')]
     assert [(text.partition(' (')[0], level) for text, level, _ in events] == [

@@ -15,11 +15,12 @@ from hnn_vi_ros.learning.data.bags import BagData
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.mcap_file import McapFile
+from hnn_vi_ros.ros.replay.picture import write_picture
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from messages import refused
 import numpy as np
-from processes import finish, start_executable, to_file
+from processes import finish, start_executable
 import pytest
 from recorded import as_received, EPOCH, record_run, rewritten
 from rosbags.highlevel import AnyReader
@@ -147,7 +148,7 @@ def test_foreign_bag_of_two_runs_is_one_line_that_says_where_to_cut_it(run, tmp_
 
 
 def show(bag: Path) -> None:
-    """Read all of a bag as the bridge does."""
+    """Read all of a bag as its picture does."""
     recorded = RecordedRun(bag)
     list(recorded.in_order(recorded.reader.channels))
 
@@ -179,10 +180,8 @@ def test_split_and_packed_bag_is_shown_verified_and_resumed(run, tmp_path, chang
     verdict = check_replay(bag)
     assert 'differs' not in verdict.text and verdict.good is check_replay(run).good
     assert resume(bag).step == TICKS
-    recording = tmp_path / 'a.rrd'
-    status, _, log = finish(start_executable('rerun_bridge', bag, *to_file(recording)))
-    assert status == 0 and f'{TICKS} samples shown' in log
-    assert recording.stat().st_size > 0
+    assert write_picture(bag, tmp_path / 'a.rrd') == (TICKS, '')
+    assert (tmp_path / 'a.rrd').stat().st_size > 0
 
 
 def damaged(bag: Path, target: Path, part: float) -> Path:
@@ -241,7 +240,7 @@ def test_verify_of_a_damaged_bag_ends_non_zero_and_others_warn(many_chunks, tmp_
     status, out, _ = finish(start_executable('replay', bag, '--verify'), 120.0)
     assert status == 1 and 'samples are missing' in out and out.count('\n') == 1
     for words in (('replay', bag, '--rate', 100, '--discovery-time', 0),
-                  ('rerun_bridge', bag, *to_file(tmp_path / 'a.rrd'))):
+                  ('replay', bag, '--rerun', tmp_path / 'a.rrd')):
         status, _, log = finish(start_executable(*words))
         assert status == 0 and log.count('damaged parts') == 1, log
     assert 'damaged parts' in make_dataset(DATA, 0, Path(), [bag]).description

@@ -22,7 +22,7 @@ from hypothesis import given, HealthCheck, settings, strategies
 from messages import assert_message, refused
 from peer import (
     ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE, Peer, peer, ros, simulating, stamp)
-from processes import finish, refusal, standard_error, start_executable, to_file
+from processes import finish, refusal, standard_error, start_executable
 import pytest
 from rcl_interfaces.srv import DescribeParameters
 import rclpy
@@ -183,26 +183,18 @@ def test_qos_overrides_of_every_policy_are_what_the_topics_offer(tmp_path):
     assert recorded['q']['history'] == 'keep_all' and recorded['p']['depth'] == 77
 
 
-def test_qos_overrides_of_replay_and_bridge_are_what_they_offer_and_ask_for(tmp_path):
+def test_qos_overrides_of_replay_are_what_it_offers(tmp_path):
     bag = record_run(tmp_path / 'bag', load_scene('exact_harmonic_oscillator'), 2)
     replay = start_executable('replay', bag, '--start-paused', '--ros-args', '-p',
                               f'{Q}.reliability:=best_effort', folder=tmp_path)
-    bridge = start_executable(
-        'rerun_bridge', *to_file(tmp_path / 'a.rrd'), '-p',
-        'qos_overrides./hnn_simulator/state.subscription.reliability:=best_effort')
     with peer() as other:
-        for find, topic, expected in (
-                (other.node.get_publishers_info_by_topic, 'q', ReliabilityPolicy.BEST_EFFORT),
-                (other.node.get_publishers_info_by_topic, 'p', ReliabilityPolicy.RELIABLE),
-                (other.node.get_subscriptions_info_by_topic, 'state',
-                 ReliabilityPolicy.BEST_EFFORT),
-                (other.node.get_subscriptions_info_by_topic, 'events',
-                 ReliabilityPolicy.RELIABLE)):
-            found = in_the_graph(other, find, f'/hnn_simulator/{topic}')
+        for topic, expected in (('q', ReliabilityPolicy.BEST_EFFORT),
+                                ('p', ReliabilityPolicy.RELIABLE)):
+            found = in_the_graph(other, other.node.get_publishers_info_by_topic,
+                                 f'/hnn_simulator/{topic}')
             assert found.reliability == expected
-    for process in (replay, bridge):
-        process.send_signal(signal.SIGINT)
-        assert finish(process)[0] == 0
+    replay.send_signal(signal.SIGINT)
+    assert finish(replay)[0] == 0
 
 
 def test_topics_whose_qos_can_be_set_are_those_of_the_policy():
@@ -234,7 +226,7 @@ def test_parameter_in_the_manner_of_launch_is_refused_with_that_of_ros():
 
 
 @pytest.mark.parametrize('executable', [
-    'simulator', 'replay', 'rerun_bridge', 'listener', 'controller'])
+    'simulator', 'replay', 'listener', 'controller'])
 def test_executable_refuses_what_it_does_not_know_in_one_line_with_its_name(
         tmp_path, monkeypatch, executable):
     monkeypatch.chdir(tmp_path)

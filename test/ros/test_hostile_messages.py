@@ -15,22 +15,17 @@ from types import SimpleNamespace
 from typing import Any
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.files import dump_yaml
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.listener_node import Listener
 from hnn_vi_ros.ros.plumbing import executor
 from hnn_vi_ros.ros.plumbing.executor import failed_response, NodeExecutor
 from hnn_vi_ros.ros.plumbing.managed_node import steady_timer
 from hnn_vi_ros.ros.replay.replay_node import ReplayNode
-from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.simulator_node import SimulatorNode
-from hnn_vi_ros.run import scene_report
-from hnn_vi_ros.simulation import build
 from lifecycle_msgs.srv import ChangeState
 from messages import assert_message
 import numpy as np
 from peer import nodes_of, ros
-from processes import to_file
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterValue, SetParametersResult
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
@@ -41,7 +36,7 @@ from rclpy.qos import QoSProfile
 from recorded import record_run
 from scene_files import write_scene
 from simulation_stand_ins import FAILED, interfaces
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 # The longest string and list that are sent in full; the longer ones are beyond the limit of 1 MiB.
@@ -199,7 +194,6 @@ NODES: dict[str, Callable[[Path], tuple[type[Node], list[str]]]] = {
     'servo': lambda folder: (SimulatorNode, words(scene='gripper', **QUIET)),
     'body': lambda folder: (SimulatorNode, words(scene='quadrotor', **QUIET)),
     'controller': lambda folder: (ControllerNode, words(task='swing_up')),
-    'bridge': lambda folder: (RerunBridge, to_file(folder / 'a.rrd')),
     'listener': lambda folder: (Listener, words(use_sim_time='true')),
     'replay': lambda folder: (ReplayNode, words(start_paused='true', discovery_time='0.0')),
 }
@@ -207,8 +201,7 @@ HEARD = {'twin': {'observations', 'initial_state'},
          'body': {'commands', 'joint_commands', 'wrench', 'initial_state'},
          'cart_pole': {'commands', 'joint_commands', 'initial_state'},
          'servo': {'joint_commands', 'joint_trajectory', 'initial_state'},
-         'controller': {'joint_states', 'scene'}, 'listener': {'energy', 'clock'}, 'replay': set(),
-         'bridge': {'scene', 'state', 'plan', 'diagnostics', 'events'}}
+         'controller': {'joint_states', 'scene'}, 'listener': {'energy', 'clock'}, 'replay': set()}
 
 
 @contextmanager
@@ -221,8 +214,6 @@ def storm(name: str, folder: Path, seed: int = 1) -> Iterator[Storm]:
                 record_run(folder / 'bag', load_scene('exact_pendulum'), 20), {}, arguments)
         else:
             node = kind() if kind is Listener else kind(arguments)
-        if kind is RerunBridge:
-            node.listen()
         found = Storm(node, peer, others, seed)
         if hasattr(node, 'autostart'):
             started = found.executor.create_task(node.autostart)
@@ -234,8 +225,6 @@ def storm(name: str, folder: Path, seed: int = 1) -> Iterator[Storm]:
         if hasattr(node, 'finish'):
             node.exit_status = 0
             node.finish(*[[]] * (kind is ControllerNode))
-        if kind is RerunBridge:
-            node.close()
         node.destroy_node()
 
 
@@ -357,19 +346,3 @@ def test_observation_without_names_is_an_unusable_one(tmp_path):
         assert_goes_on(found)
 
 
-@pytest.mark.filterwarnings('ignore')
-def test_scene_that_cannot_be_built_leaves_the_picture_as_it_is(tmp_path):
-    scene = load_scene('exact_pendulum')
-    report = scene_report(scene, build(scene))
-    with storm('bridge', tmp_path) as found:
-        bridge: Any = found.node
-        heard = next(one for one in bridge.subscriptions if one.topic_name.endswith('/scene'))
-        publisher = found._peer.create_publisher(String, heard.topic_name, heard.qos_profile)
-        publisher.publish(String(data=dump_yaml(report)))
-        assert found.spin_until(lambda: bridge._picture is not None)
-        picture = bridge._picture
-        publisher.publish(String(data=dump_yaml(report | {
-            'hamiltonian': {'kind': 'hnn', 'model': 'absent'}})))
-        assert found.spin_until(lambda: bridge._hearing.ignored)
-        assert bridge._picture is picture and bridge.problem is None
-        assert_message(*bridge._hearing.reasons.values())

@@ -5,21 +5,19 @@
 from dataclasses import replace
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.recording import serialize
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.listener_node import Listener
+from hnn_vi_ros.ros.replay.picture import write_picture
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import ReplayNode
-from hnn_vi_ros.ros.rerun_bridge import BridgePicture, RerunBridge
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.scene import Scene
 from lifecycle_msgs.srv import GetState
 from peer import peer, ros, wait_for_way_back
-from processes import finish, read_bag, start, to_file
+from processes import finish, read_bag, start
 import pytest
 import rclpy
 from rclpy.context import Context
@@ -28,10 +26,8 @@ from rclpy.qos import QoSProfile
 import recorded
 from recorded import as_received, record_run
 from scene_files import write_scene
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
-from trajectory_msgs.msg import JointTrajectory
 
 CALLED = {'/hnn_simulator/commands': '/forces', '/hnn_simulator/state': '/robot/full_state',
           '/joint_states': '/robot/joints'}
@@ -85,18 +81,9 @@ def test_name_that_is_told_and_is_not_there_changes_nothing(tmp_path, driven, to
     assert check_replay(record_run(tmp_path / 'bag', driven, 5, remapped=told)).good
 
 
-def shown(bag: Path, folder: Path) -> int:
-    """Return how many samples the bridge shows of a bag."""
-    with ros(*to_file(folder / 'a.rrd')):
-        bridge = RerunBridge()
-        count = bridge.show_bag(bag)
-        bridge.close()
-    return count
-
-
-def test_bridge_shows_and_replay_leaves_out_what_was_remapped(tmp_path, driven, calling):
+def test_picture_shows_and_replay_leaves_out_what_was_remapped(tmp_path, driven, calling):
     bag = record_run(tmp_path / 'bag', driven, 100, commands={5: [[0.5]]}, remapped=CALLED)
-    assert shown(bag, tmp_path) == 100
+    assert write_picture(bag, tmp_path / 'a.rrd') == (100, '')
     with ros():
         topics = {publisher.topic_name for publisher in ReplayNode(bag, {}, []).publishers}
         assert '/robot/joints' in topics and '/forces' not in topics
@@ -145,39 +132,9 @@ def test_two_simulators_in_two_namespaces_answer_and_do_not_interfere(tmp_path):
     ('hnn_simulator', '/left/hnn_simulator'), ('/right/arm', '/right/arm')])
 def test_nodes_beside_a_simulator_take_that_of_their_own_namespace(tmp_path, name, found):
     words = ['-r', '__ns:=/left', '-p', f'simulator:={name}']
-    with ros(*to_file(tmp_path / 'a.rrd'), *words) as arguments:
-        nodes = bridge, listener = RerunBridge(arguments), Listener()
-        assert {*bridge._topics} > {
-            f'{found}/scene', f'{found}/state', '/left/hnn_controller/plan'}
+    with ros('--ros-args', *words) as arguments:
+        nodes = controller, listener = ControllerNode(arguments), Listener()
+        assert controller._topic == f'{found}/joint_commands'
         assert [one.topic_name for one in listener.subscriptions] == ['/left/hnn_simulator/energy']
         for node in nodes:
             node.destroy_node()
-    with ros('--ros-args', *words) as arguments:
-        controller = ControllerNode(arguments)
-        assert controller._topic == f'{found}/joint_commands'
-        controller.destroy_node()
-
-
-def test_message_that_a_bridge_cannot_show_is_told_and_ignored(tmp_path, capfd):
-    topics = '/diagnostics', *(f'/hnn_{name}' for name in (
-        'simulator/events', 'controller/plan', 'simulator/state'))
-    with ros(*to_file(tmp_path / 'a.rrd')) as arguments:
-        bridge = RerunBridge(arguments)
-        bridge._picture = BridgePicture(load_scene('exact_pendulum'))
-        bridge._picture.open(tmp_path / 'b.rrd', 'b')
-        timing, event = DiagnosticArray(status=[DiagnosticStatus(
-            name='hnn_simulator: timing', values=[KeyValue(key='real_time_factor', value='fast')])
-        ]), DiagnosticArray(status=[DiagnosticStatus(name='hnn_simulator: event')])
-        plan = JointTrajectory(joint_names=['angle'])
-        plan.header.stamp.nanosec = event.header.stamp.nanosec = 2**32 - 1
-        short = JointState(name=['H', 'work'], position=[1.0])
-        bridge.listen()
-        hear = {one.topic_name: one.callback for one in bridge.subscriptions}
-        for topic, message in zip(topics, (timing, event, plan, short), strict=True):
-            hear[topic](serialize(message))
-            hear[topic](b'none')
-        log = capfd.readouterr().err
-        assert all(f'{topic}: message ignored: ' in log for topic in topics)
-        assert bridge.problem is None
-        bridge.close()
-        bridge.destroy_node()

@@ -17,15 +17,14 @@ from hnn_vi_ros.files.named_code import trust_context
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import find_type, main as replay
-from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.worlds import open_world, WorldError
 from hnn_vi_ros.run import scene_report
 from hnn_vi_ros.scene import described_scene, Scene
 from hnn_vi_ros.simulation import build
 from messages import refused
-from peer import CLEANUP, CONFIGURE, DEACTIVATE, peer, ros
+from peer import CLEANUP, CONFIGURE, DEACTIVATE, peer
 from processes import (
-    finish, simulator_words, standard_error, start, start_executable, to_file)
+    finish, simulator_words, standard_error, start, start_executable)
 from pydantic import ValidationError
 import pytest
 from recorded import record_run
@@ -68,16 +67,6 @@ def on_path(marker: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(marker.parent / 'code'))
 
 
-@pytest.fixture
-def node() -> Iterator[RerunBridge]:
-    """Return a bridge that is asked for nothing."""
-    with ros():
-        bridge = RerunBridge()
-        yield bridge
-        bridge.close()
-        bridge.destroy_node()
-
-
 def record(folder: Path, **described: object) -> Path:
     return record_run(folder / 'bag', load_scene('exact_pendulum'), 5, **described)
 
@@ -99,14 +88,6 @@ def test_code_that_a_bag_names_is_refused_and_not_run(tmp_path, marker, on_path,
     with refused(RecordingError):
         READERS[way](bag)
     assert not marker.exists() and 'marker' not in sys.modules
-
-
-@pytest.mark.parametrize('named', NAMED, ids=['factory', 'discrete_lagrangian'])
-def test_code_that_a_topic_names_is_refused_and_not_run(node, marker, on_path, named):
-    with refused(RecordingError):
-        node._on_scene(String(data=described(**named)))
-    assert not marker.exists() and 'marker' not in sys.modules
-    assert node.problem is None and node._picture is None
 
 
 def test_picture_goes_on_when_a_message_is_refused(node):
@@ -190,11 +171,10 @@ def test_trust_is_given_on_the_command_line(tmp_path, marker, on_path, capsys):
 
 
 @pytest.mark.parametrize('name, words', [
-    ('rerun_bridge', ['BAG', '--trust-code', *to_file(Path('a.rrd'))]),
-    ('rerun_bridge', ['BAG', *to_file(Path('a.rrd')), '-p', 'trust_code:=true']),
+    ('replay', ['BAG', '--trust-code', '--rerun', 'a.rrd']),
     ('simulator', simulator_words(scene='harmonic_oscillator', resume='BAG', trust_code='true',
                                   duration=0.1, real_time_factor=0.0)),
-], ids=['option', 'parameter', 'resume'])
+], ids=['option', 'resume'])
 def test_executable_that_trusts_a_bag_runs_its_code(tmp_path, marker, on_path, name, words):
     bag = record(tmp_path, **PYTHON)
     process = start_executable(name, *[word.replace('BAG', str(bag)) for word in words],

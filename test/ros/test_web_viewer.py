@@ -5,7 +5,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 import os
-from pathlib import Path
 import shutil
 import socket
 import subprocess
@@ -14,11 +13,9 @@ import threading
 import time
 from urllib.parse import quote
 
-from hnn_vi_ros import load_scene
 from ports import free_port
-from processes import wait_until
+from processes import simulator_words, wait_until
 import pytest
-from recorded import record_run
 
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
@@ -86,14 +83,14 @@ def listens(port: int) -> bool:
 @pytest.mark.timeout(240)
 @pytest.mark.long
 def test_web_viewer_in_a_browser_receives_the_recording(tmp_path):
-    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 200)
     port, page = free_port(), free_port()
-    bridge = 'from hnn_vi_ros.cli import rerun_bridge; rerun_bridge()'
+    simulator = 'from hnn_vi_ros.cli import simulator; simulator()'
     viewer = (f'import rerun, time; rerun.serve_web_viewer(web_port={page}, open_browser=False); '
               'time.sleep(600)')
     relay = Relay(port)
-    with running(sys.executable, '-c', bridge, bag, '--ros-args', '-p', 'rerun_sink:=serve',
-                 '-p', f"rerun_path:='{port}'"), running(sys.executable, '-c', viewer):
+    words = simulator_words(scene='exact_pendulum', duration=0, rerun_sink='serve',
+                            rerun_path=f"'{port}'")
+    with running(sys.executable, '-c', simulator, *words), running(sys.executable, '-c', viewer):
         wait_until(lambda: listens(port) and listens(page), 60.0)
         assert not relay.received
         url = quote(f'rerun+http://127.0.0.1:{relay.port}/proxy', safe='')
@@ -109,4 +106,3 @@ def test_web_viewer_in_a_browser_receives_the_recording(tmp_path):
                 time.sleep(1.0)
     relay.close()
     assert size > 10_000
-    assert Path(bag).is_dir()

@@ -147,8 +147,6 @@ def log_phase_portrait(stream: rr.RecordingStream, hamiltonian: Hamiltonian, fra
         '/labels': _frame_labels(frame, coordinate, side),
         '/trail': rr.LineStrips2D.from_fields(colors=[PALETTE[1]], draw_order=30.0,
                                               radii=rr.Radius.ui_points(1.25)),
-        '/plan': rr.LineStrips2D.from_fields(colors=[PALETTE[2]], draw_order=35.0,
-                                             radii=rr.Radius.ui_points(1.25)),
         '/state': rr.Points2D.from_fields(colors=[WHITE], radii=rr.Radius.ui_points(5.0),
                                           draw_order=40.0),
     }
@@ -196,16 +194,6 @@ def log_mechanism_styles(stream: rr.RecordingStream, parts: Mapping[str, Part]) 
                 centers=None if part.moves else [part.center], half_sizes=[half_size],
                 colors=[part.color], fill_mode=rr.components.FillMode.Solid)
         stream.log(part_path(name), still, static=True, strict=True)
-
-
-# Planned path of the last body of the mechanism.
-PLAN = '/world/plan'
-
-
-def log_plan_style(stream: rr.RecordingStream, radius: float) -> None:
-    """Style a plan in the view of the mechanism and in the phase portraits."""
-    stream.log(PLAN, rr.LineStrips3D.from_fields(colors=[PALETTE[2]], radii=[radius]),
-               static=True, strict=True)
 
 
 TRAIL_SAMPLES = 300

@@ -398,15 +398,6 @@ class Portraits:
                     ('state', rr.Points2D.columns(positions=own[1:]))):
                 self._recording.send_columns(f'{path}/{child}', times, columns, strict=True)
 
-    def plan(self, times: list[rr.TimeColumn], q: np.ndarray, p: np.ndarray) -> None:
-        """Draw the planned path of a controller, of shape (n, d) each."""
-        count = len(self._frames)
-        self._note(np.stack([q[:, :count], p[:, :count]], axis=-1))
-        for frame in self._frames:
-            path = layout.phase_path(self._hamiltonian.coordinates[frame.axis])
-            self._recording.send_columns(f'{path}/plan', times, rr.LineStrips2D.columns(
-                strips=np.stack([q[:, frame.axis], p[:, frame.axis]], axis=-1)[None]), strict=True)
-
     def _note(self, points: np.ndarray) -> None:
         """Extend the known range of (q, p) by points, shape (n, count, 2)."""
         low, high = (np.where(np.isfinite(points), points, end) for end in (np.inf, -np.inf))

@@ -32,8 +32,6 @@ MOST_PORTRAITS = 8
 # index until it is closed, and a send takes 0.2 MB per second: 2.4 MB an hour and 6 MB once.
 GATHER_LIVE, GATHER_FILE = 0.15, 0.5
 GATHER_SHARE, GATHER_MOST = 0.1, 30.0
-# Radius of the line of a plan, relative to the reach of the mechanism.
-_PLAN_RADIUS = 0.003
 # Number of pending samples that triggers a send: an unpaced run produces samples quickly.
 MOST_PENDING = 1024
 
@@ -121,7 +119,6 @@ class RerunSink:
         self._effects, self._step_size = effects, step_size
         self._forces: ForceArrows | None = None
         self._arrows: set[str] = set()
-        self._planned = False
         # End of each trail by name.
         self._trails: dict[str, np.ndarray] = {}
         # Stamp, step, text and level.
@@ -165,31 +162,6 @@ class RerunSink:
             self._send_events()
         else:
             self._send_if_due()
-
-    def plan(self, stamp: int, q: np.ndarray, p: np.ndarray) -> None:
-        """
-        Show the plan of a controller, next to the motion, until the next plan.
-
-        Parameters
-        ----------
-        stamp : int
-            Start time of the plan [ns].
-        q, p : np.ndarray, shape (n, d)
-            States of the plan; empty to remove it.
-
-        """
-        times = self._times([stamp], [round(stamp * 1e-9 / self._step_size)])
-        self._portraits.plan(times, q, p)
-        if self._mechanism is None:
-            return
-        tips = [part.center for part in self._mechanism(q, self._reach).values()
-                if isinstance(part, Ball | Cuboid) and part.moves] if len(q) else []
-        if tips and not self._planned:
-            self._planned = True
-            layout.log_plan_style(self._stream.recording, _PLAN_RADIUS * self._reach)
-        if self._planned:
-            path: np.ndarray = tips[-1] if tips else np.zeros((0, 3))
-            self._columns(layout.PLAN, times, rr.LineStrips3D.columns(strips=path[None]))
 
     def timing(self, microseconds_per_step: tuple[float, float], real_time_factor: float) -> None:
         """Show the wall time of a step [us], median and p99, and the real-time factor if paced."""

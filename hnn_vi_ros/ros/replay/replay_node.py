@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Node that publishes the topics of a bag at their times; `--verify` simulates it again."""
+"""Node that publishes the topics of a bag; `--verify` simulates it again, `--rerun` shows it."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
@@ -282,22 +282,35 @@ def find_type(name: str) -> type:
 
 
 def main(argv: list[str]) -> int:
-    """Play a bag until its end or a signal, or verify it."""
+    """Play a bag until its end or a signal, verify it, or write its picture."""
     parser = arguments.replay()
     words = own_arguments(argv)
     options = parser.parse_args(words)
     given = {item.name: item.check(value) for item in REPLAY_PARAMETERS
              if (value := getattr(options, item.name)) is not None}
-    if options.trust_code and not options.verify:
-        parser.error('--trust-code: only --verify runs code')
-    if options.node and not options.verify:
-        parser.error('--node: valid only with --verify; --topics selects what is published')
+    instead = [name for name, value in (('--verify', options.verify), ('--rerun', options.rerun))
+               if value]
+    if len(instead) == 2:
+        parser.error('--verify and --rerun exclude each other; call replay twice')
+    if options.trust_code and not instead:
+        parser.error('--trust-code: only --verify and --rerun run code')
+    if options.node and not instead:
+        parser.error('--node: valid only with --verify or --rerun; --topics selects what is '
+                     'published')
+    if instead and (given or len(words) < len(argv)):
+        unused = f'--{next(iter(given)).replace("_", "-")}' if given else 'ROS arguments'
+        parser.error(f'{instead[0]}: nothing is published, so {unused} would have no effect; '
+                     f'remove {unused}')
+    # Imported lazily: playback needs no compiler.
+    if options.rerun:
+        from hnn_vi_ros.ros.replay.picture import write_picture
+        samples, damage = write_picture(
+            options.bag, options.rerun, options.trust_code, options.node)
+        print(f'{options.rerun}: {samples} samples')
+        if damage:
+            print(f'warning: {damage}', file=sys.stderr)
+        return 0
     if options.verify:
-        if given or len(words) < len(argv):
-            unused = f'--{next(iter(given)).replace("_", "-")}' if given else 'ROS arguments'
-            parser.error(f'--verify: nothing is published, so {unused} would have no effect; '
-                         f'remove {unused}')
-        # Imported lazily: playback needs no compiler.
         from hnn_vi_ros.ros.replay.replay_check import check_replays
         good = True
         for verdict in check_replays(options.bag, options.trust_code, options.node):

@@ -392,28 +392,6 @@ def test_closed_recording_takes_no_events_and_is_closed_twice_without_harm(path:
         sink.event('too late')
 
 
-def test_plans_are_drawn_next_to_the_motion_until_the_next_one(path: Path):
-    sink = open_sink(path, mechanism=MECHANISMS['mass_spring'], step_size=STEP * 1e-9)
-    ahead = np.linspace(1.0, 0.5, 6)[:, None], np.linspace(0.0, -0.4, 6)[:, None]
-    for sample in oscillate(20):
-        sink.write(sample)
-    sink.plan(5 * STEP, *ahead)
-    sink.plan(7 * STEP, *(half[:3] for half in ahead))
-    # Nothing is planned any more.
-    sink.plan(9 * STEP, *(half[:0] for half in ahead))
-    sink.close()
-    entities = read(path)
-    phase, world = entities['/phase/x/plan'], entities['/world/plan']
-    assert phase['sim_time'] == world['sim_time'] == [5 * STEP, 7 * STEP, 9 * STEP]
-    assert phase['step'] == [5, 7, 9]
-    strips = phase['LineStrips2D:strips']
-    assert np.array_equal(strips[0][0], np.hstack(ahead).astype(np.float32))
-    assert [len(rows[0]) if rows else 0 for rows in strips] == [6, 3, 0]
-    masses = [len(rows[0]) if rows else 0 for rows in world['LineStrips3D:strips']]
-    assert masses == [6, 3, 0]
-    assert {'/phase/x/plan', '/world/plan'} <= still_entities(path)
-
-
 @pytest.mark.parametrize('band', [True, False])
 def test_bands_are_the_state_less_and_plus_its_spread_where_there_are_members(
         path: Path, band: bool):
