@@ -73,7 +73,7 @@ def command_page() -> str:
     """Return the page on the executables, with the output of `--help`."""
     text = ['# Commands', '', (
         'If the package was installed with pip, run `hnn NAME`. In a ROS workspace run `ros2 run '
-        'hnn_vi_ros NAME`; `hnn` is in `lib/hnn_vi_ros`. `run`, `cost`, `doctor` and `completion` '
+        'hnn_vi_ros NAME`; `hnn` is in `lib/hnn_vi_ros`. `run`, `cost` and `doctor` '
         'are commands of `hnn` only.'), '']
     for name in COMMANDS:
         text += [f'## {name}', '', '```text', parser_of(name).format_help().strip(), '```', '']

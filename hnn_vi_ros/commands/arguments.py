@@ -7,7 +7,6 @@ from pathlib import Path
 
 from hnn_vi_ros.files import complete_by, Parser, seconds
 
-SHELLS = ('bash', 'zsh')
 LISTED = ('scenes', 'integrators', 'effects', 'hamiltonians', 'families', 'models', 'tasks')
 
 
@@ -143,13 +142,3 @@ def doctor() -> Parser:
     return Parser('doctor', (
         'Report what is installed and what does not work.'), ['hnn doctor'], (
             'Exit status: 0 if simulations work, 1 if not; optional packages may be absent.'))
-
-
-def completion() -> Parser:
-    """Return the parser of ``completion``."""
-    parser = Parser('completion', (
-        'Print the shell script that completes hnn commands.'), [
-            'hnn completion bash > ~/.local/share/bash-completion/completions/hnn',
-            'hnn completion zsh > ~/.zfunc/_hnn'])
-    parser.add_argument('shell', choices=SHELLS, help='shell that runs the script')
-    return parser

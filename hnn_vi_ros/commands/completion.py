@@ -8,16 +8,8 @@ import os
 
 import argcomplete
 from argcomplete.completers import FilesCompleter
-from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.files import shipped_names
-
-
-def main(argv: list[str]) -> int:
-    """Print the script with which a shell asks ``hnn`` for completions."""
-    shell = arguments.completion().parse_args(argv).shell
-    print(argcomplete.shellcode(['hnn'], shell=shell), end='')
-    return 0
 
 
 def complete() -> None:

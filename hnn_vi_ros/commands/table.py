@@ -19,13 +19,13 @@ GROUPS = {
     'control': {'controller': 'ros.controller_node'},
     'ROS': {'simulator': 'ros.simulator_node', 'listener': 'ros.listener_node'},
     'data': {'replay': 'ros.replay.replay_node', 'recover_bag': 'recording.bags.recover_bag'},
-    'this installation': {'doctor': 'commands.doctor', 'completion': 'commands.completion'},
+    'this installation': {'doctor': 'commands.doctor'},
 }
 COMMANDS = {name: module for group in GROUPS.values() for name, module in group.items()}
 # Deprecated names and their replacements.
 ALIASES = {'new_scene': ('scene', '--new')}
 # Commands that are not ROS 2 executables.
-_WITHOUT_ROS = ('run', 'list', 'cost', 'check', 'export', 'doctor', 'completion')
+_WITHOUT_ROS = ('run', 'list', 'cost', 'check', 'export', 'doctor')
 EXECUTABLES = [name for name in (*COMMANDS, *ALIASES) if name not in _WITHOUT_ROS]
 
 

@@ -13,7 +13,6 @@ import time
 
 from hnn_vi_ros import cli
 from hnn_vi_ros.commands import ALIASES, COMMANDS, doctor, EXECUTABLES, run, scene_tool
-from hnn_vi_ros.commands.arguments import SHELLS
 from hnn_vi_ros.commands.table import GROUPS
 from hnn_vi_ros.errors import AlarmWarning, ParameterError, SceneError
 from hnn_vi_ros.files import shipped_file, shipped_names, standard_streams
@@ -40,7 +39,7 @@ def ask(executable: str, *words: str) -> subprocess.CompletedProcess:
 def test_every_executable_is_a_command():
     assert set(EXECUTABLES) == set(re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", SETUP))
     assert {*COMMANDS, *ALIASES} - {*EXECUTABLES} == {
-        'run', 'list', 'cost', 'check', 'export', 'doctor', 'completion'}
+        'run', 'list', 'cost', 'check', 'export', 'doctor'}
 
 
 def test_help_tells_all_commands_in_groups_without_what_they_take():
@@ -229,9 +228,8 @@ def test_doctor_tells_what_is_here_and_what_is_wrong(capsys, monkeypatch):
                      capsys.readouterr().out, re.M)
 
 
-def test_shells_complete_commands_options_names_and_files(tmp_path, capsys):
+def test_shells_complete_commands_options_names_and_files(tmp_path):
     pytest.importorskip('argcomplete', reason='argcomplete is not installed')
-    from hnn_vi_ros.commands import completion
     (tmp_path / 'pens').mkdir()
 
     def offered(line: str) -> set[str]:
@@ -250,9 +248,6 @@ def test_shells_complete_commands_options_names_and_files(tmp_path, capsys):
     assert '--weights' in offered('hnn import --')
     assert '--replace' in offered('hnn recover-bag --')
     assert 'pens/' in offered('hnn run kepler --plot ')
-    for shell in SHELLS:
-        assert completion.main([shell]) == 0
-        assert '_ARGCOMPLETE=1' in capsys.readouterr().out
 
 
 def test_long_work_without_a_terminal_says_how_long_it_takes(monkeypatch, capsys):
