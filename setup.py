@@ -26,7 +26,6 @@ FOR_ROS = [
     'identify = hnn_vi_ros.cli:identify',
     'import = hnn_vi_ros.cli:import',
     'listener = hnn_vi_ros.cli:listener',
-    'new_scene = hnn_vi_ros.cli:new_scene',
     'recover_bag = hnn_vi_ros.cli:recover_bag',
     'replay = hnn_vi_ros.cli:replay',
     'scene = hnn_vi_ros.cli:scene',

@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 import warnings
 
 from hnn_vi_ros.commands import (
-    ALIASES, check_names, COMMANDS, EXECUTABLES, module_of, parser_of, refuse)
+    check_names, COMMANDS, EXECUTABLES, module_of, parser_of, refuse)
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, pip_command
 from hnn_vi_ros.files import (
     ENDING, harden_streams, lost_output, private_folder, usual_folder, write_problem)
@@ -57,7 +57,7 @@ def main() -> NoReturn:
     if word == 'help':
         word, argv = argv[0] if argv else '--help', ['--help']
     name = word.replace('-', '_')
-    if name in COMMANDS or name in ALIASES:
+    if name in COMMANDS:
         _run(name, argv)
     harden_streams()
     status: str | int | None
@@ -136,7 +136,8 @@ def _merge_interrupts() -> None:
 
 def _is_node(module: str, argv: Sequence[str]) -> bool:
     """Return whether a command is a node, which signals end with status 0."""
-    return module.startswith('hnn_vi_ros.ros.') and '--verify' not in argv
+    return module.startswith('hnn_vi_ros.ros.') and not {'--verify', '--rerun'} & {
+        word.partition('=')[0] for word in argv}
 
 
 def _end_at_signals(node: bool) -> None:
@@ -158,8 +159,7 @@ def _answer_at_once(name: str, argv: Sequence[str]) -> None:
 def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     """Call the ``main`` of an executable, and exit; errors are reported in one line."""
     argv = list(sys.argv[1:] if argv is None else argv)
-    name, *meant = ALIASES.get(name, (name,))
-    argv, shown = [*meant, *argv], f'hnn {name}'
+    shown = f'hnn {name}'
     _end_at_signals(_is_node(module_of(name), argv))
     harden_streams()
     # Imports create many objects and no garbage: collect seldom.

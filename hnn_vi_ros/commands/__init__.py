@@ -14,6 +14,6 @@ from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
     from hnn_vi_ros.commands.table import (
-        ALIASES, check_names, COMMANDS, EXECUTABLES, module_of, parser_of, refuse)
+        check_names, COMMANDS, EXECUTABLES, module_of, parser_of, refuse)
 
 __getattr__, __dir__ = lazy_exports(__name__)

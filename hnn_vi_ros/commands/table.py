@@ -22,11 +22,9 @@ GROUPS = {
     'this installation': {'doctor': 'commands.doctor'},
 }
 COMMANDS = {name: module for group in GROUPS.values() for name, module in group.items()}
-# Deprecated names and their replacements.
-ALIASES = {'new_scene': ('scene', '--new')}
 # Commands that are not ROS 2 executables.
 _WITHOUT_ROS = ('run', 'list', 'cost', 'check', 'export', 'doctor')
-EXECUTABLES = [name for name in (*COMMANDS, *ALIASES) if name not in _WITHOUT_ROS]
+EXECUTABLES = [name for name in COMMANDS if name not in _WITHOUT_ROS]
 
 
 def module_of(name: str) -> str:

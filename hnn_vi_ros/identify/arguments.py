@@ -19,10 +19,6 @@ Names of numbers:
     initial_state         report the initial states of the runs too; they are always fitted"""
 
 
-def _course(name: str) -> str:
-    return 'linear' if name == 'interpolated' else name
-
-
 def identify() -> Parser:
     """Return the parser of ``identify``."""
     parser = Parser('identify', (
@@ -59,7 +55,7 @@ def identify() -> Parser:
     parser.add_argument('--measured', nargs='+', default=[], metavar='NAME', help=(
         'read only these coordinates from --data, in this order; the others are not measured '
         '(default: as in --config, or all)'))
-    parser.add_argument('--inputs', choices=INPUTS, type=_course, help=(
+    parser.add_argument('--inputs', choices=INPUTS, help=(
         'course of measured forces between samples: each held until the next, linear, or a cubic '
         'spline (default: as in --config, or held for topics of commands, else linear); the '
         'report compares all three'))

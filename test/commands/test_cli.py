@@ -13,7 +13,7 @@ import warnings
 from xml.etree import ElementTree
 
 from hnn_vi_ros import cli
-from hnn_vi_ros.commands import ALIASES, parser_of
+from hnn_vi_ros.commands import parser_of
 from hnn_vi_ros.files import ENDING
 from hnn_vi_ros.learning import arguments as learning
 from hnn_vi_ros.models import SMOOTH
@@ -23,8 +23,7 @@ import pytest
 from sources import ROOT, run_without
 from urdf_robots import chain
 
-EXECUTABLES = [name for name in re.findall(
-    r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').read_text()) if name not in ALIASES]
+EXECUTABLES = re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').read_text())
 # What is installed in place of any missing package of ROS: all of its wheels at once.
 ROS = 'ros-jazzy-rclpy[fastrtps]" "ros-jazzy-common-interfaces'
 # One of another version would break what records.

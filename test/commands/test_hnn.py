@@ -12,7 +12,7 @@ import sys
 import time
 
 from hnn_vi_ros import cli
-from hnn_vi_ros.commands import ALIASES, COMMANDS, doctor, EXECUTABLES, run, scene_tool
+from hnn_vi_ros.commands import COMMANDS, doctor, EXECUTABLES, run, scene_tool
 from hnn_vi_ros.commands.table import GROUPS
 from hnn_vi_ros.errors import AlarmWarning, ParameterError, SceneError
 from hnn_vi_ros.files import shipped_file, shipped_names, standard_streams
@@ -38,7 +38,7 @@ def ask(executable: str, *words: str) -> subprocess.CompletedProcess:
 
 def test_every_executable_is_a_command():
     assert set(EXECUTABLES) == set(re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", SETUP))
-    assert {*COMMANDS, *ALIASES} - {*EXECUTABLES} == {
+    assert {*COMMANDS} - {*EXECUTABLES} == {
         'run', 'list', 'cost', 'check', 'export', 'doctor'}
 
 
@@ -50,7 +50,6 @@ def test_help_tells_all_commands_in_groups_without_what_they_take():
     assert all(any(line.startswith(f'  {name} ') for line in text) for name in COMMANDS)
     assert [*GROUPS][:5] == ['simulate', 'learn', 'control', 'ROS', 'data']
     assert {f'{group}:' for group in GROUPS} <= {*text}
-    assert not any(line.startswith('  new_scene ') for line in text)
     assert not {'numpy', 'numba', 'rclpy', 'yaml', 'pydantic'} & set(imported.split())
     assert ask('main', '--version').stdout.startswith(f'hnn_vi_ros {__version__}\n')
 
@@ -68,13 +67,6 @@ def test_errors_are_coloured_on_terminals_alone(variables, colour):
     piped = subprocess.run(command, capture_output=True, check=False,
                            env={**os.environ, **variables})
     assert b'\033' not in piped.stderr
-
-
-def test_older_name_is_a_new_scene(tmp_path):
-    assert ask('main', 'new-scene', str(tmp_path / 'a')).returncode == 0
-    again = ask('main', 'new_scene', str(tmp_path / 'a'))
-    assert again.stderr.startswith(f'hnn scene: {tmp_path}/a.yaml: exists already')
-    assert ask('main', 'help', 'run').stdout == ask('main', 'run', '--help').stdout
 
 
 @pytest.mark.parametrize('name', ['recover-bag', 'run', 'train'])

@@ -102,7 +102,7 @@ def test_commands_are_the_forces_where_they_are_named(tmp_path):
     assert (motion.tau[(t > 1.015) & (t < 1.995)] == [1.0, 2.0]).all()
     assert (motion.tau[t > 2.015] == [3.0, 4.0]).all()
     assert np.array_equal(motion.forces, motion.tau[:-1])
-    (motion,), _ = read(path, forces='forces', inputs='interpolated')
+    (motion,), _ = read(path, forces='forces', inputs='linear')
     assert np.array_equal(motion.forces, 0.5 * (motion.tau[:-1] + motion.tau[1:]))
     # Of one motor that moves both joints.
     one = array(np.array([1.005]), np.array([[1.0]]), '/motor')

@@ -23,7 +23,7 @@ from hnn_vi_ros.learning.data.sampling import (
     Between, clock_resets, cubic, even_times, increasing_samples, interleaved, is_noise, linear,
     low_pass, repeated_text, spaced_samples, unexplained_share, unwrap_turns)
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
 from scipy.signal import periodogram
 
@@ -56,9 +56,6 @@ OnBad = Annotated[Literal['drop', 'split', 'fail'], Field(description=(
     'treatment of samples that are late, duplicated or lack a number: drop them and interpolate, '
     'split the motion there, or fail. A gap of more than ten intervals starts a new motion, or '
     'fails'))]
-# `interpolated` is another name of `linear`.
-Inputs = Annotated[Course, BeforeValidator(
-    lambda value: 'linear' if value == 'interpolated' else value)]
 TEST_RUNS: list[str] = Field([], description=(
     'runs for testing the model; none: the last fifth of each run'))
 
@@ -73,7 +70,7 @@ class MotionData(StrictModel):
         'samples at too low a rate for it are not filtered; default: 40 Hz, or where positions '
         'alone fall below their noise'))
     on_bad: OnBad = 'drop'
-    inputs: Inputs | None = Field(None, description=(
+    inputs: Course | None = Field(None, description=(
         'course of forces between samples: each held until the next, linear, or a cubic spline; '
         'default: held for topics of commands, else linear'))
     measured: list[str] = Field([], description=(
@@ -131,7 +128,7 @@ class Motion:
     a: np.ndarray | None = None
     p: np.ndarray | None = None
     dp_dt: np.ndarray | None = None
-    inputs: Inputs = 'linear'
+    inputs: Course = 'linear'
     notes: tuple[str, ...] = ()
     q_alone: np.ndarray | None = None
     names: tuple[str, ...] = ()
