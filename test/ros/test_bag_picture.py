@@ -41,7 +41,7 @@ def test_picture_has_the_very_samples_of_a_bag(tmp_path, capsys, kind):
         samples[step].q[0] for step in steps]
 
 
-def test_picture_has_the_mechanism_alarms_and_timing_of_a_simulator(tmp_path):
+def test_picture_has_the_mechanism_and_the_alarms_of_a_simulator(tmp_path):
     # At a step that does not resolve the close encounters.
     write_scene(tmp_path / 'kepler.yaml', 'kepler, mu: 1.0', '', 'variational_euler',
                 q=[1.9, 0.0], p=[0.0, 0.22941573387056177], more='mechanism: kepler\n')
@@ -61,8 +61,6 @@ def test_picture_has_the_mechanism_alarms_and_timing_of_a_simulator(tmp_path):
     shown = [event for event in events_of(tmp_path / 'a.rrd')
              if event[2].startswith('under-resolved')]
     assert shown == alarms != []
-    figures = entities['/timing/microseconds_per_step']['Scalars:scalars']
-    assert all(0.0 < median <= p99 for median, p99 in figures) and len(figures) >= 2
 
 
 def test_message_that_cannot_be_shown_is_refused(tmp_path):

@@ -90,13 +90,6 @@ def test_code_that_a_bag_names_is_refused_and_not_run(tmp_path, marker, on_path,
     assert not marker.exists() and 'marker' not in sys.modules
 
 
-def test_picture_goes_on_when_a_message_is_refused(node):
-    node._picture = picture = SimpleNamespace(close=lambda: None)
-    with refused(RecordingError):
-        node._on_scene(String(data=described(**PYTHON)))
-    assert node._picture is picture
-
-
 def test_keys_that_name_code_are_those_of_the_schema():
     schema = json.loads((share_folder() / 'config/scene.schema.json').read_text())
     assert {(name, key) for name, one in schema['$defs'].items()

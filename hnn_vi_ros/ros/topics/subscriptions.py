@@ -41,7 +41,7 @@ class Subscriptions(IgnoredErrors):
         self._subscriptions: list[Subscription] = []
         self.topics: list[str] = []
 
-    def hear(self, one: Input, take: Callable[[Any], None], raw: bool = False,
+    def hear(self, one: Input, take: Callable[[Any], None],
              then: Callable[[], None] | None = None) -> Subscription:
         """
         Subscribe to a topic; report and ignore invalid messages.
@@ -52,8 +52,6 @@ class Subscriptions(IgnoredErrors):
             Topic to subscribe to.
         take : callable
             Handles a message; on an invalid one, raises an error and changes nothing.
-        raw : bool, optional
-            True to pass the serialised bytes to `take`, not the message.
         then : callable, optional
             Called after all waiting messages are handled; may raise an error.
 
@@ -63,7 +61,7 @@ class Subscriptions(IgnoredErrors):
         def use(payload: bytes) -> None:
             if len(payload) > LARGEST_MESSAGE:
                 raise ValueError(f'{len(payload)} bytes, at most {LARGEST_MESSAGE} are accepted')
-            take(payload if raw else deserialize_message(payload, one.message_type))
+            take(deserialize_message(payload, one.message_type))
 
         def attempt(what: Callable[..., None], *arguments: bytes) -> None:
             try:
