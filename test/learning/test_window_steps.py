@@ -80,7 +80,7 @@ def test_steps_in_torch_are_those_of_the_compiled_methods(tmp_path, method, stru
 
 @pytest.mark.parametrize('method', [*METHODS])
 def test_windows_are_the_same_however_many_nodes_are_solved_at_once(method, monkeypatch):
-    network, windows = random_network(STRUCTURES['arm']), WindowSettings(20, method, 0.1)
+    network, windows = random_network(STRUCTURES['arm']), WindowSettings(20, method)
     samples, rows = samples_of([motion_of(2)], H), torch.arange(0, 40, 4)
     found = []
     for at_once in (1, 100, 10**9):
@@ -125,7 +125,7 @@ def loss_and_slopes(network: MechanicalNetwork, samples: Samples, rows: torch.Te
 def test_derivatives_of_windows_are_those_of_their_loss(method, structure):
     network = random_network(STRUCTURES[structure])
     samples, rows = samples_of([motion_of(network.d)], H), torch.arange(0, 40, 4)
-    windows = WindowSettings(5, method, 0.1)
+    windows = WindowSettings(5, method)
     found, expected = slopes_along(lambda: window_loss(network, samples, rows, windows),
                                    [*filter(lambda one: one.requires_grad, network.parameters())],
                                    2e-4)

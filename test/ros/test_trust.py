@@ -8,7 +8,6 @@ import json
 from pathlib import Path
 import shutil
 import sys
-from types import SimpleNamespace
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ModelError, RecordingError, SceneError

@@ -511,7 +511,6 @@ class TrajectoryLoss(StrictModel):
 
     kind: Literal['trajectory'] = 'trajectory'
     forward_steps: int = Field(400, ge=1, description='number of Adam steps on accelerations')
-    forward_batch: int = Field(1024, ge=1, description='samples per Adam step')
     forward_lbfgs_steps: int = Field(2000, ge=0, le=1_000_000, description=(
         'maximum number of L-BFGS steps on accelerations that follow; they stop early when the '
         'error of a held-out tenth of the samples increases, as it does with noise'))
@@ -529,8 +528,6 @@ class TrajectoryLoss(StrictModel):
         'the prior with its friction, then the networks, whose result is used only if it is not '
         'worse'))
     batch: int = Field(256, ge=1, description='windows per Adam step')
-    time_scale: float = Field(0.1, gt=0.0, description=(
-        'time that converts an error of v into an equivalent error of q [s]'))
 
 
 FieldLoss = Annotated[

@@ -246,11 +246,11 @@ def window_errors(network: LieGroupNetwork, config: BodyConfig, windows: BodyMot
 
 
 def body_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> torch.Tensor:
-    """Return the mean squared errors relative to the usual velocities."""
+    """Return the mean squared errors relative to the usual velocities, those of poses per 1 s."""
     errors, unit = window_errors(network, config, windows), network.velocity_unit.square()
-    total = [errors['turning'] / unit[-1], errors['attitude'] / (config.time_scale**2 * unit[-1])]
+    total = [errors['turning'] / unit[-1], errors['attitude'] / unit[-1]]
     if 'place' in errors:
-        total += [errors['velocity'] / unit[0], errors['place'] / (config.time_scale**2 * unit[0])]
+        total += [errors['velocity'] / unit[0], errors['place'] / unit[0]]
     return torch.stack(total).sum()
 
 

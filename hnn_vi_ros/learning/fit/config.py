@@ -81,8 +81,6 @@ class FieldConfig(TrainingConfig):
     loss: FieldLoss = Field(VectorField(), description='loss function')
     hidden: Widths = [64, 64]
     seed: Seed = 0
-    validation_fraction: float = Field(0.1, gt=0.0, le=0.5, description=(
-        'share of the data held out for validation'))
     test_fraction: float = Field(0.0, ge=0.0, le=0.5, description=(
         'share of the data held out for the final test'))
     adam_steps: int = Field(1000, ge=1, le=1_000_000)
@@ -242,8 +240,6 @@ class BodyConfig(TrainingConfig):
         [BodyStage(intervals=1, adam_steps=200, lbfgs_steps=300)],
         min_length=1, description='stages of training, in this order')
     batch: int = Field(256, ge=1, description='windows per Adam step')
-    time_scale: float = Field(1.0, gt=0.0, description=(
-        'time that converts an error of the velocity into an equivalent error of the pose [s]'))
     hidden: Widths = [32, 32]
     seed: Seed = 0
     learning_rate: Rate = Field(0.005, description='learning rate of Adam')

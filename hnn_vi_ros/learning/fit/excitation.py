@@ -29,10 +29,6 @@ class ExcitationData(MotionData):
     duration: float = Field(10.0, gt=0.0, le=1000.0, description='duration of each run [s]')
     interval: float = Field(0.005, gt=0.0, description='sampling interval [s]')
     fastest: float = Field(1.0, gt=0.0, description='maximum frequency of the sines [Hz]')
-    noise_q: float = Field(0.0, ge=0.0, description=(
-        'standard deviation of the noise of coordinates [rad], [m]'))
-    noise_v: float = Field(0.0, ge=0.0, description=(
-        'standard deviation of the noise of velocities [rad/s], [m/s]'))
     noise_tau: float = Field(0.0, ge=0.0, description=(
         'standard deviation of the noise of forces, relative to the RMS of each'))
 
@@ -65,10 +61,8 @@ def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
             columns = tree.columns(*map(torch.tensor, (q, v, a))).numpy()
         tau = columns @ values.ravel() + damping * v + friction * np.tanh(v / _SPEED)
         size = np.sqrt(np.mean(tau**2, axis=0))
-        q, v, tau = (part + scale * rng.normal(size=(len(t), d)) for part, scale in (
-            (q, data.noise_q), (v, data.noise_v), (tau, data.noise_tau * size)))
-        exact = not (data.noise_q or data.noise_v)
-        runs.append(Motion(f'run{number}', f'run{number}', t, q, v, tau, a if exact else None))
+        tau += data.noise_tau * size * rng.normal(size=(3, len(t), d))[2]
+        runs.append(Motion(f'run{number}', f'run{number}', t, q, v, tau, a))
     return even_motions(Recording(
         runs, f'{robot.robot.name} along sums of sines, seed {seed}', 'none'), data)
 

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 PAIRS = 256  # number of state pairs for the penalty on nonlinearity
+_VALIDATION_SHARE = 0.1  # share of the data held out for validation
 
 
 class Batch(NamedTuple):
@@ -192,7 +193,7 @@ class FieldSamples:
         if config.test_fraction > 0.0:
             rest, test = dataset.split(config.test_fraction, config.seed)
         batch = partial(LOSSES[config.loss.kind].batch, config.loss)
-        train, validation = map(batch, rest.split(config.validation_fraction, config.seed))
+        train, validation = map(batch, rest.split(_VALIDATION_SHARE, config.seed))
         unit = train.target.square().mean(dim=0).sqrt()
         if not (unit > 0.0).all():
             raise DataError(f'{dataset.description}: a coordinate never changes; use data in '

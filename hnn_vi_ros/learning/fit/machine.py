@@ -25,6 +25,9 @@ _STEP = 0.01
 # Factor of Adam's learning rate for windows, relative to accelerations; twice that for the
 # small networks on top of a prior.
 _RATE = 0.2
+# Samples per Adam step on accelerations; time that converts an error of v in a window to an
+# equivalent error of q [s].
+_FORWARD_BATCH, _TIME_SCALE = 1024, 0.1
 # L-BFGS holds out every tenth of _BLOCKS blocks of samples, ends after _PATIENCE evaluations
 # that do not improve them, and uses at most _MOST_ROWS samples.
 _BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS = 50, 10, 6, 20000
@@ -174,14 +177,11 @@ class WindowSettings(NamedTuple):
         Number of steps per window.
     method : str
         Integrator.
-    time_scale : float
-        Time [s] that converts an error of v to an equivalent error of q.
 
     """
 
     steps: int
     method: WindowMethod
-    time_scale: float
 
 
 def window_loss(network: Network, samples: Samples, starts: torch.Tensor, windows: WindowSettings,
@@ -204,7 +204,7 @@ def window_errors(network: Network, samples: Samples, starts: torch.Tensor,
     q, v = _simulated(network, method, measured_q, measured_v[0], samples.mean_tau[at[:-1]],
                       samples.step_size, solutions)
     unit = _USUAL_ERROR * torch.tensor(network.scales.v)
-    return torch.stack([(q - measured_q[1:]) / (windows.time_scale * unit),
+    return torch.stack([(q - measured_q[1:]) / (_TIME_SCALE * unit),
                         (v - measured_v[1:]) / unit], dim=1).flatten(0, 1)
 
 
@@ -305,7 +305,7 @@ def windows_of(loss: TrajectoryLoss, stage: WindowStage, samples: Samples
     if count < 1 or not len(starts):
         raise DataError(f'windows: {stage.duration:g} s is shorter than step_size or longer than '
                         'every motion')
-    return WindowSettings(count, loss.method, loss.time_scale), starts
+    return WindowSettings(count, loss.method), starts
 
 
 # Distance from the data beyond which networks fade: for continuous joints [rad], and for other
@@ -461,7 +461,7 @@ def _on_windows(config: MachineConfig, loss: TrajectoryLoss, motions: Sequence[E
     # On samples that Adam fitted too, L-BFGS would seem to overfit at once.
     polishes = penalty is None and loss.forward_lbfgs_steps > 0
     learnt = rows[~_left_out(rows)] if polishes else rows
-    found = [Stage('forward', _batches(value, learnt, loss.forward_batch),
+    found = [Stage('forward', _batches(value, learnt, _FORWARD_BATCH),
                    loss.forward_steps, config.learning_rate, clip=True)]
     if penalty is not None:
         # With a prior, the initial model is already good.
