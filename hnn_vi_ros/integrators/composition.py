@@ -12,6 +12,7 @@ from hnn_vi_ros.integrators.base import (
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
+from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.workspaces import discard_history
 from hnn_vi_ros.kernels import inlined, Kernel
@@ -21,6 +22,7 @@ BASES = {
     'generalized_leapfrog': GeneralizedLeapfrog,
     'implicit_midpoint': ImplicitMidpoint,
     'lie_leapfrog': LieLeapfrog,
+    'lie_stormer_verlet': LieStormerVerlet,
     'stormer_verlet': StormerVerlet,
 }
 
@@ -35,7 +37,7 @@ class Composition(Integrator):
     ----------
     base : str
         ``'stormer_verlet'``, ``'generalized_leapfrog'``, ``'implicit_midpoint'``, or for rotations
-        ``'lie_leapfrog'``.
+        ``'lie_leapfrog'`` or ``'lie_stormer_verlet'``.
 
     Raises
     ------

@@ -17,6 +17,7 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.lie.lie_gauss import LIE_GAUSS_METHODS
 from hnn_vi_ros.integrators.lie.lie_leapfrog import (
     LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint, LieVariationalEuler)
+from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
 from hnn_vi_ros.integrators.runge_kutta import ExplicitEuler, RK4
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler, SymplecticEulerAdjoint
@@ -44,6 +45,7 @@ INTEGRATORS: dict[str, type[Integrator]] = {
     'lie_symplectic_euler': LieSymplecticEuler,
     'lie_symplectic_euler_adjoint': LieSymplecticEulerAdjoint,
     'lie_leapfrog': LieLeapfrog,
+    'lie_stormer_verlet': LieStormerVerlet,
     **LIE_GAUSS_METHODS,
     'explicit_euler': ExplicitEuler,
     'rk4': RK4,

@@ -112,9 +112,6 @@ def perceptron_of(path: Path, state: Mapping[str, torch.Tensor], activation: str
         The tensors are not the weights and biases of linear layers with one module between two.
 
     """
-    # Other files than those of torch.save have another order; '10' follows '2'.
-    state = dict(sorted(state.items(), key=lambda item: (
-        len(owner := item[0].rpartition('.')[0]), owner)))
     owners = list(dict.fromkeys(name.rpartition('.')[0] for name in state))
     if len({owner.rpartition('.')[0] for owner in owners}) > 1 or [
             owner.rpartition('.')[2] for owner in owners] != [

@@ -77,7 +77,10 @@ def load_tensors(path: Path, most: int) -> Any:
     content = read_limited(path, most)
     refuse_pointer(content, path, ModelError)
     if content[8:9] == b'{':
-        return safetensors.torch.load(content)
+        state = safetensors.torch.load(content)
+        # The file has an order of its own: layers come by their numbers.
+        return {name: state[name] for name in sorted(state, key=lambda name: [
+            (int(part) if part.isdecimal() else -1, part) for part in name.split('.')])}
     stream = BytesIO(content)
     if zipfile.is_zipfile(stream):
         stream = _checked_archive(stream, most, path)

@@ -420,9 +420,10 @@ def test_any_names_of_joints_are_valid_c(tmp_path):
     names = ['θ', 'φ', 'Time', '*/ "q\\']
     outputs = [one._replace(name=name, text=f'coordinate {name}')
                for name, one in zip(names, code.outputs, strict=False)]
-    write_project(tmp_path, 'int', code._replace(outputs=[*outputs, *code.outputs[len(names):]]))
+    write_project(tmp_path / 'c', 'int', code._replace(
+        outputs=[*outputs, *code.outputs[len(names):]]))
     subprocess.run(['cc', '-std=c11', '-Wall', '-Wextra', '-Wpedantic', '-Werror', '-c',
-                    'example.c'], cwd=tmp_path, check=True)
+                    'example.c'], cwd=tmp_path / 'c', check=True)
     header = (tmp_path / 'int.h').read_text()
     found = [name for name in re.findall(r'  INT_OUT_(\w+)', header) if 'TIME' in name]
     # The time keeps its name.

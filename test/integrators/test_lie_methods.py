@@ -21,6 +21,7 @@ from hnn_vi_ros.integrators import check_method, Integrator, INTEGRATORS
 from hnn_vi_ros.integrators.composition import KahanLi8, Suzuki4, Yoshida4
 from hnn_vi_ros.integrators.lie.lie_leapfrog import (
     LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint, LieVariationalEuler)
+from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
 from hnn_vi_ros.integrators.lie.rotations import RETRACTIONS
 from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
@@ -81,14 +82,15 @@ ORDERS = {
        for name, kind in METHODS.items() for retraction in RETRACTIONS},
     'yoshida4': (Yoshida4('lie_leapfrog'), (20, 40, 80)),
     'suzuki4': (Suzuki4('lie_leapfrog'), (20, 40, 80)),
-    'kahan_li8': (KahanLi8('lie_leapfrog'), (6, 9, 12)),
+    'lie_stormer_verlet': (LieStormerVerlet(), (40, 80, 160)),
+    'kahan_li8': (KahanLi8('lie_stormer_verlet'), (6, 9, 12)),
     'lie_gauss4': (INTEGRATORS['lie_gauss4'](), (20, 40, 80)),
     'lie_gauss8': (INTEGRATORS['lie_gauss8'](), (8, 16))}
 
 
 @pytest.mark.parametrize('name', mostly_long(
-    ORDERS, *(f'{name}, cayley' for name in METHODS), 'yoshida4', 'kahan_li8',
-    'lie_gauss4', 'lie_gauss8'))
+    ORDERS, *(f'{name}, cayley' for name in METHODS), 'yoshida4', 'lie_stormer_verlet',
+    'kahan_li8', 'lie_gauss4', 'lie_gauss8'))
 def test_method_on_a_group_converges_with_its_order(name: str, measured):
     method, steps = ORDERS[name]
     errors = []
@@ -150,11 +152,14 @@ def defect(derivative: np.ndarray, z: np.ndarray, end: np.ndarray) -> float:
     return float(abs(derivative.T.dot(two_form(end[4:])).dot(derivative) - two_form(z[4:])).max())
 
 
-SYMMETRIC = {f'lie_leapfrog, {retraction}': LieLeapfrog(retraction) for retraction in RETRACTIONS}
+EXPLICIT = {method.kernel_name: method
+            for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet'))}
+SYMMETRIC = {**{f'lie_leapfrog, {retraction}': LieLeapfrog(retraction)
+                for retraction in RETRACTIONS}, **EXPLICIT}
 SYMPLECTIC = {
     **{f'{name}, {retraction}': kind(retraction) for name, kind in CANONICAL.items()
        for retraction in RETRACTIONS},
-    'lie_gauss4': INTEGRATORS['lie_gauss4'](), 'yoshida4': Yoshida4('lie_leapfrog')}
+    'lie_gauss4': INTEGRATORS['lie_gauss4'](), 'yoshida4': Yoshida4('lie_leapfrog'), **EXPLICIT}
 
 
 @pytest.fixture
@@ -165,7 +170,7 @@ def exact_turns(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize('name', mostly_long(
-    SYMPLECTIC, 'lie_leapfrog, cayley', 'lie_symplectic_euler, exponential'))
+    SYMPLECTIC, 'lie_leapfrog, cayley', 'lie_symplectic_euler, exponential', 'LieStormerVerlet'))
 def test_method_on_a_group_is_symplectic_in_left_trivialised_form(
         name: str, exact_turns: None, measured):
     method, h, z = SYMPLECTIC[name], mpf('0.1'), start()
@@ -175,7 +180,8 @@ def test_method_on_a_group_is_symplectic_in_left_trivialised_form(
     assert found <= 1e-25
 
 
-@pytest.mark.parametrize('name', mostly_long(SYMMETRIC, 'lie_leapfrog, exponential'))
+@pytest.mark.parametrize('name', mostly_long(
+    SYMMETRIC, 'lie_leapfrog, exponential', 'LieStormerVerlet'))
 def test_method_on_a_group_is_symmetric(name: str, exact_turns: None, measured):
     method, h, z = SYMMETRIC[name], mpf('0.1'), start()
     found = float(abs(step(method, -h, step(method, h, z)) - z).max())
@@ -224,8 +230,9 @@ def test_lie_symplectic_euler_adjoint_is_the_adjoint(retraction: str):
 
 
 @pytest.mark.parametrize('name, n', [
-    ('lie_leapfrog', 20_000), long('lie_leapfrog', 1_000_000)])
-def test_leapfrog_on_a_group_keeps_energy_momentum_and_norm_over_long_times(
+    ('lie_leapfrog', 20_000), long('lie_leapfrog', 1_000_000),
+    long('lie_stormer_verlet', 1_000_000)])
+def test_explicit_method_keeps_energy_momentum_and_norm_over_long_times(
         name: str, n: int, measured):
     top = HeavyTop()
     run = Simulation(top, INTEGRATORS[name](), 0.01, Q, P)
@@ -276,11 +283,11 @@ def test_free_rigid_body_follows_jacobi_elliptic_functions(measured):
 
 TURNING = {**{f'{name}, {retraction}': kind(retraction) for name, kind in METHODS.items()
               for retraction in RETRACTIONS},
-           'lie_gauss8': INTEGRATORS['lie_gauss8']()}
+           **{name: INTEGRATORS[name]() for name in ('lie_gauss8', 'lie_stormer_verlet')}}
 
 
 @pytest.mark.parametrize('name', mostly_long(
-    TURNING, *(f'{name}, cayley' for name in METHODS), 'lie_gauss8'))
+    TURNING, *(f'{name}, cayley' for name in METHODS), 'lie_gauss8', 'lie_stormer_verlet'))
 def test_turn_of_nearly_pi_in_one_step_fails(name: str):
     body, fast = FreeRigidBody([1.0, 1.0, 1.0]), (Q, [0.0, 0.0, 3.1])
     half = 2.0 if 'lie_leapfrog' in name else 1.0
@@ -383,19 +390,6 @@ def test_scalar_coordinates_beside_a_rotation_step_as_by_the_flat_method(name: s
         assert np.allclose(found, expected, rtol=0.0, atol=1e-13)
 
 
-def test_pose_on_a_spring_moves_as_by_the_gauss_method():
-    spring = EFFECTS['spring'](['body'], point_in_body=[0.03, -0.04, 0.02], stiffness=4.0,
-                               anchor=[0.1, 0.0, 9.5], rest_length=0.5)
-    state = (np.array([0.0, 0.1, 10.0, *Q]), np.array([0.1, 0.2, -0.3, 0.01, -0.02, 0.03]))
-    ends = []
-    for method in (KahanLi8('lie_leapfrog'), INTEGRATORS['lie_gauss12']()):
-        run = Simulation(Uncompiled(Quadrotor()), method, 0.025, *state, effects=[spring])
-        run.advance(16)
-        ends.append(np.array([*run.q, *run.p]))
-    # Half the step changes either by 1.5e-9 at most.
-    assert np.allclose(*ends, rtol=0.0, atol=1e-8)
-
-
 def test_unknown_retraction_is_refused():
     with refused(ValueError):
         LieLeapfrog('exp')
@@ -436,6 +430,50 @@ events:
         [np.pi / 3.0, top, np.pi - top, 5.0 * np.pi / 3.0, 7.0 * np.pi / 3.0], abs=1e-12)
     assert (run.t[-1], run.q[-1, 2]) == pytest.approx((7.0 * np.pi / 3.0, -0.5), abs=1e-12)
     assert run.q.shape == (len(run.t), 4) and run.p.shape == (len(run.t), 3)
+
+
+@pytest.mark.parametrize('inertia', [[1.0, 1.0, 0.5], [1.0, 0.5, 1.0], [0.5, 1.0, 1.0],
+                                     [0.7, 0.7, 0.7]])
+def test_free_body_of_two_equal_moments_moves_exactly(inertia: list[float]):
+    body, t = FreeRigidBody(inertia), 0.8
+    run = simulation(LieStormerVerlet(), t, body, (Q, P))
+    run.advance(1)
+
+    def rates(t: float, z: np.ndarray) -> np.ndarray:
+        omega = z[4:] / np.array(inertia)
+        return np.array([*(0.5 * product(z[:4], np.array([*omega, 0.0]))),
+                         *np.cross(z[4:], omega)])
+    true = solve_ivp(rates, (0.0, t), [*Q, *P], 'DOP853', rtol=1e-13, atol=1e-14).y[:, -1]
+    # What the tolerances leave of it.
+    assert np.allclose([*run.q, *run.p], true, rtol=0.0, atol=1e-11)
+
+
+def test_pose_on_a_spring_moves_as_by_the_gauss_method():
+    spring = EFFECTS['spring'](['body'], point_in_body=[0.03, -0.04, 0.02], stiffness=4.0,
+                               anchor=[0.1, 0.0, 9.5], rest_length=0.5)
+    state = (np.array([0.0, 0.1, 10.0, *Q]), np.array([0.1, 0.2, -0.3, 0.01, -0.02, 0.03]))
+    ends = []
+    for method in (KahanLi8('lie_stormer_verlet'), INTEGRATORS['lie_gauss12']()):
+        run = Simulation(Uncompiled(Quadrotor()), method, 0.025, *state, effects=[spring])
+        run.advance(16)
+        ends.append(np.array([*run.q, *run.p]))
+    # Half the step changes either by 1.5e-9 at most.
+    assert np.allclose(*ends, rtol=0.0, atol=1e-8)
+
+
+def test_lie_stormer_verlet_refuses_what_it_cannot_take():
+    with pytest.raises(UnsupportedSystem, match='rotations or poses.* none'):
+        check_method(LieStormerVerlet(), HAMILTONIANS['pendulum']())
+    learned = LieGroupHamiltonian(random_lie_group('rotation'))
+    for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet')):
+        with refused(UnsupportedSystem):
+            check_method(method, learned)
+    learned.separable = True
+    for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet')):
+        with refused(UnsupportedSystem):
+            check_method(method, learned)
+    joined = System(FreeRigidBody([1.0, 2.0, 2.5]), [], LieStormerVerlet()).hamiltonian
+    check_method(LieStormerVerlet(), joined)
 
 
 # Gauss collocation, and all methods on a learned H.

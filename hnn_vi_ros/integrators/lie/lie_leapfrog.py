@@ -115,8 +115,8 @@ class LieLeapfrog(LieIntegrator):
     """
     Half a step of LieSymplecticEuler, then half a step of its adjoint.
 
-    Symplectic, symmetric, order 2, for any H; for scalar coordinates it is GeneralizedLeapfrog.
-    Spatial momentum is kept if H does not depend on g.
+    Symplectic, symmetric, order 2, for any H; for scalar coordinates it is GeneralizedLeapfrog. If
+    H is separable use `lie_stormer_verlet`. Spatial momentum is kept if H does not depend on g.
     """
 
     order, equations = 2, (1, 1)  # for the momenta and for the rotations

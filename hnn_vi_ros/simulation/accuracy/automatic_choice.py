@@ -31,7 +31,7 @@ from pydantic import ValidationError
 # of a limited run extrapolate to a longer one. All Gauss methods share one compiled kernel. The
 # last but one conserves the energy of coordinates that are not canonical.
 CANDIDATES = (*(f'gauss{order}' for order in range(16, 2, -2)), 'stormer_verlet',
-              'generalized_leapfrog', 'variational_euler', 'lie_leapfrog',
+              'generalized_leapfrog', 'variational_euler', 'lie_stormer_verlet', 'lie_leapfrog',
               *(f'lie_gauss{order}' for order in range(16, 2, -2)), 'variational_midpoint',
               'time_transformed')
 # Candidates for path errors, whose energy drifts.

@@ -25,10 +25,11 @@ import numpy as np
 # Order of measurement, in case the time does not suffice for all: the baselines, the scene's own
 # method, then explicit methods and all Gauss methods, which are compiled once.
 _YARDSTICKS = ('gauss8', 'lie_gauss8')
-_NEXT = ('dop853', 'stormer_verlet', 'generalized_leapfrog', 'lie_leapfrog',
+_NEXT = ('dop853', 'stormer_verlet', 'generalized_leapfrog', 'lie_stormer_verlet', 'lie_leapfrog',
          *GAUSS_METHODS, *LIE_GAUSS_METHODS, 'kahan_li8', 'rk4', 'variational_euler')
 # Compositions use the first of these that the problem supports: explicit ones cost less.
-_BASES = 'stormer_verlet', 'generalized_leapfrog', 'lie_leapfrog', 'implicit_midpoint'
+_BASES = ('stormer_verlet', 'lie_stormer_verlet', 'generalized_leapfrog', 'lie_leapfrog',
+          'implicit_midpoint')
 # The method that shortens its steps where forces are strong: useful if the strongest force is at
 # least _MIN_FORCE_RATIO times the median. It is measured last, since compiling it takes longest.
 _CLOSE_ENCOUNTERS, _MIN_FORCE_RATIO = 'time_transformed', 6.0

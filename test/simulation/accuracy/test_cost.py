@@ -161,7 +161,7 @@ def test_bodies_that_turn_are_measured_by_the_methods_made_for_them(few):
     study = measure_costs(problem_of('heavy_top'), 2.0, 60.0)
     assert study.reference.how.startswith('lie_gauss16') and not study.no_path
     assert {str(row.method) for row in study.costs} == {
-        'lie_leapfrog', 'lie_gauss8', 'kahan_li8 (base lie_leapfrog)'}
+        'lie_leapfrog', 'lie_gauss8', 'kahan_li8 (base lie_stormer_verlet)'}
     reason, = study.left_out
     assert reason == 'adds to coordinates, which a rotation (attitude) does not allow'
     assert study.cheapest(1e-9) is not None
