@@ -282,6 +282,8 @@ class JointSensorChoice(StrictModel):
         'positions by their time; none: messages have no velocities'))
     velocity_noise: _OfJoints = Field(0.0, description=(
         'standard deviation of a velocity of a sensor [rad/s] or [m/s]'))
+    effort_noise: _OfJoints = Field(0.0, description=(
+        'standard deviation of an effort [N] or [N m]'))
     delay: float = Field(0.0, ge=0.0, le=100.0, description=(
         'age of what a message holds, at its stamp [s]'))
     rate: float | None = Field(None, gt=0.0, description=(

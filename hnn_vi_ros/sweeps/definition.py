@@ -131,11 +131,12 @@ class Sweep(StrictModel):
     keep: Literal['final', 'samples'] = Field('final', description=(
         'the last state of each trajectory, or all samples'))
     statistics: list[Literal[
-        'energy_band', 'out_of_box_time', 'event_times', 'lyapunov_time']] = Field(
-            [], max_length=4, description=(
+        'energy_band', 'out_of_box_time', 'event_times', 'lyapunov_time', 'path_error']] = Field(
+            [], max_length=5, description=(
                 'of each trajectory: max - min of H over the samples [J]; time of the samples '
                 'outside the training domain of the model [s]; times of the events of the scene '
-                '[s]; Lyapunov time [s]'))
+                '[s]; Lyapunov time [s]; error of the path relative to its amplitude [1], NaN '
+                'where it is not measured'))
     reduction: Reduction | None = Field(None, description='numbers computed by a user function')
     seed: int = Field(0, ge=0, lt=2**63, description=(
         'seed of all random numbers; each depends on the seed and on its index'))

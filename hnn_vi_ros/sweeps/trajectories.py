@@ -5,6 +5,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+import math
 from typing import Any, NamedTuple, TYPE_CHECKING
 import warnings
 
@@ -59,6 +60,9 @@ def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts,
             case 'event_times':
                 found[name] = [event.t for event in trajectory.events]
                 found['events'] = [event.when for event in trajectory.events]
+            case 'path_error':
+                error = trajectory.path_error
+                found[name] = math.nan if error is None else error.largest
             case 'lyapunov_time':
                 h = parts.scene.known_step_size
                 found[name] = time_between_motions(
@@ -333,9 +337,11 @@ class CachedScene:
         found = record_block(simulation, q, p, indices[0], schedule, self._all_measured)
         for k, index in enumerate(indices):
             if self._is_measured(index) and not self._all_measured:
-                found.alarms[k] += measure_alone(self.parts, q[k], p[k], schedule)[1]
-        return self._several(
-            schedule.times(simulation.step_size), found.q, found.p, found.alarms)
+                found.errors[k], alarms = measure_alone(self.parts, q[k], p[k], schedule)
+                found.alarms[k] += alarms
+        return replace(self._several(
+            schedule.times(simulation.step_size), found.q, found.p, found.alarms),
+            path_error=tuple(found.errors))
 
     def _several(self, t: np.ndarray, q: np.ndarray, p: np.ndarray,
                  alarms: list[list[Alarm]]) -> Trajectory:

@@ -215,12 +215,14 @@ def test_only_one_shard_and_one_block_are_held_at_a_time(tmp_path, monkeypatch):
 def test_statistics_are_those_of_the_samples(tmp_path):
     definition = {'scene': 'pendulum', 'duration': 1.0, 'every': 5, 'vary': [
         BOX | {'low': [-3.0, -8.0], 'high': [3.0, 8.0], 'count': 33}],
-        'statistics': ['energy_band', 'out_of_box_time']}
+        'statistics': ['energy_band', 'out_of_box_time', 'path_error']}
     table = table_of(sweep(definition, tmp_path / 'out'))
     q, p = (np.array(table[key])[:, None] for key in STATE)
     many = simulate_many('pendulum', q, p, 1.0, samples=20, threads=1)
     assert np.array_equal(np.array(table['energy_band']),
                           many.energy.max(axis=0) - many.energy.min(axis=0))
+    assert np.array(table['path_error']) == pytest.approx(
+        [error.largest for error in many.path_error], rel=1e-9)
     (q_low, q_high), (p_low, p_high) = (
         half[0] for half in load_scene('pendulum').create_hamiltonian().box)
     outside = (many.q < q_low) | (many.q > q_high) | (many.p < p_low) | (many.p > p_high)

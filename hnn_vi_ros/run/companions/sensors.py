@@ -100,9 +100,10 @@ class JointSensor:
             raise ValueError('the scene has no joints, which joint_states would report')
         choice.check(joints)
         self._choice, self._joints = choice, joints
-        self._noise, self._bias, self._resolution, self._velocity_noise = (
+        self._noise, self._bias, self._resolution, self._velocity_noise, self._effort_noise = (
             np.broadcast_to(np.asarray(value, dtype=np.float64), joints) for value in (
-                choice.noise, choice.bias, choice.quantisation, choice.velocity_noise))
+                choice.noise, choice.bias, choice.quantisation, choice.velocity_noise,
+                choice.effort_noise))
         samples = 1.0 if choice.rate is None else 1.0 / (choice.rate * every * step_size)
         whole = max(1, round(samples))
         if abs(samples - whole) > _RATE_TOLERANCE * samples:
@@ -147,7 +148,7 @@ class JointSensor:
         choice = self._choice
         draw = np.random.Generator(np.random.Philox(key=choice.seed, counter=step))
         lost = draw.random() < choice.dropout
-        noise = draw.standard_normal((2, self._joints))
+        noise = draw.standard_normal((3, self._joints))
         found = self._at(step - self._delay)
         position = found.position + self._bias + self._noise * noise[0]
         coarse = self._resolution > 0.0
@@ -160,7 +161,8 @@ class JointSensor:
         elif not self.has_velocities:
             velocity = np.empty(0)
         self._before = position
-        return None if lost else JointReading(position, velocity, found.effort)
+        return None if lost else JointReading(
+            position, velocity, found.effort + self._effort_noise * noise[2])
 
     @property
     def settled(self) -> bool:
