@@ -424,11 +424,11 @@ def test_any_names_of_joints_are_valid_c(tmp_path):
         outputs=[*outputs, *code.outputs[len(names):]]))
     subprocess.run(['cc', '-std=c11', '-Wall', '-Wextra', '-Wpedantic', '-Werror', '-c',
                     'example.c'], cwd=tmp_path / 'c', check=True)
-    header = (tmp_path / 'int.h').read_text()
+    header = (tmp_path / 'c' / 'int.h').read_text()
     found = [name for name in re.findall(r'  INT_OUT_(\w+)', header) if 'TIME' in name]
     # The time keeps its name.
     assert found == ['TIME_2', 'TIME']
-    assert '"*/ \\"q\\\\ [N m]"' in (tmp_path / 'example.c').read_text()
+    assert '"*/ \\"q\\\\ [N m]"' in (tmp_path / 'c' / 'example.c').read_text()
 
 
 def test_two_scenes_are_linked_into_one_program(tmp_path):
