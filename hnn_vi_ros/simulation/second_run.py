@@ -171,6 +171,11 @@ class _Stretch:
     told : set of int
         Trajectories whose alarm was raised.
 
+    Attributes
+    ----------
+    errors : list of PathError
+        Path error of each trajectory, when it was judged last.
+
     """
 
     def __init__(self, simulation: Simulation, repetition: Repetition, most: int,
@@ -192,7 +197,7 @@ class _Stretch:
         self._early = np.zeros_like(self._motion.values(q[None])[0])
         self._first: list[np.ndarray] | None = (
             None if 1 in repetition.strides or repetition.adaptive else [])
-        self._told = told
+        self._told, self.errors = told, list[PathError]()
 
     def _other(self, k: int) -> _Other:
         run, repetition = self._simulation, self._repetition
@@ -234,7 +239,7 @@ class _Stretch:
         found = list[tuple[int, Alarm]]()
         while not self._judged and self._judged_next <= taken:
             self._follow(self._judged_next)
-            found += self._alarms(self._judged_next)
+            found += self._judge(self._judged_next)
             other = self.second if self.third is None else self.third
             turned_by = self.turns.ends[1] <= self._judged_next
             self._judged = other.ended or (self._until_turned and bool(turned_by.all()))
@@ -243,7 +248,7 @@ class _Stretch:
         if not self._judged:
             self._follow(math.inf if end else self._judged_next, end)
             if end:
-                found += self._alarms(taken)
+                found += self._judge(taken)
         self._judged = self._judged or end
         self.over = self.over or self._judged
         return found
@@ -269,8 +274,8 @@ class _Stretch:
             separation.add(np.arange(len(q)), q, other.reshape(q.shape), end=True)
         self._early = separation.apart
 
-    def error(self, row: int, steps: int) -> PathError:
-        """Return the path error of a trajectory that was judged at a number of steps."""
+    def _error(self, row: int, steps: int) -> PathError:
+        """Return the path error of a trajectory that is judged at a number of steps."""
         second = self.second.separation
         early = float(second.share(self._early)[row])
         return path_error_of(
@@ -278,11 +283,11 @@ class _Stretch:
             None if self.third is None else self.third.separation, self.turns, row,
             LIMIT if steps >= _MIN_JUDGED_STEPS else FEW_STEPS_LIMIT)
 
-    def _alarms(self, steps: int) -> Iterator[tuple[int, Alarm]]:
-        """Yield the alarm of each trajectory that was judged at a number of steps, once."""
+    def _judge(self, steps: int) -> Iterator[tuple[int, Alarm]]:
+        """Judge the trajectories at a number of steps; yield the alarm of each, once."""
         h = self._simulation.step_size
-        for row in range(self._motion.start.shape[0]):
-            error = self.error(row, steps)
+        self.errors = [self._error(row, steps) for row in range(len(self._motion.start))]
+        for row, error in enumerate(self.errors):
             if row in self._told:
                 continue
             if not math.isnan(error.lost):
@@ -349,7 +354,7 @@ class SecondRun:
     Attributes
     ----------
     errors : list of PathError
-        Path error of each trajectory in the first stretch, as far as it is known.
+        Path error of each trajectory in the first stretch, when it was judged last.
 
     """
 
@@ -422,8 +427,8 @@ class SecondRun:
         """Follow the run as far as it is known, and publish what is found."""
         for stretch in self._stretches:
             self._alarms += stretch.work(end)
-        self.errors = [stretch.error(row, stretch.taken) for stretch in self._stretches[:1]
-                       for row in range(self._rows)]
+        if self._stretches:
+            self.errors = self._stretches[0].errors
 
     def alarms(self) -> list[tuple[int, Alarm]]:
         """Return the alarms found since the last call, each with the index of its trajectory."""
