@@ -61,6 +61,7 @@ def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
             columns = tree.columns(*map(torch.tensor, (q, v, a))).numpy()
         tau = columns @ values.ravel() + damping * v + friction * np.tanh(v / _SPEED)
         size = np.sqrt(np.mean(tau**2, axis=0))
+        # Three draws: the random numbers that follow are those of stored results.
         tau += data.noise_tau * size * rng.normal(size=(3, len(t), d))[2]
         runs.append(Motion(f'run{number}', f'run{number}', t, q, v, tau, a))
     return even_motions(Recording(
