@@ -291,7 +291,7 @@ def _run_driven(job: Job, simulation: Simulation, measured: Measured) -> Measure
 
 def _report(job: Job, simulation: Simulation) -> PathReport:
     """Have a run take its steps a second time; return the report of its path error."""
-    report = PathReport('measured')
+    report = PathReport()
     report.follow(simulation, job.steps, period=None)
     return report
 

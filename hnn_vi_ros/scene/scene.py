@@ -80,6 +80,9 @@ class Scene(StrictModel):
         lambda value: 'off' if value is False else value)] = Field('measured', description=(
         'measured: the run is taken again with other steps, and reports the error of its path; '
         'off: it is taken once'))
+    path_tolerance: float | None = Field(None, gt=0.0, le=1e9, description=(
+        'time until which a path error of 10 % of the amplitude is an alarm [s]; by default ten '
+        'turns of the slowest coordinate that oscillates, one in chaos, or the whole run'))
     energy_by_cause: bool = Field(False, description=(
         'account for the energy by cause: the work, the stored energy and the heat of each effect '
         'and of its joints'))
@@ -101,7 +104,8 @@ class Scene(StrictModel):
               uncertainty: Mapping[str, Any] | None = None, on_failure: str = 'substep',
               measurements: Mapping[str, Any] | None = None, mechanism: str | None = None,
               description: str = '', name: str = 'scene', duration: float = 10.0,
-              energy_by_cause: bool = False, path_error: str = 'measured') -> 'Scene':
+              energy_by_cause: bool = False, path_error: str = 'measured',
+              path_tolerance: float | None = None) -> 'Scene':
         """
         Return a scene created without a file, validated as a YAML file is.
 
@@ -137,6 +141,8 @@ class Scene(StrictModel):
             Account for the energy by cause; see ``Trajectory.energy_by_cause``.
         path_error : str, optional
             ``'measured'`` or ``'off'``; see PathError.
+        path_tolerance : float, optional
+            Time until which a path error of 10 % is an alarm [s], by default ten turns.
 
         Raises
         ------
@@ -161,7 +167,8 @@ class Scene(StrictModel):
             'integrator': integrator, 'step_size': step_size, 'initial_state': state,
             'on_failure': on_failure, 'events': events, 'invariants': invariants,
             'uncertainty': uncertainty, 'measurements': measurements, 'mechanism': mechanism,
-            'duration': duration, 'energy_by_cause': energy_by_cause, 'path_error': path_error})
+            'duration': duration, 'energy_by_cause': energy_by_cause, 'path_error': path_error,
+            'path_tolerance': path_tolerance})
         return _validated(data, f'Scene.build {name}')._placed_at(Origin(Path(name)))
 
     def _placed_at(self, origin: Origin) -> 'Scene':

@@ -320,8 +320,8 @@ class PathError:
     limit : float
         Error that is an alarm before the time `needed`.
     needed : float
-        Time until which the path must be kept for the run to be called right [s]: ten turns of
-        the slowest coordinate that oscillates, one in chaos; inf before.
+        Time until which the path must be kept for the run to be called right [s]: that of the
+        scene, or ten turns of the slowest coordinate that oscillates, one in chaos; inf before.
     exponent : float
         Exponent of the step size, or of the tolerance, in the error; NaN for a bound.
     reason : str
@@ -394,7 +394,7 @@ def _share(share: float) -> str:
 
 def path_error_of(repetition: Repetition, step_size: float, origin: int, early: float,
                   second: Separation, third: Separation | None, turns: Turns, row: int,
-                  limit: float = LIMIT) -> PathError:
+                  needed: float | None = None, limit: float = LIMIT) -> PathError:
     """
     Return the path error of a trajectory from its distances.
 
@@ -414,16 +414,19 @@ def path_error_of(repetition: Repetition, step_size: float, origin: int, early: 
         Turns of the run.
     row : int
         Index of the trajectory.
+    needed : float, optional
+        Time until which the path must be kept [s]; by default for ten turns, one in chaos.
     limit : float, optional
         Error that is an alarm.
 
     """
     steps, value = second.at(row)
-    ten = float(turns.ends[1, row])
+    one, ten = ((origin + float(end)) * step_size if needed is None else needed
+                for end in turns.ends[:, row])
     if third is None:
         return PathError((origin + steps) * step_size,
                          np.maximum(repetition.bound * value, 2.0 * early),
-                         limit=limit, needed=(origin + ten) * step_size)
+                         limit=limit, needed=ten)
     at, finer = third.at(row)
     # Behind a lost path, where the comparisons end, nothing is known.
     steps, value = steps[:_until_lost(value)], value[:_until_lost(value)]
@@ -441,9 +444,8 @@ def path_error_of(repetition: Repetition, step_size: float, origin: int, early: 
     end = _until_lost(error)
     at, error, exponents = at[:end], error[:end], exponents[:end]
     doubling = _doubling(at, error)
-    ends = turns.ends[0 if not math.isnan(doubling) else 1, row]
     return PathError((origin + at) * step_size, error, True, doubling * step_size, limit,
-                     (origin + float(ends)) * step_size,
+                     ten if math.isnan(doubling) else one,
                      float(exponents[-1]) if small.size else repetition.exponents[1])
 
 

@@ -4,7 +4,6 @@
 
 from collections import deque
 from collections.abc import Iterator
-from contextlib import suppress
 import math
 import sys
 from threading import Event
@@ -12,6 +11,7 @@ from typing import cast, NamedTuple
 
 from hnn_vi_ros.effects import Command
 from hnn_vi_ros.errors import HnnViRosError, StepFailure
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.guards.base import Alarm, Guard, StateGuard
 from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.samples import Observed
@@ -90,13 +90,19 @@ class _Other:
         self._next, self._steps, self._q = 0, np.empty(0, int), np.empty(0)
         simulation.put_from(run, row)
 
-    def follow(self, items: 'list[_Block | Command]', until: float) -> None:
-        """Follow the items that are new, until a step of the run."""
+    def follow(self, items: 'list[_Block | Command]', until: float, wait: bool) -> bool:
+        """
+        Follow the items that are new, until a step of the run.
+
+        Return False if a step needs a rescue that is still being compiled, and `wait` is False:
+        the next call goes on there.
+        """
+        self._simulation.rescue_ready = wait or self._run.rescue_ready
         try:
             while not self.ended and (len(self._steps) or self._next < len(items)):
                 if len(self._steps):
                     if self._steps[0] > until:
-                        return
+                        return True
                     self._take(until)
                 elif isinstance(item := items[self._next], _Block):
                     self._gather(items)
@@ -104,16 +110,17 @@ class _Other:
                     self._simulation.set_command(item, limited=False)
                     self._next += 1
         except RescuePending:
-            # Tried again at the next call.
-            return
+            return False
         except (HnnViRosError, ValueError):
             # The steps of the run itself succeeded.
             self.ended, self.failed = True, float(self._steps[0]) if len(self._steps) else 0.0
+        return True
 
-    def alone(self, step_size: float, row: np.ndarray, samples: int, every: int) -> np.ndarray:
+    def alone(self, step_size: float, row: np.ndarray, samples: int, every: int, wait: bool
+              ) -> np.ndarray:
         """Return q of a run of another step size, before this one begins; both from a row."""
         simulation, own = self._simulation, self._simulation.step_size
-        simulation.step_size = step_size
+        simulation.step_size, simulation.rescue_ready = step_size, wait or self._run.rescue_ready
         try:
             return simulation.record(samples, every)[0]
         finally:
@@ -134,7 +141,6 @@ class _Other:
         """Compare the next instants, in parts: little is then computed behind a lost path."""
         simulation, row = self._simulation, self._simulation.row
         size = min(_PART, int(np.searchsorted(self._steps, until, side='right')))
-        simulation.rescue_ready = self._run.rescue_ready
         while True:
             try:
                 other, _ = simulation.record(size, self._own)
@@ -168,6 +174,8 @@ class _Stretch:
         Judge it also before its end.
     expected : float
         Number of steps of the whole run; inf if it is not known.
+    needed : float, optional
+        Time until which the path must be kept [s]; see SecondRun.
     told : set of int
         Trajectories whose alarm was raised.
 
@@ -179,9 +187,10 @@ class _Stretch:
     """
 
     def __init__(self, simulation: Simulation, repetition: Repetition, most: int,
-                 until_turned: bool, live: bool, expected: float, told: set[int]):
-        self._simulation, self._repetition, self._until_turned, self._expected = (
-            simulation, repetition, until_turned, expected)
+                 until_turned: bool, live: bool, expected: float, needed: float | None,
+                 told: set[int]):
+        self._simulation, self._repetition, self._until_turned, self._expected, self._needed = (
+            simulation, repetition, until_turned, expected, needed)
         self.origin, self.most, self.taken, self.over = simulation.steps, most, 0, False
         # Alarms do not depend on the speed of the machine: the run is judged at these steps.
         self._judged_next, self._judged = _MIN_JUDGED_STEPS if live else sys.maxsize, False
@@ -232,13 +241,14 @@ class _Stretch:
         if turned:
             self.turns.add(turned[0][0], np.concatenate([q for _, q in turned]))
         if self._first is not None:
-            if taken < _SHORT and not end:
+            if (taken < _SHORT and not end) or not self._compare_first(
+                    np.concatenate(self._first), end):
                 return []
-            self._compare_first(np.concatenate(self._first))
             self._first = None
         found = list[tuple[int, Alarm]]()
         while not self._judged and self._judged_next <= taken:
-            self._follow(self._judged_next)
+            if not self._follow(self._judged_next, end):
+                return found
             found += self._judge(self._judged_next)
             other = self.second if self.third is None else self.third
             turned_by = self.turns.ends[1] <= self._judged_next
@@ -246,15 +256,16 @@ class _Stretch:
             self._judged_next = min(math.ceil(_JUDGED * self._judged_next), max(
                 self.most, self._judged_next + 1))
         if not self._judged:
-            self._follow(math.inf if end else self._judged_next, end)
+            self._follow(math.inf if end else self._judged_next, end, end)
             if end:
                 found += self._judge(taken)
         self._judged = self._judged or end
         self.over = self.over or self._judged
         return found
 
-    def _follow(self, until: float, end: bool = False) -> None:
-        self.second.follow(self._items, until)
+    def _follow(self, until: float, wait: bool, end: bool = False) -> bool:
+        """Follow the run; `end` if no steps follow. Return False as `_Other.follow` does."""
+        complete = self.second.follow(self._items, until, wait)
         if end:
             self.second.separation.finish()
         if self.third is None and (
@@ -262,17 +273,25 @@ class _Stretch:
                 or (self._repetition.bound * self.second.separation.last > ACCURATE).any()):
             self.third = self._other(1)
         if self.third is not None:
-            self.third.follow(self._items, until)
+            complete = self.third.follow(self._items, until, wait) and complete
             if end:
                 self.third.separation.finish()
+        return complete
 
-    def _compare_first(self, q: np.ndarray) -> None:
-        """Compare the first states with those of a run with h / 2."""
+    def _compare_first(self, q: np.ndarray, wait: bool) -> bool:
+        """Compare the first states with those of a run with h / 2; False as `_Other.follow`."""
         separation = Separation(self._motion, len(q))
-        with suppress(StepFailure, RescuePending):
-            other = self.second.alone(0.5 * self._simulation.step_size, self._row, len(q), 2)
+        try:
+            other = self.second.alone(
+                0.5 * self._simulation.step_size, self._row, len(q), 2, wait)
             separation.add(np.arange(len(q)), q, other.reshape(q.shape), end=True)
+        except RescuePending:
+            return False
+        except StepFailure:
+            # Where the second run fails too, it is said.
+            pass
         self._early = separation.apart
+        return True
 
     def _error(self, row: int, steps: int) -> PathError:
         """Return the path error of a trajectory that is judged at a number of steps."""
@@ -280,7 +299,7 @@ class _Stretch:
         early = float(second.share(self._early)[row])
         return path_error_of(
             self._repetition, self._simulation.step_size, self.origin, early, second,
-            None if self.third is None else self.third.separation, self.turns, row,
+            None if self.third is None else self.third.separation, self.turns, row, self._needed,
             LIMIT if steps >= _MIN_JUDGED_STEPS else FEW_STEPS_LIMIT)
 
     def _judge(self, steps: int) -> Iterator[tuple[int, Alarm]]:
@@ -347,6 +366,9 @@ class SecondRun:
         second run follows it.
     steps : float, optional
         Number of steps of the run, if known.
+    needed : float, optional
+        Time until which the path must be kept [s]; by default for ten turns of the slowest
+        coordinate that oscillates, one in chaos.
     period : float, optional
         Repeat the run in a thread beside it, if it has many steps, and wait for as long between
         two looks at it [s]; without it the run is repeated at its end.
@@ -359,9 +381,9 @@ class SecondRun:
     """
 
     def __init__(self, simulation: Simulation, steps: float = math.inf,
-                 period: float | None = None):
+                 needed: float | None = None, period: float | None = None):
         self._simulation, self._repetition = simulation, _repetition(simulation, steps)
-        self._steps = steps
+        self._steps, self._needed = steps, needed
         self._most = max(_SHORT, min(_MAX_STEPS, _MAX_NUMBERS // max(simulation.q.size, 1)))
         self._chunk = _FIRST_BLOCK
         self._stretches, self._next = list[_Stretch](), simulation.steps
@@ -385,7 +407,7 @@ class SecondRun:
                 return self._next - steps, False
             self._stretches.append(now := _Stretch(
                 simulation, self._repetition, self._most, bool(self._stretches),
-                bool(self._period or self._stretches), self._steps, self._told))
+                bool(self._period or self._stretches), self._steps, self._needed, self._told))
             self._next = self._first + 2 * max(steps - self._first, self._most)
             self._expected = steps
         return min(now.most - now.taken, self._chunk), True
@@ -458,21 +480,35 @@ class PathReport:
 
     Parameters
     ----------
-    wanted : str
-        ``'measured'``, or ``'off'``, as in a scene.
+    wanted : bool, optional
+        False to take the run once.
+    needed : float, optional
+        Time until which the path must be kept [s]; see SecondRun.
+
+    Attributes
+    ----------
+    finished : bool
+        The run was followed to its end.
 
     """
 
-    def __init__(self, wanted: str):
-        self._off, self._reason = wanted == 'off', OFF
+    def __init__(self, wanted: bool = True, needed: float | None = None):
+        self._wanted, self._needed, self._reason, self.finished = wanted, needed, OFF, False
         self._second: SecondRun | None = None
+
+    @classmethod
+    def of(cls, scene: Scene, wanted: bool = True) -> 'PathReport':
+        """Return the path report of a run of a scene, if it is also `wanted` otherwise."""
+        return cls(wanted and scene.path_error == 'measured', scene.path_tolerance)
 
     def follow(self, simulation: Simulation, steps: float = math.inf,
                period: float | None = _PERIOD) -> None:
         """Follow the next steps of a simulation; see SecondRun."""
         self.close()
-        self._reason = OFF if self._off else _refusal(simulation)
-        self._second = None if self._reason else SecondRun(simulation, steps, period)
+        self.finished = False
+        self._reason = _refusal(simulation) if self._wanted else OFF
+        self._second = None if self._reason else SecondRun(
+            simulation, steps, self._needed, period)
         simulation.follow_by(self._second)
 
     def errors(self, rows: int = 1) -> list[PathError]:
@@ -483,6 +519,7 @@ class PathReport:
 
     def finish(self) -> list[tuple[int, Alarm]]:
         """Follow the run to its end; return the new alarms."""
+        self.finished = True
         return [] if self._second is None else self._second.finish()
 
     def close(self) -> None:

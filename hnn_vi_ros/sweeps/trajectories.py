@@ -14,8 +14,9 @@ from hnn_vi_ros.files import one_line
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.scene import load_code, Parts, with_values
 from hnn_vi_ros.simulation import (
-    Alarm, build_at, drawn, judge_many, MAX_MEASURED_STEPS, measure_alone, record_block,
-    record_one, Schedule, System, time_between_motions, Trajectory, watched, whole_steps)
+    Alarm, build_at, drawn, judge_many, MAX_MEASURED_STEPS, measure_alone, PathReport,
+    record_block, record_one, Schedule, System, time_between_motions, Trajectory, watched,
+    whole_steps)
 from hnn_vi_ros.sweeps.definition import Reduction
 from hnn_vi_ros.sweeps.plan import SweepPlan
 import numpy as np
@@ -334,7 +335,8 @@ class CachedScene:
         q, p = self.states(rows)
         simulation = self._simulation('block', q, p)
         schedule = Schedule.until(self._plan.sweep.duration, self._every, simulation)
-        found = record_block(simulation, q, p, indices[0], schedule, self._all_measured)
+        found = record_block(simulation, q, p, indices[0], schedule,
+                             PathReport.of(self.parts.scene, self._all_measured))
         for k, index in enumerate(indices):
             if self._is_measured(index) and not self._all_measured:
                 found.errors[k], alarms = measure_alone(self.parts, q[k], p[k], schedule)
@@ -385,8 +387,8 @@ class CachedScene:
         # Each index has its own noise stream.
         simulation.restart(q[0], p[0], stream=index)
         schedule = Schedule.until(self._plan.sweep.duration, self._every, simulation)
-        return replace(record_one(simulation, schedule, path_error=(
-            'measured' if self._is_measured(index) else 'off')), scene=self.parts.scene)
+        return replace(record_one(simulation, schedule, report=PathReport.of(
+            self.parts.scene, self._is_measured(index))), scene=self.parts.scene)
 
     @property
     def _all_measured(self) -> bool:

@@ -138,6 +138,7 @@ def test_log_tells_lifecycle_changes_pauses_and_where_the_bag_is(tmp_path):
             'inactive -> active', 'pause ended', 'paused', f'recording to {bag}-2', 'reset',
             'active -> inactive', 'stopped by SIGINT']
     assert [line for line in lines if line in told] == told
+    assert 'path error not measured: too few steps were taken' in lines[lines.index(told[-1]):]
 
 
 def test_run_folder_is_named_for_the_scene_and_the_second_and_that_of_another_is_left_to_it(

@@ -125,7 +125,7 @@ class Run:
             publish=lambda statuses, stamp: None), self.recording, lambda *line: None)
         self.status = RunStatus(
             scene, self.simulation, self.sampler, self.monitor, self.recording, self.health,
-            PathReport('off'))
+            PathReport(False))
         self.factor = factor
 
     def advance(self, count: int) -> None:

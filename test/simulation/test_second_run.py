@@ -5,6 +5,7 @@
 import re
 import warnings
 
+from helpers import plain_run
 from hnn_vi_ros import load_scene, Scene, simulate, simulate_many
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.simulation import build, PathReport, second_run, Simulation
@@ -117,7 +118,7 @@ def test_rotations_are_compared_by_their_angles():
 
 @pytest.mark.parametrize('period', [None, 0.0])
 def test_second_run_leaves_no_trace_and_threads_change_no_result(period):
-    simulation, report = build(orbit()), PathReport('measured')
+    simulation, report = build(orbit()), PathReport()
     report.follow(simulation, 1008, period)
     q, _ = simulation.record(1008, 1)
     alarms = [alarm for _, alarm in report.finish()]
@@ -129,9 +130,25 @@ def test_second_run_leaves_no_trace_and_threads_change_no_result(period):
     assert np.array_equal(found.value, expected.path_error.value)
 
 
+def test_alarms_do_not_depend_on_when_a_rescue_is_compiled():
+    """Here the second run needs one in its first steps, the run itself does not."""
+    found = []
+    for ready in (True, False):
+        simulation, report = plain_run('tao', 'generalized_leapfrog', 0.35, [1.6], [0.0]), \
+            PathReport()
+        simulation.rescue_ready = ready
+        report.follow(simulation, period=0.0)
+        simulation.record(600, 1)
+        found.append(([alarm for _, alarm in report.finish()], report.errors()[0]))
+        assert simulation.rescued == 0
+    (expected, error), (alarms, other) = found
+    assert alarms == expected != []
+    assert np.array_equal(other.value, error.value)
+
+
 @pytest.mark.parametrize('how', ['restart', 'restore', 'restart at a step'])
 def test_comparison_begins_anew_where_the_state_is_replaced(how):
-    simulation, report = build(OSCILLATOR), PathReport('measured')
+    simulation, report = build(OSCILLATOR), PathReport()
     report.follow(simulation, period=None)
     simulation.record(150, 1)
     snapshot = simulation.snapshot()
@@ -227,7 +244,7 @@ def test_coarser_run_that_fails_leaves_the_finer_one(monkeypatch):
 def test_failure_of_a_step_is_raised_where_no_step_of_a_block_succeeded(tmp_path):
     """A node takes few steps at a time."""
     (tmp_path / 'scene.yaml').write_text(FAILING)
-    simulation, report = build(load_scene(tmp_path / 'scene.yaml')), PathReport('measured')
+    simulation, report = build(load_scene(tmp_path / 'scene.yaml')), PathReport()
     report.follow(simulation, period=None)
     with pytest.raises(StepFailure):
         for _ in range(100):
@@ -250,6 +267,18 @@ def test_path_must_be_kept_for_ten_turns(h, told):
     assert (KIND in [alarm.kind for alarm in run.alarms]) == told
     assert run.path_error.largest > 0.1 and 62.0 < run.path_error.needed < 65.0
     assert run.path_error.until(0.1) == pytest.approx(1.2 / h**2, rel=0.1)
+
+
+@pytest.mark.parametrize('h, until, told', [(0.1, 150.0, True), (0.15, 40.0, False)])
+def test_path_must_be_kept_for_the_time_of_the_scene(h, until, told):
+    run = simulate(OSCILLATOR.changed({'path_tolerance': until}), 200.0, step_size=h)
+    assert (KIND in [alarm.kind for alarm in run.alarms]) == told
+    assert run.path_error.needed == until
+    chaotic = simulate('exact_double_pendulum', 20.0, initial_state={
+        'q': [2.5, 2.0], 'p': [0.0, 0.0]}, integrator='gauss4')
+    assert KIND not in [alarm.kind for alarm in chaotic.alarms]
+    kept = simulate(chaotic.scene.changed({'path_tolerance': 20.0}), 20.0)
+    assert KIND in [alarm.kind for alarm in kept.alarms]
 
 
 @pytest.mark.parametrize('method, h', [

@@ -124,7 +124,7 @@ def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict
         where = 'under conditions other than those of the log, where ' + ', '.join(
             f'{name} is {value}' for name, value in others.items()) if there \
             else 'of a log that states neither machine nor versions'
-    begin, path_error = simulation.steps, PathReport(run.scene.path_error)
+    begin, path_error = simulation.steps, PathReport.of(run.scene)
     path_error.follow(simulation, period=0.0)
     readings = _Readings(run, simulation)
     samples, difference = _first_difference(run, simulation, readings)

@@ -97,7 +97,7 @@ class Run:
             node, partial(topics.send, DIAGNOSTICS), self.scene.name)
         self._warn_of_crowd = RepetitionFilter(lambda text: self.tell(text, 'WARN'))
         self.lockstep = prepared.lockstep
-        self._path_error = PathReport(self.scene.path_error)
+        self._path_error = PathReport.of(self.scene)
         monitor = self._make_monitor()
         self._status = StatusLine(node.get_logger().info, monitor.energy.energy_unit)
         topics.open(
@@ -396,6 +396,8 @@ class Run:
     def close(self) -> bool:
         """Close and report the files, without ROS; return True if they are complete."""
         self._path_error.close()
+        if not self._path_error.finished:
+            self.tell(str(self._path_error), 'INFO')
         self._status.close()
         complete = self.recording.close()
         self.recording.report()

@@ -231,7 +231,8 @@ class _Many:
             return record_block(
                 simulation, self.q[0, block], self.p[0, block], block.start,
                 Schedule(0, 1, self.t[1:samples + 1]) if self._share or not self._every else
-                Schedule(samples, self._every, np.empty(0)), together)
+                Schedule(samples, self._every, np.empty(0)),
+                PathReport.of(self.parts.scene, together))
         in_blocks(self.count, size, threads, lambda first: self._kept(take, size))
 
     def follow(self, commands: ManyCommands, threads: int | None, device: str | None) -> None:
@@ -382,7 +383,7 @@ class _Many:
 def measure_alone(parts: Parts, q: np.ndarray, p: np.ndarray, schedule: Schedule,
                   commands: Commands | None = None) -> tuple[PathError, list[Alarm]]:
     """Simulate a trajectory again, alone; return its path error, and the alarm about it."""
-    simulation, report = build_at(parts, q, p), PathReport('measured')
+    simulation, report = build_at(parts, q, p), PathReport.of(parts.scene)
     report.follow(simulation, schedule.steps(simulation.step_size), period=None)
     # A failure is known already.
     with suppress(StepFailure, StateError):
@@ -446,7 +447,7 @@ def _checked_numbers(name: str, values: Any, shapes: list[tuple[int, ...]]) -> n
 
 
 def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
-                 schedule: Schedule, path_error: bool = False) -> Recorded:
+                 schedule: Schedule, report: PathReport) -> Recorded:
     """
     Record samples of trajectories that step together.
 
@@ -460,8 +461,8 @@ def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: i
         Number of the noise stream.
     schedule : Schedule
         Schedule of the samples.
-    path_error : bool, optional
-        Measure the path errors.
+    report : PathReport
+        Path errors of the trajectories.
 
     Returns
     -------
@@ -476,7 +477,6 @@ def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: i
     """
     simulation.restart(q, p, stream=stream)
     watch = watch_of_block(simulation)
-    report = PathReport('measured' if path_error else 'off')
     report.follow(simulation, schedule.steps(simulation.step_size), period=None)
     found = record(simulation, schedule, observe=watch.observe)
     watch.update(look_at_block(simulation))

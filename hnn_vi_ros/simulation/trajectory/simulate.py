@@ -129,7 +129,7 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
     end = parts.scene.duration if duration is None else duration
     schedule = Schedule.at(times, end) if times is not None else Schedule.until(
         end, int(every), simulation)
-    found = record_one(simulation, schedule, commands, parts.scene.path_error)
+    found = record_one(simulation, schedule, commands, PathReport.of(parts.scene))
     tell(list(found.alarms), simulation.step_size)
     return replace(found, scene=parts.scene)
 
@@ -160,7 +160,7 @@ def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = N
 
 
 def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | None = None,
-               path_error: str = 'measured') -> Trajectory:
+               report: PathReport | None = None) -> Trajectory:
     """
     Simulate one trajectory without emitting warnings.
 
@@ -172,8 +172,8 @@ def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | 
         Schedule of the samples.
     commands : callable or array, optional
         See ``simulate``.
-    path_error : str, optional
-        ``'measured'``, or ``'off'``.
+    report : PathReport, optional
+        Path error of the run, by default measured.
 
     Returns
     -------
@@ -186,7 +186,7 @@ def record_one(simulation: Simulation, schedule: Schedule, commands: Commands | 
         See ``simulate``.
 
     """
-    report = PathReport(path_error)
+    report = report or PathReport()
     report.follow(simulation, schedule.steps(simulation.step_size), period=0.0)
     watch = Watch(RunFacts(simulation))
     try:
