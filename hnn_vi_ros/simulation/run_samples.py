@@ -184,8 +184,6 @@ def record(simulation: Simulation, schedule: Schedule, commands: Commands | None
     except StoppedByEvent as stop:
         parts += [(stop.q, stop.p), (stop.event.q[None], stop.event.p[None])]
         t = np.append(t[:sum(len(q) for q, _ in parts) - 1], stop.event.t)
-    if isinstance(simulation, CommandedSimulation):
-        simulation.check_course()
     q, p = (np.concatenate(halves) for halves in zip(*parts, strict=True))
     ledger = simulation.ledger
     if simulation.conservative and ledger is None:
@@ -234,7 +232,7 @@ class CommandedSimulation(_Simulation):
 
     def __init__(self, simulation: Simulation, commands: Commands, schedule: Schedule):
         self._simulation, self._every = simulation, schedule.every
-        self._commands, self._course = commands, _Course()
+        self._commands = commands
         if not callable(commands):
             samples = schedule.samples + schedule.rest.size
             self._commands = rows = check_numbers('commands', commands)
@@ -268,32 +266,46 @@ class CommandedSimulation(_Simulation):
 
     def _set_command(self) -> None:
         own, commands = self._simulation, self._commands
-        if callable(commands):
-            command = commands(own.time)
-            own.set_command(command)
-            self._course.add(command)
-        else:
-            own.set_command(commands[own.steps // self._every])
-
-    def check_course(self) -> None:
-        """Warn of a smooth function of the time that changes much while its values are held."""
-        if self._course.share > _MAX_HELD_SHARE:
-            warnings.warn(
-                f'commands change by {self._course.share:.0%} of their range from step to step, '
-                f'but are held for a step of {self.step_size:g} s: the force lags behind the '
-                'function by half a step; use a smaller step_size, or write the force as time t '
-                'in H or as periodic_drive', stacklevel=5)
+        own.set_command(commands(own.time) if callable(commands) else
+                        commands[own.steps // self._every])
 
 
-class _Course:
-    """Changes of commands from step to step, running sums for each number of a command."""
+class CommandFunction:
+    """
+    Commands as a function of the time, whose values are held for a step each.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    function : callable
+        See ``simulate``.
+
+    """
+
+    def __init__(self, function: Callable[[float], Any]):
+        self._function, self._time = function, -math.inf
         self._last = self._low = self._high = np.empty(0)
         self._change: np.ndarray = np.empty(0)
         self._sums: np.ndarray = np.empty((3, 0))
 
-    def add(self, command: Command) -> None:
+    def __call__(self, time: float) -> Any:
+        """Return the command at a time [s]."""
+        command = self._function(time)
+        # Each block of trajectories begins at the start.
+        if time > self._time:
+            self._time = time
+            self._add(command)
+        return command
+
+    def check_held(self, step_size: float) -> None:
+        """Warn of a smooth function that changes much while its values are held for a step [s]."""
+        if self._share > _MAX_HELD_SHARE:
+            warnings.warn(
+                f'commands change by {self._share:.0%} of their range from step to step, but are '
+                f'held for a step of {step_size:g} s: the force lags behind the function by half '
+                'a step; use a smaller step_size, or write the force as time t in H or as '
+                'periodic_drive', stacklevel=3)
+
+    def _add(self, command: Command) -> None:
         """Add the next command; paths and those of other shapes do not continue the last."""
         parts = command[1:] if isinstance(command, JointCommand) else [command]
         try:
@@ -310,7 +322,7 @@ class _Course:
         self._low, self._high = np.fmin(self._low, now), np.fmax(self._high, now)
 
     @property
-    def share(self) -> float:
+    def _share(self) -> float:
         """Return the mean change over the range of numbers that change smoothly, 0 for none."""
         if not self._sums.size:
             return 0.0

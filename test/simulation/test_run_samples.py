@@ -7,7 +7,8 @@ import warnings
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import (
-    build, judge, make_guards, record, resolve, RunFacts, Schedule, simulate, watched)
+    build, judge, make_guards, record, resolve, RunFacts, Schedule, simulate, simulate_many,
+    watched)
 from hnn_vi_ros.simulation.guards.watch import Watch
 from messages import assert_message
 import numpy as np
@@ -93,20 +94,27 @@ def test_guards_of_the_given_classes_are_made_and_no_others():
         assert [type(guard) for guard in make_guards(facts, (kind,))] == [kind]
 
 
-def told_of(function) -> list[str]:
-    """Return the warnings about commands for a function of time in 200 steps."""
+def told_of(function, many: bool) -> list[str]:
+    """Return the warnings about commands for a function of time in 200 steps, with their file."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
-        simulate(PUSHED, 200 * H, commands=function)
-    return [str(one.message) for one in caught if str(one.message).startswith('commands change')]
+        if many:
+            simulate_many(PUSHED.changed({'events': []}), [[0.5], [0.6]], [[0.0], [0.0]],
+                          200 * H, samples=20, commands=function)
+        else:
+            simulate(PUSHED, 200 * H, commands=function)
+    found = [one for one in caught if str(one.message).startswith('commands change')]
+    assert all(one.filename == __file__ for one in found)
+    return [str(one.message) for one in found]
 
 
-def test_smooth_function_that_its_held_values_do_not_follow_is_told():
+@pytest.mark.parametrize('many', [False, True], ids=['one', 'many'])
+def test_smooth_function_that_its_held_values_do_not_follow_is_told(many):
     # Held values lag by a share w h / 2 of a radian: 12 % of the amplitude.
-    told, = told_of(lambda t: [0.2 * np.cos(0.25 / H * t)])
+    told, = told_of(lambda t: [0.2 * np.cos(0.25 / H * t)], many)
     assert_message(told)
     rng = np.random.default_rng(0)
     # Slow, random, and stepwise commands, and a few steps of one that ends.
     for function in (lambda t: [0.2 * np.cos(0.05 / H * t)], lambda t: [0.1 * rng.normal()],
                      lambda t: [0.1 * (-1.0) ** int(t)], lambda t: [min(t, 5.0 * H)]):
-        assert not told_of(function)
+        assert not told_of(function, many)

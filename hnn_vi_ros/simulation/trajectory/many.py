@@ -24,7 +24,8 @@ from hnn_vi_ros.simulation.guards.watch import (
     judge_many, look_at_block, look_at_rows, tell_many, watch_of_block)
 from hnn_vi_ros.simulation.path_error import OFF, PathError
 from hnn_vi_ros.simulation.processors import in_threads, usable_processors
-from hnn_vi_ros.simulation.run_samples import Commands, MOST_NUMBERS, record, Schedule
+from hnn_vi_ros.simulation.run_samples import (
+    CommandFunction, Commands, MOST_NUMBERS, record, Schedule)
 from hnn_vi_ros.simulation.second_run import PathReport
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
@@ -146,14 +147,17 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
         raise ValueError('simulate_many does not support events: remove `events` from '
                          f'{parts.scene.name}, or simulate one trajectory at a time')
     run = _Many(parts, q, p, duration, samples)
+    function = CommandFunction(commands) if callable(commands) else None
     if commands is not None:
-        run.follow(commands, threads, device)
+        run.follow(function or commands, threads, device)
     elif device is not None:
         run.step_on(device, threads)
     else:
         run.step(threads)
     energies = run.energies()
     run.measure(commands)
+    if function is not None:
+        function.check_held(run.step_size)
     tell_many(run.alarms, run.step_size)
     causes = run.energy_by_cause
     work = None if causes is None or not causes.of(WORK) else (

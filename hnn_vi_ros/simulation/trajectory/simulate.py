@@ -17,7 +17,7 @@ from hnn_vi_ros.simulation.construction import build, resolve
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.watch import judge, tell, Watch
-from hnn_vi_ros.simulation.run_samples import Commands, record, Schedule
+from hnn_vi_ros.simulation.run_samples import CommandFunction, Commands, record, Schedule
 from hnn_vi_ros.simulation.second_run import PathReport
 from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.trajectory.trajectory import EnergyByCause, Trajectory
@@ -129,7 +129,10 @@ def simulate(scene: Scene | Parts | str | Path | Callable[[Any, Any], Any], *mor
     end = parts.scene.duration if duration is None else duration
     schedule = Schedule.at(times, end) if times is not None else Schedule.until(
         end, int(every), simulation)
-    found = record_one(simulation, schedule, commands, PathReport.of(parts.scene))
+    function = CommandFunction(commands) if callable(commands) else None
+    found = record_one(simulation, schedule, function or commands, PathReport.of(parts.scene))
+    if function is not None:
+        function.check_held(simulation.step_size)
     tell(list(found.alarms), simulation.step_size)
     return replace(found, scene=parts.scene)
 
