@@ -192,9 +192,11 @@ class Separation:
         d = self._motion.start.shape
         self.add(np.empty(0, int), np.empty((0, *d)), np.empty((0, *d)), end=True)
 
-    def at(self, row: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return steps and values of a trajectory, each of shape (k,)."""
-        return np.array(self.steps), np.array([value[row] for value in self.values])
+    @property
+    def course(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the steps, (k,), and the shares there, (k, m)."""
+        rows = len(self._motion.start)
+        return np.array(self.steps, int), np.array(self.values).reshape(-1, rows)
 
 
 class Turns:
@@ -392,11 +394,11 @@ def _share(share: float) -> str:
     return f'{max(share, _ROUNDING):.1g}'
 
 
-def path_error_of(repetition: Repetition, step_size: float, origin: int, early: float,
-                  second: Separation, third: Separation | None, turns: Turns, row: int,
-                  needed: float | None = None, limit: float = LIMIT) -> PathError:
+def path_errors_of(repetition: Repetition, step_size: float, origin: int, early: np.ndarray,
+                   second: Separation, third: Separation | None, turns: Turns,
+                   needed: float | None = None, limit: float = LIMIT) -> list[PathError]:
     """
-    Return the path error of a trajectory from its distances.
+    Return the path errors of m trajectories from their distances.
 
     Parameters
     ----------
@@ -406,53 +408,59 @@ def path_error_of(repetition: Repetition, step_size: float, origin: int, early: 
         Step size of the run [s].
     origin : int
         Steps of the run before the start of the comparison.
-    early : float
+    early : np.ndarray, shape (m,)
         Distance from a run with h / 2 in the first steps, over the amplitude.
     second, third : Separation
         Distances from the second and from the third run, if there was one.
     turns : Turns
         Turns of the run.
-    row : int
-        Index of the trajectory.
     needed : float, optional
         Time until which the path must be kept [s]; by default for ten turns, one in chaos.
     limit : float, optional
         Error that is an alarm.
 
     """
-    steps, value = second.at(row)
-    one, ten = ((origin + float(end)) * step_size if needed is None else needed
-                for end in turns.ends[:, row])
+    steps, value = second.course
+    one, ten = (origin + turns.ends) * step_size if needed is None else np.full(
+        turns.ends.shape, needed)
     if third is None:
-        return PathError((origin + steps) * step_size,
-                         np.maximum(repetition.bound * value, 2.0 * early),
-                         limit=limit, needed=ten)
-    at, finer = third.at(row)
+        t, bounds = (origin + steps) * step_size, np.maximum(
+            repetition.bound * value, 2.0 * early)
+        return [PathError(t, bound, limit=limit, needed=float(end))
+                for bound, end in zip(bounds.T.copy(), ten, strict=True)]
+    at, finer = third.course
     # Behind a lost path, where the comparisons end, nothing is known.
-    steps, value = steps[:_until_lost(value)], value[:_until_lost(value)]
-    at, finer = at[:_until_lost(finer)], finer[:_until_lost(finer)]
-    known = np.searchsorted(steps, at, side='right') - 1
-    coarser = np.where(known < 0, value[:1] if len(value) else np.inf, value[known] if len(
-        value) else np.inf)
-    exponents = repetition.exponent(coarser, finer)
+    known = np.minimum((np.searchsorted(steps, at, side='right') - 1)[:, None],
+                       _until_lost(value) - 1)
+    coarser = np.take_along_axis(value, np.maximum(known, 0), axis=0) if len(
+        value) else np.full(finer.shape, math.inf)
+    exponents, small = repetition.exponent(coarser, finer), coarser <= _MAX_RATIO_DISTANCE
     # Large distances no longer grow as the errors do: the exponent is the last one seen before.
-    small = np.flatnonzero(coarser <= _MAX_RATIO_DISTANCE)
-    exponents = np.where(coarser > _MAX_RATIO_DISTANCE, exponents[small[-1]] if small.size else
-                         repetition.exponents[0], exponents)
+    ends = _until_lost(finer)
+    compared = np.arange(len(at))[:, None] < ends
+    last = np.where(small & compared, np.arange(len(at))[:, None], -1).max(axis=0, initial=-1)
+    seen = np.where(last < 0, repetition.exponents[0], exponents[
+        last, np.arange(last.size)] if len(at) else math.nan)
+    exponents = np.where(small, exponents, seen)
     error = np.maximum(repetition.error(coarser, finer, exponents),
                        early / (1.0 - 0.5 ** repetition.exponents[1]))
-    end = _until_lost(error)
-    at, error, exponents = at[:end], error[:end], exponents[:end]
-    doubling = _doubling(at, error)
-    return PathError((origin + at) * step_size, error, True, doubling * step_size, limit,
-                     ten if math.isnan(doubling) else one,
-                     float(exponents[-1]) if small.size else repetition.exponents[1])
+    ends = np.minimum(ends, _until_lost(error))
+    found = list[PathError]()
+    for row, end in enumerate(ends):
+        own = error[:end, row].copy()
+        doubling = _doubling(at[:end], own)
+        exponent = exponents[end - 1, row] if last[row] >= 0 else repetition.exponents[1]
+        found.append(PathError(
+            (origin + at[:end]) * step_size, own, True, doubling * step_size, limit,
+            float(ten[row] if math.isnan(doubling) else one[row]), float(exponent)))
+    return found
 
 
-def _until_lost(error: np.ndarray) -> int:
-    """Return the number of the first errors, up to that at which a path is lost."""
-    lost = error >= LOST
-    return int(lost.argmax()) + 1 if lost.any() else len(error)
+def _until_lost(errors: np.ndarray) -> np.ndarray:
+    """Return the numbers of the first errors, (k, m), up to those at which paths are lost."""
+    lost = errors >= LOST
+    return np.where(lost.any(axis=0), lost.argmax(axis=0) + 1, len(errors)) if len(
+        errors) else np.zeros(errors.shape[1], int)
 
 
 def _doubling(steps: np.ndarray, error: np.ndarray) -> float:

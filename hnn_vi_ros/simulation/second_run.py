@@ -16,7 +16,7 @@ from hnn_vi_ros.simulation.guards.base import Alarm, Guard, StateGuard
 from hnn_vi_ros.simulation.guards.facts import RunFacts
 from hnn_vi_ros.simulation.guards.samples import Observed
 from hnn_vi_ros.simulation.path_error import (
-    ACCURATE, ComparedMotion, FEW_STEPS_LIMIT, LIMIT, LOST, OFF, path_error_of, PathError,
+    ACCURATE, ComparedMotion, FEW_STEPS_LIMIT, LIMIT, LOST, OFF, path_errors_of, PathError,
     Repetition, Separation, Turns)
 from hnn_vi_ros.simulation.processors import Helper
 from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
@@ -293,19 +293,13 @@ class _Stretch:
         self._early = separation.apart
         return True
 
-    def _error(self, row: int, steps: int) -> PathError:
-        """Return the path error of a trajectory that is judged at a number of steps."""
-        second = self.second.separation
-        early = float(second.share(self._early)[row])
-        return path_error_of(
-            self._repetition, self._simulation.step_size, self.origin, early, second,
-            None if self.third is None else self.third.separation, self.turns, row, self._needed,
-            LIMIT if steps >= _MIN_JUDGED_STEPS else FEW_STEPS_LIMIT)
-
     def _judge(self, steps: int) -> Iterator[tuple[int, Alarm]]:
         """Judge the trajectories at a number of steps; yield the alarm of each, once."""
-        h = self._simulation.step_size
-        self.errors = [self._error(row, steps) for row in range(len(self._motion.start))]
+        h, second = self._simulation.step_size, self.second.separation
+        self.errors = path_errors_of(
+            self._repetition, h, self.origin, second.share(self._early), second,
+            None if self.third is None else self.third.separation, self.turns, self._needed,
+            LIMIT if steps >= _MIN_JUDGED_STEPS else FEW_STEPS_LIMIT)
         for row, error in enumerate(self.errors):
             if row in self._told:
                 continue
