@@ -9,7 +9,7 @@ from hnn_vi_ros.commands.cost import _lines
 from hnn_vi_ros.commands.scene_tool import explain
 from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.phase_space import energy_unit
-from hnn_vi_ros.recording.viewer.rerun_blueprint import series_labels
+from hnn_vi_ros.recording.viewer.rerun_blueprint import series_of
 from hnn_vi_ros.run.monitor import EnergyRecord
 from hnn_vi_ros.simulation import build, Choice, Tolerance
 import pytest
@@ -36,10 +36,10 @@ def test_alarms_energies_by_cause_and_records_have_the_unit_of_h(scene):
 
 
 def test_labels_and_lines_have_the_unit_of_h(scene):
-    coordinates = build(scene).hamiltonian.coordinates
-    assert energy_unit(coordinates) == UNIT
-    labels = series_labels(coordinates, False, False, True, causes=('work/a',))
-    lines = [*(one for path, own in labels.items() if path.startswith('/energy') for one in own),
+    hamiltonian = build(scene).hamiltonian
+    assert energy_unit(hamiltonian.coordinates) == UNIT
+    rows = series_of(hamiltonian, False, False, True, causes=('work/a',))
+    lines = [*(one for row in rows if row.path.startswith('/energy') for one in row.names),
              next(line for line in explain(scene) if ', moves ' in line),
              next(_lines(scene, SimpleNamespace(
                  no_path='chaotic', known=SimpleNamespace(energy_scale=2.0),

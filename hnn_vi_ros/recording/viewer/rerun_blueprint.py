@@ -2,14 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Paths and styles of the entities of a rerun recording, and the layout of its views."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
+from operator import attrgetter, itemgetter
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import Ball, Hamiltonian, Line, Part, Trail
 from hnn_vi_ros.phase_space import (
     column_units, columns, Coordinate, energy_unit, momentum_name, raised)
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer.phase_portrait import contours, Frame, ticks
 import numpy as np
 import rerun as rr
@@ -18,14 +22,6 @@ import rerun.blueprint as rrb
 PALETTE = ((88, 166, 255), (242, 165, 65), (86, 211, 100), (219, 109, 190), (121, 216, 217),
            (255, 123, 114), (210, 168, 255), (225, 210, 90))
 BACKGROUND, INK, GREY, WHITE = (13, 17, 23), (170, 180, 195), (72, 82, 98), (245, 247, 250)
-# Wall time of a step by entity, with the unit.
-TIMING = {'/timing/microseconds_per_step': ['p50 [µs]', 'p99 [µs]'],
-          '/timing/real_time_factor': ['real-time factor']}
-# Bands around coordinates and momenta.
-BANDS = '/state/q_band', '/state/p_band'
-# Energies by cause, with the start of their names and the title of their view.
-CAUSES = {'/energy_by_cause/stored': ('stored', 'Stored energy'),
-          '/energy_by_cause/work': ('work', 'Work'), '/energy_by_cause/heat': ('heat', 'Heat')}
 LOW, HIGH = np.array([38, 62, 104]), np.array([92, 138, 190])
 
 
@@ -39,58 +35,108 @@ def part_path(name: str) -> str:
     return f'/world/{rr.escape_entity_path_part(name)}'
 
 
-def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservative: bool,
-                  modified: bool, invariants: Sequence[str] = (), band: bool = False,
-                  causes: Sequence[str] = ()) -> dict[str, list[str]]:
+class Series(NamedTuple):
     """
-    Return the names of each entity's series, with units.
+    Curves of one entity: a row of the table that recordings and their layout are made of.
 
     Parameters
     ----------
-    coordinates : sequence of Coordinate
-        Coordinates, with one series each under ``/state/q`` and ``/state/p``.
+    path : str
+        The entity.
+    names : list of str
+        Names of the curves, with units.
+    plot : str
+        Title of the plot that shows them.
+    value : callable
+        Function that returns the values at a sample, or at a timing: a number, or one for each
+        curve.
+    color : int, optional
+        Place of the first curve in PALETTE.
+    tab : str, optional
+        Name of the tab with that plot.
+    band : bool, optional
+        True for the ends of bands: all lower ones, then all upper ones.
+
+    """
+
+    path: str
+    names: list[str]
+    plot: str
+    value: Callable[[Any], Any]
+    color: int = 0
+    tab: str = 'Motion'
+    band: bool = False
+
+
+# Wall time of a step.
+TIMING = (Series('/timing/microseconds_per_step', ['p50 [µs]', 'p99 [µs]'], 'Step time',
+                 itemgetter(2), 3, 'Timing'),
+          Series('/timing/real_time_factor', ['real-time factor'], 'Pace', itemgetter(3), 6,
+                 'Timing'))
+_CAUSES = {'stored': 'Stored energy', 'work': 'Work', 'heat': 'Heat'}
+
+
+def series_of(hamiltonian: Hamiltonian, relative: bool, conservative: bool, modified: bool,
+              band: bool = False, causes: Sequence[str] = ()) -> Iterator[Series]:
+    """
+    Yield the series of a run.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H, with a curve for each coordinate, momentum and further invariant.
     relative : bool
         True if the energy error is relative to H0.
     conservative : bool
         True if no effect does work; otherwise the work W is shown.
     modified : bool
         True if a modified energy is known; it is shown if no work is done.
-    invariants : sequence of str, optional
-        Names of other invariants, with one series each.
     band : bool, optional
-        True if there are bands around q and p: lower ends, then upper ends.
+        True if there are bands around q and p.
     causes : sequence of str, optional
-        Names of the energies by cause, such as ``work/servo``; see CAUSES.
+        Names of the energies by cause, such as ``work/servo``.
 
     """
+    coordinates, invariants = hamiltonian.coordinates, hamiltonian.invariants
+    unit, (q_units, p_units) = raised(energy_unit(coordinates)), column_units(coordinates)
+    q_names, p_names = columns(coordinates)
+    for half, plot, names, units in (('q', 'Coordinates', q_names, q_units), (
+            'p', 'Momenta', [*map(momentum_name, p_names)], p_units)):
+        yield Series(f'/state/{half}', [f'{name} [{raised(own)}]' for name, own in zip(
+            names, units, strict=True)], plot, attrgetter(half))
+        if band:
+            yield Series(f'/state/{half}_band', [
+                f'{name} {end}' for end in ('lowest', 'highest') for name in names],
+                plot, partial(_ends_of_band, half), band=True)
+    yield Series('/energy/H', [f'H [{unit}]'], 'Energy', attrgetter('energy'))
+    if not conservative:
+        yield Series('/energy/work', [f'work W [{unit}]'], 'Energy', attrgetter('work'), 1)
+    elif modified:
+        yield Series('/energy/modified', [f'modified H [{unit}]'], 'Energy',
+                     attrgetter('modified_energy'), 2)
     error = 'H - H0' if conservative else 'H - H0 - W'
-    unit = raised(energy_unit(coordinates))
-    second = {} if conservative else {'/energy/work': [f'work W [{unit}]']}
-    if conservative and modified:
-        second = {'/energy/modified': [f'modified H [{unit}]']}
-    (q_names, p_names), (q_units, p_units) = columns(coordinates), column_units(coordinates)
-    bands = {BANDS[0]: q_names, BANDS[1]: [momentum_name(name) for name in p_names]}
-    return {
-        '/state/q': [f'{name} [{raised(unit)}]'
-                     for name, unit in zip(q_names, q_units, strict=True)],
-        '/state/p': [f'{momentum_name(name)} [{raised(unit)}]'
-                     for name, unit in zip(p_names, p_units, strict=True)],
-        **({path: [f'{name} {end}' for end in ('lowest', 'highest') for name in names]
-            for path, names in bands.items()} if band else {}),
-        '/energy/H': [f'H [{unit}]'],
-        **second,
-        '/energy/error': [f'({error}) / |H0|' if relative else f'{error} [{unit}]'],
-        **({'/invariants': list(invariants)} if invariants else {}),
-        **{path: [f'{causes[k].partition("/")[2].replace("hamiltonian", "rest of H")} [{unit}]'
-                  for k in entries] for path, entries in entries_of(causes).items()},
-    }
+    yield Series('/energy/error', [f'({error}) / |H0|' if relative else f'{error} [{unit}]'],
+                 'Energy error', attrgetter('energy_error'), 5)
+    if invariants:
+        yield Series('/invariants', list(invariants), 'Invariants', lambda sample: [
+            function(sample.q, sample.p) for function in invariants.values()], 4)
+    for kind, plot in _CAUSES.items():
+        if own := [k for k, name in enumerate(causes) if name.startswith(f'{kind}/')]:
+            names = [causes[k].partition('/')[2].replace('hamiltonian', 'rest of H') for k in own]
+            yield Series(f'/energy_by_cause/{kind}', [f'{name} [{unit}]' for name in names], plot,
+                         partial(_causes_at, own), tab='Energy by cause')
 
 
-def entries_of(causes: Sequence[str]) -> dict[str, list[int]]:
-    """Return the indices of energies by cause by entity, without empty ones."""
-    found = {path: [k for k, name in enumerate(causes) if name.startswith(f'{kind}/')]
-             for path, (kind, _) in CAUSES.items()}
-    return {path: entries for path, entries in found.items() if entries}
+def _causes_at(entries: list[int], sample: Sample) -> np.ndarray:
+    assert sample.causes is not None, 'requested'
+    return sample.causes[entries]
+
+
+def _ends_of_band(half: str, sample: Sample) -> np.ndarray:
+    values, d = getattr(sample, half), sample.q.size
+    width = np.zeros(d + sample.p.size) if sample.spread is None else sample.spread
+    width = width[:d] if half == 'q' else width[d:]
+    return np.hstack([values - width, values + width])
 
 
 def without_unit(names: Sequence[str]) -> tuple[list[str], str]:
@@ -102,22 +148,18 @@ def without_unit(names: Sequence[str]) -> tuple[list[str], str]:
     return [name for name, _, _ in parts], f' [{unit}'
 
 
-def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[str]]) -> None:
+def log_series_styles(stream: rr.RecordingStream, rows: Sequence[Series]) -> None:
     """Name and colour every series."""
-    first = {'/energy/modified': 2, '/energy/work': 1, '/energy/error': 5, '/invariants': 4,
-             '/timing/microseconds_per_step': 3, '/timing/real_time_factor': 6}
-    for path, names in labels.items():
-        start = first.get(path, 0)
+    for row in rows:
         # The ends of a band are thin lines in the colours of the curve inside it.
-        thin = path in BANDS
-        count = len(names) // 2 if thin else len(names)
-        colors = [PALETTE[(start + i % count) % len(PALETTE)] for i in range(len(names))]
+        count = len(row.names) // (2 if row.band else 1)
+        colors = [PALETTE[(row.color + i % count) % len(PALETTE)] for i in range(len(row.names))]
         # By default the viewer averages samples that share a pixel, which hides oscillations.
         style = rr.SeriesLines(
-            colors=colors, names=without_unit(names)[0],
-            widths=[0.7 if thin else 2.0] * len(names),
+            colors=colors, names=without_unit(row.names)[0],
+            widths=[0.7 if row.band else 2.0] * len(row.names),
             aggregation_policy=rr.components.AggregationPolicy.MinMax)
-        stream.log(path, style, static=True, strict=True)
+        stream.log(row.path, style, static=True, strict=True)
 
 
 def log_phase_portrait(stream: rr.RecordingStream, hamiltonian: Hamiltonian, frame: Frame,
@@ -204,9 +246,6 @@ MOST_BESIDE = 2
 COLUMN, BAR, MARGINS = (588.0, 830.0), 28.0, (58.0, 18.0, 46.0, 60.0)
 # The viewer's vertical angle of view.
 VIEW_ANGLE = np.radians(55.0)
-# Series of the energy plot.
-ENERGIES = ('/energy/H', '/energy/modified', '/energy/work')
-INVARIANTS = '/invariants'
 # Free shares of the time axis at its end: for a legend, and for the last label only.
 _LEGEND_ROOM, _END_ROOM = 0.25, 0.04
 # In points: widths of a plot, of a letter and of the edges of a legend, height of a plot for each
@@ -293,7 +332,7 @@ class Arrangement:
         return min(COLUMN[0] / self.columns - left - right, height - top - bottom)
 
 
-def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Sequence[str]],
+def make_blueprint(coordinates: Sequence[Coordinate], rows: Sequence[Series],
                    arrangement: Arrangement, interval: int, pace: float | None = None,
                    trails: Sequence[str] = (), extent: SeriesExtent | None = None
                    ) -> rrb.Blueprint:
@@ -304,8 +343,8 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     ----------
     coordinates : sequence of Coordinate
         Coordinates with one phase portrait each.
-    labels : mapping of str to sequence of str
-        Result of :func:`series_labels`.
+    rows : sequence of Series
+        The series of the run.
     arrangement : Arrangement
         Arrangement with as many portraits.
     interval : int
@@ -328,13 +367,8 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
         arrangement.bounds, arrangement.world_aspect,
         {part_path(name): _recent(trail) for name in trails}, arrangement.hidden)
     left = _left_column(world, views, arrangement)
-    energies = [path for path in labels if path in ENERGIES]
-    invariants = [('Invariants', [INVARIANTS])] if INVARIANTS in labels else []
-    q_paths, p_paths = ([path, band] if band in labels else [path]
-                        for path, band in zip(('/state/q', '/state/p'), BANDS, strict=True))
-    plots = [('Coordinates', q_paths), ('Momenta', p_paths), ('Energy', energies),
-             ('Energy error', ['/energy/error']), *invariants]
-    names = [names_of(paths, labels)[0] for _, paths in plots]
+    plots = _plots_of(rows, 'Motion')
+    names = [names_of(plot)[0] for plot in plots.values()]
     # All time axes end together, after the longest legend.
     room = max(map(legend_share, names))
     shares = [*map(height_for, names)]
@@ -344,8 +378,8 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     gaps = [max((COLUMN[1] * share / total - BAR - _AXIS) / _TICK_GAP, _TICK_GAPS)
             for share in shares]
     panes: list[rrb.View] = [
-        _series_view(title, paths, labels, extent, room, gaps=most)
-        for (title, paths), most in zip(plots, gaps, strict=True)]
+        _series_view(title, plot, extent, room, gaps=most)
+        for (title, plot), most in zip(plots.items(), gaps, strict=True)]
     if alone is not None:
         share = arrangement.world_share
         left = rrb.Vertical(alone, _events_view(), row_shares=[share, 1.0 - share])
@@ -353,11 +387,11 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
         panes.append(_events_view())
         shares.append(_EVENTS_HEIGHT)
     motion = rrb.Vertical(*panes, row_shares=shares, name='Motion')
-    by_cause = [(title, [path]) for path, (_, title) in CAUSES.items() if path in labels]
-    wide = max((legend_share(labels[path]) for _, (path,) in by_cause), default=0.0)
-    right = rrb.Tabs(motion, *[rrb.Vertical(
-        *(_series_view(title, paths, labels, extent, wide) for title, paths in by_cause),
-        name='Energy by cause')] * bool(by_cause), _timing_views(pace, extent))
+    tabs = [_tab(tab, rows, extent) for tab in dict.fromkeys(
+        row.tab for row in rows if row.tab != 'Motion')]
+    # Start the axis at zero; otherwise jitter of a percent would fill the plot.
+    timing = _tab('Timing', TIMING, extent, {} if pace is None else {'Pace': (0.0, 1.25 * pace)})
+    right = rrb.Tabs(motion, *tabs, timing)
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.42, 0.58])
         if left is not None else right,
@@ -379,13 +413,30 @@ def _left_column(world: rrb.View | None, views: Sequence[rrb.View], arrangement:
     return rrb.Vertical(world, portraits, row_shares=[share, 1.0 - share])
 
 
-def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence[str]],
-                 extent: SeriesExtent | None, room: float,
+def _plots_of(rows: Sequence[Series], tab: str) -> dict[str, list[Series]]:
+    """Return the series of each plot of a tab by its title."""
+    plots: dict[str, list[Series]] = {}
+    for row in rows:
+        if row.tab == tab:
+            plots.setdefault(row.plot, []).append(row)
+    return plots
+
+
+def _tab(name: str, rows: Sequence[Series], extent: SeriesExtent | None,
+         least: Mapping[str, tuple[float, float]] = MappingProxyType({})) -> rrb.Vertical:
+    """Return the plots of a tab in a column, some with the least range of their axis."""
+    plots = _plots_of(rows, name)
+    room = max(legend_share(names_of(plot)[0]) for plot in plots.values())
+    return rrb.Vertical(*(_series_view(title, plot, extent, room, least.get(title))
+                          for title, plot in plots.items()), name=name)
+
+
+def _series_view(title: str, rows: Sequence[Series], extent: SeriesExtent | None, room: float,
                  least: tuple[float, float] | None = None, gaps: float = _TICK_GAPS
                  ) -> rrb.TimeSeriesView:
     """Plot some series; a single one is named in the title, where no legend hides data."""
     axis_y = None if least is None else rrb.ScalarAxis(range=least)
-    names, unit = names_of(paths, labels)
+    names, unit = names_of(rows)
     title += f' {names[0]}' if len(names) == 1 else unit
     many = len(names) > 1
     axis_x = None
@@ -396,18 +447,19 @@ def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence
         axis_x = rrb.TimeAxis(view_range=rr.TimeRange(
             start=rrb.TimeRangeBoundary.absolute(seconds=begin * 1e-9),
             end=rrb.TimeRangeBoundary.absolute(seconds=last * 1e-9)))
-        ranges = [extent.values[path] for path in paths if path in extent.values]
+        ranges = [extent.values[row.path] for row in rows if row.path in extent.values]
         if ranges and least is None:
             axis_y = rrb.ScalarAxis(range=with_ticks(
                 min(low for low, _ in ranges), max(high for _, high in ranges), gaps))
     return rrb.TimeSeriesView(
-        name=title, origin='/', contents=paths, axis_x=axis_x, axis_y=axis_y,
+        name=title, origin='/', contents=[row.path for row in rows], axis_x=axis_x,
+        axis_y=axis_y,
         plot_legend=rrb.PlotLegend(corner='RightTop', visible=many))
 
 
-def names_of(paths: Sequence[str], labels: Mapping[str, Sequence[str]]) -> tuple[list[str], str]:
+def names_of(rows: Sequence[Series]) -> tuple[list[str], str]:
     """Return the legend entries of a view's series, and the unit for its title."""
-    found = [without_unit(labels[path]) for path in paths]
+    found = [without_unit(row.names) for row in rows]
     return [name for names, _ in found for name in names], found[0][1]
 
 
@@ -452,16 +504,6 @@ def with_ticks(low: float, high: float, gaps: float = _TICK_GAPS) -> tuple[float
             last += 1.0
     low, high = min(low, (first - 0.12) * gap), max(high, (last + 0.12) * gap)
     return float(low), float(high)
-
-
-def _timing_views(pace: float | None, extent: SeriesExtent | None) -> rrb.Vertical:
-    # Start the axis at zero; otherwise jitter of a percent would fill the plot.
-    least = None if pace is None else (0.0, 1.25 * pace)
-    step_time, factor = TIMING
-    room = legend_share(TIMING[step_time])
-    return rrb.Vertical(_series_view('Step time', [step_time], TIMING, extent, room),
-                        _series_view('Pace', [factor], TIMING, extent, room, least),
-                        name='Timing')
 
 
 def _events_view() -> rrb.TextLogView:

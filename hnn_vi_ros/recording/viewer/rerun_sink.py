@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 import math
 import time
-from typing import final
+from typing import Any, final
 import warnings
 
 from hnn_vi_ros.effects import Effect
@@ -17,7 +17,8 @@ from hnn_vi_ros.hamiltonians import (
 from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer import rerun_blueprint as layout
 from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, ends_of, reach_of
-from hnn_vi_ros.recording.viewer.rerun_blueprint import Arrangement, make_blueprint, SeriesExtent
+from hnn_vi_ros.recording.viewer.rerun_blueprint import (
+    Arrangement, make_blueprint, Series, SeriesExtent)
 from hnn_vi_ros.recording.viewer.rerun_entities import (
     bounds_of_path, bounds_of_robot, collisions_of, ForceArrows, Portraits, RobotPicture,
     trails_of)
@@ -103,7 +104,6 @@ class RerunSink:
         if mechanism is not None or hamiltonian.robot is not None:
             most = most if len(self._coordinates) <= layout.MOST_BESIDE else 0
         self._portrayed = self._coordinates[:most]
-        self._invariants = hamiltonian.invariants
         self._robot = hamiltonian.robot
         self._picture: RobotPicture | None = None
         self._interval, self._due = max(1, interval), 0
@@ -131,10 +131,8 @@ class RerunSink:
         self._closed = False
         self._stream = RerunStream(f'hnn_vi_ros_{name}', target)
         relative = float(hamiltonian.energy(q0, p0)) != 0.0
-        self._labels = layout.series_labels(
-            self._coordinates, relative, conservative, modified, list(self._invariants),
-            band, causes)
-        self._causes = layout.entries_of(causes)
+        self._series = [*layout.series_of(
+            hamiltonian, relative, conservative, modified, band, causes)]
         self._draw_still(hamiltonian, q0, p0, box, pace)
         self._began = self._sent_at = time.monotonic()
 
@@ -227,11 +225,11 @@ class RerunSink:
             parts |= trails_of(self._robot, self._bones(self._robot, q0[None]))
         self._arrangement = Arrangement(len(shown), bounds, hidden)
         self._blueprint = partial(
-            make_blueprint, shown, self._labels, interval=self._interval, pace=pace,
+            make_blueprint, shown, self._series, interval=self._interval, pace=pace,
             trails=[name for name, part in parts.items() if isinstance(part, Trail)])
         self._stream.send_blueprint(self._blueprint(self._arrangement))
         recording = self._stream.recording
-        layout.log_series_styles(recording, self._labels | layout.TIMING)
+        layout.log_series_styles(recording, [*self._series, *layout.TIMING])
         self._portraits = Portraits(
             recording, hamiltonian, q0, p0, box, len(shown), self._arrangement.side)
         if parts:
@@ -269,27 +267,9 @@ class RerunSink:
             return
         times = self._times([s.stamp for s in samples], [s.step for s in samples])
         q, p = np.array([s.q for s in samples]), np.array([s.p for s in samples])
-        series = {'/state/q': q, '/state/p': p,
-                  '/energy/H': [s.energy for s in samples],
-                  '/energy/modified': [s.modified_energy for s in samples],
-                  '/energy/work': [s.work for s in samples],
-                  '/energy/error': [s.energy_error for s in samples],
-                  '/invariants': [[function(s.q, s.p) for function in
-                                   self._invariants.values()] for s in samples]}
-        if layout.BANDS[0] in self._labels:
-            spread = np.array([np.zeros(q.shape[1] + p.shape[1]) if s.spread is None else s.spread
-                               for s in samples])
-            for path, values, half in zip(
-                    layout.BANDS, (q, p), np.split(spread, [q.shape[1]], axis=1), strict=True):
-                series[path] = np.hstack([values - half, values + half])
-        for path, entries in self._causes.items():
-            series[path] = np.array([s.causes for s in samples])[:, entries]
         first = samples[0].stamp if self._times_shown is None else self._times_shown[0]
         self._times_shown = first, samples[-1].stamp
-        for path in self._labels:
-            values = np.asarray(series[path])
-            self._note(path, values)
-            self._columns(path, times, _scalars(values))
+        self._send_series(self._series, times, samples)
         self._portraits.send(times, q, p)
         if self._mechanism is not None:
             self._send_mechanism(times, self._mechanism(q, self._reach))
@@ -316,19 +296,21 @@ class RerunSink:
     def _send_timings(self) -> None:
         timings, self._timings = self._timings, []
         if timings:
-            stamps, steps, *series = zip(*timings, strict=True)
-            times = self._times(list(stamps), list(steps))
-            for path, values in zip(layout.TIMING, series, strict=True):
-                self._note(path, np.array(values))
-                self._columns(path, times, _scalars(np.array(values)))
+            stamps, steps, *_ = zip(*timings, strict=True)
+            self._send_series(layout.TIMING, self._times(list(stamps), list(steps)), timings)
 
-    def _note(self, path: str, values: np.ndarray) -> None:
-        """Extend the known range of the values of a series."""
-        finite = values[np.isfinite(values)]
-        if finite.size:
-            low, high = self._values_shown.get(path, (np.inf, -np.inf))
-            self._values_shown[path] = (min(low, float(finite.min())),
-                                        max(high, float(finite.max())))
+    def _send_series(self, rows: Sequence[Series], times: list[rr.TimeColumn],
+                     samples: Sequence[Any]) -> None:
+        """Send the values of series, and extend their known ranges."""
+        for row in rows:
+            values = np.array([row.value(sample) for sample in samples])
+            finite = values[np.isfinite(values)]
+            if finite.size:
+                low, high = self._values_shown.get(row.path, (np.inf, -np.inf))
+                self._values_shown[row.path] = (min(low, float(finite.min())),
+                                                max(high, float(finite.max())))
+            self._columns(row.path, times, rr.Scalars.columns(
+                scalars=values.reshape(-1)).partition([len(row.names)] * len(values)))
 
     def _show(self, bounds: np.ndarray) -> None:
         """Extend the known bounds of the picture; NaN is ignored."""
@@ -384,9 +366,3 @@ def _pose_columns(part: Line | Cuboid | Ball) -> rr.ComponentColumnList:
         return rr.LineStrips3D.columns(strips=part.points)
     kind = rr.Ellipsoids3D if isinstance(part, Ball) else rr.Boxes3D
     return kind.columns(centers=part.center)
-
-
-def _scalars(values: np.ndarray) -> rr.ComponentColumnList:
-    """Make one row per sample from shape (n,) or (n, d)."""
-    columns = rr.Scalars.columns(scalars=values.reshape(-1))
-    return columns if values.ndim == 1 else columns.partition([values.shape[1]] * len(values))

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The views fit into the window, whatever there is to show."""
 
+from types import SimpleNamespace
+
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.recording.viewer.rerun_blueprint import (
     _left_column, Arrangement, BAR, COLUMN, eye_of, make_blueprint, MARGINS, MOST_BESIDE, raised,
-    series_labels, SeriesExtent, VIEW_ANGLE, with_ticks, without_unit)
+    Series, series_of, SeriesExtent, VIEW_ANGLE, with_ticks, without_unit)
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
@@ -36,12 +38,12 @@ def test_every_pane_of_the_left_column_holds_a_view():
             world = None if bounds is None else rrb.Spatial3DView()
             left = _left_column(world, views, Arrangement(portraits, bounds))
             assert views_in(left) == portraits + (bounds is not None)
-            assert make_blueprint(coordinates[:portraits], series_labels(
-                coordinates, True, True, False), Arrangement(portraits, bounds), 1)
+            assert make_blueprint(coordinates[:portraits], rows_of(coordinates),
+                                  Arrangement(portraits, bounds), 1)
     # Without portraits the events are below the mechanism.
     for portraits in (0, 1):
-        left, right = make_blueprint(coordinates[:portraits], series_labels(
-            coordinates, True, True, False), Arrangement(portraits, BOUNDS), 1
+        left, right = make_blueprint(
+            coordinates[:portraits], rows_of(coordinates), Arrangement(portraits, BOUNDS), 1
             ).root_container.contents
         assert [has_events(side) for side in (left, right)] == [portraits == 0, portraits == 1]
 
@@ -49,11 +51,16 @@ def test_every_pane_of_the_left_column_holds_a_view():
 def test_time_axes_of_a_recording_begin_and_end_together():
     coordinates = [Coordinate(f'x{k}', 'm', 'kg m/s') for k in range(2)]
     blueprint = make_blueprint(
-        coordinates, series_labels(coordinates, True, True, False), Arrangement(2, None), 1,
+        coordinates, rows_of(coordinates), Arrangement(2, None), 1,
         extent=SeriesExtent((0, 10**9), {'/state/q': (-1.0, 1.0)}))
     ranges = [view.properties['TimeAxis'].view_range.as_arrow_array().to_pylist()
               for view in series_views(blueprint.root_container)[:4]]
     assert len(ranges) == 4 and all(one == ranges[0] for one in ranges)
+
+
+def rows_of(coordinates: list[Coordinate]) -> list[Series]:
+    """Return the series of a conservative run in coordinates."""
+    return [*series_of(SimpleNamespace(coordinates=coordinates, invariants={}), True, True, False)]
 
 
 def has_events(part) -> bool:

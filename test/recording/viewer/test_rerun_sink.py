@@ -18,7 +18,7 @@ from hnn_vi_ros.hamiltonians import MECHANISMS
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.recording import RerunSink, Sample
 from hnn_vi_ros.recording.viewer import rerun_sink, rerun_stream
-from hnn_vi_ros.recording.viewer.rerun_blueprint import BANDS, series_labels
+from hnn_vi_ros.recording.viewer.rerun_blueprint import series_of
 from hnn_vi_ros.recording.viewer.rerun_stream import RerunStream
 from messages import refused
 import numpy as np
@@ -30,6 +30,7 @@ from rerun_reader import assert_verified, read, still_entities
 
 STEP = 10_000_000
 BOX = (np.array([[-1.5, 1.5]]), np.array([[-1.5, 1.5]]))
+BANDS = '/state/q_band', '/state/p_band'
 SERIES = ('/state/q', '/state/p', '/energy/H', '/energy/modified', '/energy/error')
 DRAWN = ('/phase/x/trail', '/phase/x/state', '/world/spring', '/world/mass')
 
@@ -136,7 +137,8 @@ def test_recording_shows_the_energy_by_cause_by_kind(path: Path):
     assert shown['/energy_by_cause/work']['Scalars:scalars'] == [[0.0], [0.0], [0.0]]
     assert shown['/energy_by_cause/stored']['Scalars:scalars'] == [
         [s.causes[1], s.causes[2]] for s in samples]
-    labels = series_labels(HarmonicOscillator().coordinates, True, False, False, causes=names)
+    labels = {row.path: row.names for row in series_of(
+        HarmonicOscillator(), True, False, False, causes=names)}
     assert labels['/energy_by_cause/stored'] == ['spring [J]', 'rest of H [J]']
 
 
@@ -155,7 +157,8 @@ def test_recording_shows_the_invariants_by_their_names(path: Path):
     (False, True, 'H - H0 [J]'), (False, False, 'H - H0 - W [J]')])
 @pytest.mark.parametrize('modified', [True, False])
 def test_label_of_the_energy_error_says_what_it_is(relative, conservative, modified, expected):
-    labels = series_labels(HarmonicOscillator().coordinates, relative, conservative, modified)
+    labels = {row.path: row.names for row in series_of(
+        HarmonicOscillator(), relative, conservative, modified)}
     assert labels['/energy/error'] == [expected]
     assert ('/energy/work' in labels) is not conservative
     assert ('/energy/modified' in labels) is (conservative and modified)
