@@ -20,8 +20,8 @@ def swing(rate: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
     return t, q + noise * np.random.default_rng(0).normal(size=len(t))
 
 
-def found(t: np.ndarray, q: np.ndarray) -> np.ndarray:
-    return faults(t, q[:, None], None, ['coordinate 1'], 'log')[0]
+def found(t: np.ndarray, q: np.ndarray, v: np.ndarray | None = None) -> np.ndarray:
+    return faults(t, q[:, None], None if v is None else v[:, None], ['coordinate 1'] * 2, 'log')[0]
 
 
 @pytest.mark.parametrize('noise', [0.0, 5e-3, 0.05])
@@ -63,6 +63,30 @@ def test_servo_that_sticks_is_no_stuck_sensor(rate):
     x = np.where(stuck, q[first], np.where(t < 6.1, q, q + q[first] - q[last]))
     assert found(t, x)[stuck].any()
     assert not faults(t, x[:, None], None, ['coordinate 1'], 'log', True)[0].any()
+
+
+def clamped(rate: int, nudge: float) -> np.ndarray:
+    """Return a joint that stands still but for a nudge, and for a count now and then."""
+    t = np.arange(20 * rate) / rate
+    moved = nudge * np.sin(np.pi * (t - 5.0)) * ((t > 5.0) & (t < 6.0))
+    return -0.453 + moved + 1e-3 * (np.arange(len(t)) % (2 * rate) == rate)
+
+
+@pytest.mark.parametrize('nudge', [0.0, 0.05])
+@pytest.mark.parametrize('rate', RATES)
+def test_clamped_joint_is_no_stuck_sensor(rate, nudge):
+    x = clamped(rate, nudge)
+    assert not found(np.arange(len(x)) / rate, x).any()
+
+
+def test_joint_whose_velocity_is_none_is_no_stuck_sensor():
+    t, q = swing(100, 5e-3)
+    stuck = (t > 5.9) & (t < 6.3)
+    first, *_, last = np.flatnonzero(stuck)
+    x = np.where(stuck, q[first], np.where(t < 6.1, q, q + q[first] - q[last]))
+    for rate in (2.0, 0.0):
+        v = np.where(stuck, rate, np.gradient(x, t))
+        assert found(t, x, v).any() == (rate > 0.0)
 
 
 def test_many_faults_and_jumps_that_stay_are_refused():

@@ -104,13 +104,39 @@ SCENE = [Coordinate('angle', 'rad', 'N m s'), Coordinate('x', 'm', 'N s')]
      '/joint_states/angle/position', None, None),
     ('t,/js/angle/effort,/js/x/position,/js/angle/velocity,/js/angle/position,/js/x/velocity',
      SCENE, '/js/angle/position /js/x/position', '/js/angle/velocity /js/x/velocity',
-     '/js/angle/effort')])
+     '/js/angle/effort'),
+    ('t,/js/base/effort,/js/base/position,/js/base/velocity,/js/angle/effort,/js/angle/position,'
+     '/js/angle/velocity', SCENE[:1], '/js/angle/position', '/js/angle/velocity',
+     '/js/angle/effort'),
+    ('t,base_pos,base_vel,angle_pos,angle_vel', SCENE[:1], 'angle_pos', 'angle_vel', None),
+    ('t,base_pos,base_vel,angle_pos', SCENE[:1], 'angle_pos', None, None)])
 def test_columns_are_those_of_the_coordinates_of_a_scene(
         tmp_path, header, coordinates, q, v, tau):
     path = log(tmp_path / 'log.csv', header)
     data = source_of(str(path), coordinates)
     names = [' '.join(names) if names else None for names in (data.q, data.v, data.tau)]
     assert names == [q, v, tau]
+
+
+@pytest.mark.parametrize('header, time', [
+    ('__time,/js/header/stamp,/js/joint_a/position', '/js/header/stamp'),
+    ('__time,/imu/header/stamp,/js/joint_a/position', '__time'),
+    ('t,header.stamp,theta', 'header.stamp')])
+def test_stamp_in_the_header_of_the_topic_comes_before_the_clock_of_a_receiver(
+        tmp_path, header, time):
+    path = tmp_path / 'log.csv'
+    np.savetxt(path, np.stack([T + 1e-3 * np.sin(9.0 * T), T, np.sin(T)], axis=-1), '%.6f', ',',
+               header=header, comments='')
+    assert read_header(path).time.name == time
+
+
+def test_joint_states_are_in_rad_and_m_whatever_their_range(tmp_path):
+    path = tmp_path / 'log.csv'
+    np.savetxt(path, np.stack([T, 12.0 * np.sin(T), 12.0 * np.cos(T)], axis=-1), '%.6f', ',',
+               header='t,/joint_states/elbow/position,/joint_states/slider/position', comments='')
+    found = read_header(path)
+    assert [(one.name, one.kind) for one in found.q] == [
+        ('/joint_states/slider/position', 'm'), ('/joint_states/elbow/position', 'rad')]
 
 
 @pytest.mark.parametrize('header', ['t,theta,phi', 't,x_mm', 't,angle'])

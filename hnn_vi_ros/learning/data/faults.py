@@ -76,10 +76,11 @@ def faults(t: np.ndarray, q: np.ndarray, v: np.ndarray | None, labels: Sequence[
         return wrong, notes
     columns = [(x, _FAR_POSITION) for x in q.T]
     columns += [] if v is None else [(x, _FAR_VELOCITY) for x in v.T]
-    for name, (x, far) in zip(labels, columns, strict=False):
+    for k, (name, (x, far)) in enumerate(zip(labels, columns, strict=False)):
         x = unwrap_beside_glitches(t, x) if far == _FAR_POSITION else x
         found = _glitches(t, x, far)
-        stuck = _stuck_samples(x) if far == _FAR_POSITION and not sticks else np.zeros(
+        rates = None if v is None else v[:, k % q.shape[1]]
+        stuck = _stuck_samples(x, rates) if far == _FAR_POSITION and not sticks else np.zeros(
             len(t), dtype=bool)
         jumps = counted(found.sum(), 'sample') + times_text(t[found])
         text = f'{name} jumps away and back in {jumps}'
@@ -160,7 +161,7 @@ def _repeat_count(x: np.ndarray) -> int:
     return count if count > 1 and regular.mean() >= _REGULAR else 0
 
 
-def _stuck_samples(x: np.ndarray) -> np.ndarray:
+def _stuck_samples(x: np.ndarray, rates: np.ndarray | None) -> np.ndarray:
     """Return the mask of samples that repeat the one before while the motion continues."""
     found, steps = np.zeros(len(x), dtype=bool), np.abs(np.diff(x))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0.0, [False]])))
@@ -169,20 +170,32 @@ def _stuck_samples(x: np.ndarray) -> np.ndarray:
     if not runs or not moving.size:
         return found
     usual = np.quantile(moving, 0.75)
+    rests = _places_of_rest(x[[i for i, _ in runs]], moving.min())
+    speed = 0.0 if rates is None or not rates.any() else _FAST * np.quantile(
+        np.abs(rates[rates != 0.0]), 0.75)
     repeats = (len(steps) - len(moving) - sum(j - i for i, j in runs)) / len(steps)
     for i, j in runs:
+        moves = repeats < _NEVER and x[i] not in rests and (
+            rates is None or np.median(np.abs(rates[i:j + 1])) >= speed)
         if i == 0 or j == len(steps):
             # A body at rest starts slowly, and noise moves what is measured of it.
             beside = steps[j if i == 0 else i - 1:][:1]
-            found[i + (i > 0):j + 1] = repeats < _NEVER and (beside > _ABRUPT * usual).any()
+            found[i + (i > 0):j + 1] = moves and (beside > _ABRUPT * usual).any()
             continue
         before, after = steps[max(i - 3, 0):i].mean(), steps[j + 1:j + 4].mean(
             ) if j + 1 < len(steps) else 0.0
         # The first step after it makes up for the gap; or both sides are fast.
         if steps[j] > _ALONE * max(before, after, usual) or (
-                repeats < _NEVER and min(before, after) > _FAST * usual):
+                moves and min(before, after) > _FAST * usual):
             found[i + 1:j + 1] = True
     return found
+
+
+def _places_of_rest(places: np.ndarray, count: float) -> np.ndarray:
+    """Return the places at which a joint stands more than once, to a count of its sensor."""
+    places = np.sort(places)
+    near = np.diff(places) <= 1.5 * count
+    return places[np.append(near, False) | np.append(False, near)]
 
 
 def _check_shifts(t: np.ndarray, x: np.ndarray, where: str) -> None:

@@ -70,6 +70,8 @@ _LETTERS = frozenset((
     'theta', 'th', 'phi', 'psi', 'alpha', 'beta', 'pitch', 'roll', 'yaw', 'x', 'y', 'z', 's'))
 _DERIVED = re.compile(r'(?P<before>d*?)(?P<of>q|theta|th|phi|psi|alpha|beta|x|y|z|angle|pos)'
                       r'(?P<after>(?:dot|d)*)')
+# A field of sensor_msgs/JointState behind its topic and joint, as PlotJuggler names it.
+_JOINT_STATE = re.compile(r'/.+/(?P<joint>[^/]+)/(?:position|velocity|effort)')
 # Units of currents, and a word in brackets after a name, which is a unit.
 _CURRENTS = parse_unit('A'), parse_unit('mA')
 _BRACKETED = re.compile(r' \[[^\W\d]')
@@ -221,7 +223,10 @@ def column_of(name: str, known: Mapping[str, str]) -> Column:
         else:
             key.append(word)
     kind, by_unit = _by_unit(unit)
-    kind = kind or next((_KINDS[word] for word in [*words, letter] if word in _KINDS), '')
+    # The name of a joint tells its kind, that of its topic only that it is one.
+    state = _JOINT_STATE.fullmatch(base)
+    own = _words_of(state['joint']) if state else []
+    kind = kind or next((_KINDS[word] for word in [*own, *words, letter] if word in _KINDS), '')
     role = next((role for role in (
         UNUSED, ENABLED, COMMAND, TIME, TRIAL, A, V, TAU, Q) if role in roles), by_unit)
     if role == COMMAND and (roles & {A, V, TAU} or order):
@@ -292,13 +297,15 @@ def read_header(path: Path, coordinates: Sequence[Coordinate] = (), counts: floa
     values = {name: without_sentinels(x, t, name, []) for name, x in values.items()}
     moves = [bool(np.nanmax(values[one.name], initial=-np.inf)
                   > np.nanmin(values[one.name], initial=np.inf)) for one in columns]
-    still = [one.name for one, changes in zip(columns, moves, strict=True)
-             if one.role in (Q, V, TAU) and not changes]
+    named, still = columns, [one.name for one, changes in zip(columns, moves, strict=True)
+                             if one.role in (Q, V, TAU) and not changes]
     columns = [one for one, changes in zip(columns, moves, strict=True)
                if changes or one.role in (COMMAND, ENABLED)]
-    trials, rates, forces = ([one for one in columns if one.role == role]
-                             for role in (TRIAL, V, TAU))
+    trials = [one for one in columns if one.role == TRIAL]
     q = _coordinates(path, columns, coordinates, still, doubts)
+    others = {_joint(one) for one in named if one.role == Q} - {_joint(one) for one in q}
+    rates, forces, commands = ([one for one in columns if one.role == role
+                                and _joint(one) not in others] for role in (V, TAU, COMMAND))
     settings = _settings(table.above) | ({} if counts is None else {'counts': counts})
     if parse_unit('count') not in [parse_unit(one.q_unit) for one in coordinates]:
         q = [_counted(path, one, values[one.name], settings) for one in q]
@@ -316,7 +323,7 @@ def read_header(path: Path, coordinates: Sequence[Coordinate] = (), counts: floa
     turns = [one.kind == ANGLE and _turns(t, values[one.name] * (
         2.0 * np.pi / settings['counts'] if one.unit == 'count' else _size(renamed[one.name])))
              for one in q]
-    commands = _columns_of(q, [one for one in columns if one.role == COMMAND], 'command', [])
+    commands = _columns_of(q, commands, 'command', [])
     # Beside forces, commands of some joints are of another controller.
     commands = commands if len(commands) == len(q) or not tau else []
     # A command has the unit of its coordinate, unless it has one of its own.
@@ -390,6 +397,10 @@ def _size(name: str) -> float:
 def _time_of(path: Path, columns: Sequence[Column], values: Mapping[str, np.ndarray]) -> Column:
     """Return the column of times, which mostly increase."""
     times = [one for one in columns if one.role == TIME]
+    places = [one.name for one in columns if one.role == Q] or ['']
+    # The stamp in the header of the coordinates' topic comes before the clock of a receiver.
+    times.sort(key=lambda one: not ({'header', 'stamp'} <= {*_words_of(one.name)} and places[
+        0].startswith(one.name.partition('header')[0])))
     for one in times:
         steps = np.diff(values[one.name][np.isfinite(values[one.name])])
         if (steps > 0.0).sum() > 0.5 * len(steps):
@@ -514,7 +525,8 @@ def _forces_of(path: Path, q: Sequence[Column], found: Sequence[Column], by_curr
 
 def _unit(one: Column, x: np.ndarray, doubts: list[str]) -> str:
     """Return the likely unit of a coordinate without one, '' if its range is that of rad or m."""
-    if one.unit or one.kind not in _MOST or np.nanquantile(np.abs(x), 0.99) <= _MOST[one.kind]:
+    if one.unit or one.kind not in _MOST or _JOINT_STATE.fullmatch(one.name) or \
+            np.nanquantile(np.abs(x), 0.99) <= _MOST[one.kind]:
         return ''
     other = 'deg' if one.kind == ANGLE else 'mm'
     doubts.append(f'{one.name!r} goes from {np.nanmin(x):.4g} to {np.nanmax(x):.4g}, in '
