@@ -467,7 +467,7 @@ def _even_pieces(pieces: Pieces, usual: float, data: MotionData, report: Reading
         report.note(f'{motion.name} resampled from {spacing:.4g} s to {usual:.4g} s')
     driven = motion.tau is not None and np.nan_to_num(motion.tau).any()
     moving = pieces_rows if driven else [
-        part for rows in pieces_rows for part in _in_motion(motion, rows, report)]
+        part for rows in pieces_rows for part in _in_motion(motion, rows, spacing, report)]
     long = [rows for rows in moving
             if motion.t[rows[-1]] - motion.t[rows[0]] > (MIN_SAMPLES - 1.5) * usual]
     report.short += sum(map(len, moving)) - sum(map(len, long))
@@ -487,12 +487,15 @@ def _even_pieces(pieces: Pieces, usual: float, data: MotionData, report: Reading
             even.t, alone.t, alone.q))
 
 
-def _in_motion(motion: Motion, rows: np.ndarray, report: ReadingReport) -> list[np.ndarray]:
+def _in_motion(motion: Motion, rows: np.ndarray, spacing: float, report: ReadingReport
+               ) -> list[np.ndarray]:
     """Return the parts of some samples of a free motion in which it moves."""
     piece = part_of(motion, rows)
-    parts, note = cut_at_rest(piece.t, unwrap_turns(piece.t, piece.q, piece.v)[0])
+    # Between crowded stamps, noise looks like speed.
+    kept = spaced_samples(piece.t, _CLOSE * spacing)
+    parts, note = cut_at_rest(piece.t[kept], unwrap_turns(piece.t, piece.q, piece.v)[0][kept])
     report.note(*[f'{motion.name} {note}'] * bool(note))
-    return [rows[part] for part in parts]
+    return [rows[kept[part[0]]:kept[part[-1]] + 1] for part in parts]
 
 
 def unwrapped_piece(motion: Motion, rows: np.ndarray, report: ReadingReport) -> Motion:

@@ -16,6 +16,9 @@ _HELD, _AT_REST = 0.05, 10.0
 # of the motion: half a period of a sinusoid, which stays within _HELD of its end for a seventh of
 # one. A pause is twice as long, for a pendulum that turns near the top takes that time.
 _REST = 1.5
+# Shortest rest between a lift and a release, relative to _REST; the share of the motion that
+# follows; and that by which the way of a damped body to a turn differs from that back, or on.
+_SHORT, _REMAINS, _MIRRORED = 0.5, 0.7, 0.4
 # Growth after a rest that no free body shows, relative to the range of a held one.
 _GROWTH = 3.0
 # Standard deviations of noise taken off the displacements that show the highest speed.
@@ -26,8 +29,10 @@ def cut_at_rest(t: np.ndarray, q: np.ndarray) -> tuple[list[np.ndarray], str]:
     """
     Cut a free motion where the body stands still: before a release, in a pause, at the end.
 
-    A free body that loses energy stays at rest: what moves again has been held. A part before such
-    a rest that goes only one way was moved by hand, and is left out too.
+    A free body that loses energy stays at rest: what moves again has been held. Its motion is
+    symmetric in time about a moment in which all coordinates rest: a lift and a short hold before
+    a release are not. A part before such a rest that goes only one way was moved by hand, and is
+    left out too.
 
     Parameters
     ----------
@@ -56,7 +61,15 @@ def cut_at_rest(t: np.ndarray, q: np.ndarray) -> tuple[list[np.ndarray], str]:
     grows = np.flatnonzero((ranges > _GROWTH * held).any(axis=1))
     rests = [(i, j) for i, j in _runs_of((ranges <= held).all(axis=1), n)
              if j < grows.max(initial=0) + n and (i == 0 or j - i >= 2 * n)]
-    parts = [*pairwise([0, *chain(*rests), count])][::2]
+    short = int(_SHORT * n)
+    for i, j in _runs_of((_ranges(q[:, moves], short) <= held).all(axis=1), short):
+        first = max((end for _, end in rests if end <= i), default=0)
+        if i > first and j < grows.max(initial=0) + n and all(
+                j <= one or end <= i for one, end in rests) \
+                and (np.ptp(q[j:], axis=0) > _REMAINS * size)[moves].any() \
+                and _goes_one_way(q[first:i, moves], held) and not _turns(q[:, moves], i, j, n):
+            rests.append((i, j))
+    parts = [*pairwise([0, *chain(*sorted(rests)), count])][::2]
     by_hand = [(i, j) for i, j in parts[:-1] if _goes_one_way(q[i:j, moves], held)]
     # Means of an eighth of the shortest rest show how a motion fades in the noise.
     means = uniform_filter1d(q[:, moves], few := max(n // 8, 1), axis=0)
@@ -96,6 +109,15 @@ def _runs_of(windows: np.ndarray, n: int) -> list[tuple[int, int]]:
     covered = np.cumsum(steps) > 0
     edges = np.flatnonzero(np.diff(covered.astype(int), append=0))
     return [(int(i), int(j)) for i, j in edges.reshape(-1, 2)]
+
+
+def _turns(q: np.ndarray, i: int, j: int, n: int) -> bool:
+    """Return whether the motion before a rest is that after it, backward or on the other side."""
+    n = min(n, i, len(q) - j)
+    before, after, place = q[i - n:i][::-1], q[j:j + n], 0.5 * (q[i] + q[j - 1])
+    most = _MIRRORED * np.abs(after - place).max(initial=0.0)
+    return bool(min(np.abs(before - after).max(initial=0.0), np.abs(
+        before + after - 2.0 * place).max(initial=0.0)) <= most)
 
 
 def _goes_one_way(x: np.ndarray, band: np.ndarray) -> bool:
