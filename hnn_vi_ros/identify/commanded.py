@@ -7,15 +7,15 @@ from dataclasses import replace
 import math
 from pathlib import Path
 
-from hnn_vi_ros.effects import LARGEST, OFF
+from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files import make_folder, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian, momentum, read_urdf, RigidBodyTree
 from hnn_vi_ros.identify.free_numbers import FreeScene
 from hnn_vi_ros.identify.intervals import Estimate, Estimates
 from hnn_vi_ros.learning import (
-    CannotFollow, commands_and_off, EvenMotion, EVIDENCE, evidence_of, first_length,
-    fit_numbers, FittedNumbers, MeasuredColumns, ramps)
+    CannotFollow, EvenMotion, EVIDENCE, evidence_of, first_length, fit_numbers, FittedNumbers,
+    held_commands, MeasuredColumns)
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -207,13 +207,14 @@ def forces_needed(hamiltonian: Hamiltonian, motion: EvenMotion) -> np.ndarray:
     return CubicSpline(t, p)(t, 1) + hamiltonian.gradient(q, p)[0]
 
 
-def columns_of(motion: EvenMotion, gain: float, delay: float) -> np.ndarray:
+def columns_of(motion: EvenMotion, gain: float, delay: float, rate: float = math.inf
+               ) -> np.ndarray:
     """Return the columns of k, c, F, J, k o of the forces of servos, shape (N, d, 5)."""
-    t, q, v = motion.t, motion.q_smooth, motion.v_smooth
-    at = np.clip(np.floor((t - t[0] - delay) / motion.spacing + 1e-6).astype(int), 0, None)
-    commands, off = commands_and_off(motion)
-    return np.stack([np.where(off, 0.0, gain * (commands[at] - q)), -v, -np.tanh(v / SPEED),
-                     -motion.a_smooth, -gain * ~off], axis=-1)
+    q, v, commands = motion.q_smooth, motion.v_smooth, held_commands(motion, rate)
+    times = motion.t - motion.t[0]
+    off = commands._replace(positions=commands.off.astype(float), rate=math.inf).at(times) > 0.0
+    return np.stack([np.where(off, 0.0, gain * (commands.at(times - delay) - q)), -v,
+                     -np.tanh(v / SPEED), -motion.a_smooth, -gain * ~off], axis=-1)
 
 
 def _guess(robots: Sequence[tuple[Hamiltonian, float]], motions: Sequence[EvenMotion],
@@ -223,11 +224,9 @@ def _guess(robots: Sequence[tuple[Hamiltonian, float]], motions: Sequence[EvenMo
                              zip(robots, motions, strict=True)])
     fits = []
     for rate in rates:
-        limited = [replace(motion, tau=np.where(off, OFF, ramps(motion, on, rate)))
-                   for motion in motions for on, off in [commands_and_off(motion)]]
         for delay in delays_of(motions):
-            columns = np.concatenate([columns_of(motion, gain, delay) for (_, gain), motion in
-                                      zip(robots, limited, strict=True)])
+            columns = np.concatenate([columns_of(motion, gain, delay, rate) for (_, gain), motion
+                                      in zip(robots, motions, strict=True)])
             # The offset may have either sign.
             columns = np.concatenate([columns, -columns[..., 4:]], axis=-1)
             own = [nnls(columns[:, k], needed[:, k]) for k in range(needed.shape[1])]

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.fit.shooting import (
         column_norms, FitProblem, least_squares_factors, made_up, projected, search, Solution,
         units_of)
-    from hnn_vi_ros.learning.fit.step_forces import commands_and_off, ramps
+    from hnn_vi_ros.learning.fit.step_forces import held_commands, HeldCommands
     from hnn_vi_ros.learning.fit.windows import (
         CannotFollow, check_times, DELAY, MeasuredColumns, ModelParts, Number, Windows)
 

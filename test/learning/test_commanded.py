@@ -76,8 +76,14 @@ def commands(joints: int, count: int, random: np.random.Generator) -> np.ndarray
 
 def write_log(folder: Path, joints: int, seed: int, duration: float = 6.0, scale: float = 1.0,
               limit: float | None = None, payload: dict[str, object] | None = None,
-              name: str = 'log', gain: float = 1.0, **servo: float) -> dict[str, float]:
-    """Write arm.urdf and NAME.csv of an arm with all masses and torques times a factor."""
+              name: str = 'log', gain: float = 1.0, jitter: int = 0, dropped: float = 0.0,
+              **servo: float) -> dict[str, float]:
+    """
+    Write arm.urdf and NAME.csv of an arm with all masses and torques times a factor.
+
+    Samples, and the commands sent with them, are up to `jitter` steps late, and of the rows in
+    which the command does not jump a share is lost.
+    """
     random, names = np.random.default_rng(seed), list(JOINTS[:joints])
     truth = numbers(joints, random)
     (folder / 'arm.urdf').write_text(arm(joints))
@@ -106,14 +112,18 @@ def write_log(folder: Path, joints: int, seed: int, duration: float = 6.0, scale
     if name != 'log':
         # Before a log, its first command is taken to act.
         r[:10] = 0.0
-    q = []
-    for row in r:
+    q, at = [], SAMPLES * np.arange(count + 1)
+    late = np.random.default_rng([seed, 1])
+    at[1:] += late.integers(jitter + 1, size=count)
+    for row, steps in zip(r, np.diff(at), strict=True):
         q.append(simulation.q.copy())
         simulation.set_command(JointCommand(names, row, none, none))
-        simulation.advance(SAMPLES)
+        simulation.advance(int(steps))
     read = np.array(q) + of('servo.offset', 1.0) + NOISE * random.normal(size=(count, joints))
+    kept = (late.uniform(size=count) >= dropped) | (
+        np.abs(np.diff(r, axis=0, prepend=r[:1])) > 0.1).any(axis=1)
     np.savetxt(folder / f'{name}.csv', np.column_stack([
-        STEP * SAMPLES * np.arange(count), read, np.degrees(r)]), fmt='%.9g', delimiter=',',
+        STEP * at[:-1], read, np.degrees(r)])[kept], fmt='%.9g', delimiter=',',
         comments='', header=','.join(['t [s]', *(f'{name} position [rad]' for name in names),
                                       *(f'{name} command [deg]' for name in names)]))
     return truth
@@ -164,6 +174,16 @@ def test_numbers_of_a_servo_are_found_by_the_columns_of_a_log(tmp_path, capsys):
     twin.advance(1000)
     # The servo sags by gravity and sticks: it holds within m g c + F over k.
     assert twin.q[0] == pytest.approx(0.4, abs=0.2) and twin.q[0] != 0.4
+
+
+@pytest.mark.parametrize(('jitter', 'dropped'), [
+    (3, 0.0), *(pytest.param(*case, marks=pytest.mark.long)
+                for case in ((1, 0.0), (5, 0.0), (3, 0.05)))])
+def test_delay_is_found_with_time_stamps_that_jitter(jitter, dropped, tmp_path):
+    truth = write_log(tmp_path, 1, 0, jitter=jitter, dropped=dropped)
+    found = fitted(tmp_path, '--horizon', '0.5')
+    # Within a tenth of a sample.
+    assert found['servo.delay']['value'] == pytest.approx(truth['servo.delay'], abs=STEP)
 
 
 def test_rate_of_ramps_of_commands_is_found(tmp_path):
@@ -381,7 +401,7 @@ def test_commands_limited_in_rate_are_those_of_a_fine_integration(rate):
             r = r + np.clip(command[int(late / 0.02 + 1e-9)] - r, *(
                 sign * rate * h / parts for sign in (-1.0, 1.0)))
         fine.append(r)
-    found = constant_commands(log, edges, h, delay, rate)
+    found = constant_commands(log, edges, delay, rate)
     # The fine reference is late by half of its steps.
     assert found == pytest.approx(np.reshape(fine, (60, parts, 2)).mean(axis=1),
                                   abs=min(rate, 200.0) * h / parts)

@@ -116,6 +116,8 @@ class Motion:
         Names of coordinates, then of velocities, in the log, for messages; empty for numbers.
     commanded : bool
         True if tau are positions commanded to servos, or OFF.
+    logged : Motion, optional
+        A commanded motion with the time stamps of the log, before it was resampled.
 
     """
 
@@ -133,6 +135,7 @@ class Motion:
     q_alone: np.ndarray | None = None
     names: tuple[str, ...] = ()
     commanded: bool = False
+    logged: 'Motion | None' = None
 
     @property
     def held(self) -> bool:
@@ -278,7 +281,7 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
         piece.name, piece.t, piece.q, piece.v,
         np.zeros_like(piece.q) if piece.tau is None else piece.tau, cutoff, piece.a),
         where=piece.where, inputs=piece.inputs, q_alone=piece.q_alone, cutoff_alone=alone,
-        commanded=piece.commanded)
+        commanded=piece.commanded, logged=piece.logged)
         for piece in even]
     if len({one.v is None for one in found}) > 1:
         # Fits compare the same channels of all runs; the states keep the velocities of theirs.
@@ -477,13 +480,14 @@ def _even_pieces(pieces: Pieces, usual: float, data: MotionData, report: Reading
         if are_differences(piece):
             report.differences[motion.name] = None
             piece = replace(piece, v=None)
+        logged = piece if motion.commanded else None
         alone = part_of(piece, spaced_samples(piece.t, _CLOSE * spacing))
         if piece.v is None:
             report.close += len(piece.t) - len(alone.t)
             piece = alone
         name = motion.name if len(long) == 1 else f'{motion.name}#{number}'
         even = resampled(replace(piece, inputs=data.inputs or motion.inputs), usual)
-        yield replace(even, name=name, q_alone=None if piece.v is None else cubic(
+        yield replace(even, name=name, logged=logged, q_alone=None if piece.v is None else cubic(
             even.t, alone.t, alone.q))
 
 
@@ -594,7 +598,7 @@ def of_positions(motions: Sequence[EvenMotion]) -> list[EvenMotion]:
     cutoff = cutoff_of(bare, motions[0].spacing) if cutoff is None else cutoff
     return [replace(smoothed(one.name, one.t, one.q, None, one.tau, cutoff, one.a),
                     where=one.where, inputs=one.inputs, idle=one.idle, cutoff_alone=cutoff,
-                    commanded=one.commanded)
+                    commanded=one.commanded, logged=one.logged)
             for one in bare]
 
 

@@ -226,8 +226,7 @@ class LogSimulation:
                 if run not in tables:
                     edges = self.step_size * np.arange(len(motion.tau) * self.per_sample + 1)
                     tables[run] = constant_commands(
-                        motion, edges, self.step_size, self._delay, self._rate_limit
-                        ) if motion.commanded else \
+                        motion, edges, self._delay, self._rate_limit) if motion.commanded else \
                         constant_forces(motion, edges - self._delay, self.step_size,
                                         self.windows.rates)
                 table, duration = tables[run], self.step_size

@@ -3,8 +3,8 @@
 """Measured forces between samples, and the constant force of each step that replaces them."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 import math
+from typing import NamedTuple
 
 from hnn_vi_ros.effects import ExternalForce, LARGEST, OFF
 from hnn_vi_ros.errors import DataError
@@ -14,6 +14,8 @@ import numpy as np
 
 # Distance from a kink at which slopes are taken on each side, in samples.
 _OFF_KINK = 0.01
+# Time by which rounding moves an instant [s].
+_ROUNDED = 1e-9
 
 
 def impulse(motion: EvenMotion, times: np.ndarray) -> np.ndarray:
@@ -66,59 +68,114 @@ def constant_forces(motion: EvenMotion, edges: np.ndarray, h: float, rates: bool
     return np.diff(total, axis=0) / h
 
 
-def commands_and_off(motion: EvenMotion) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands, also while motors are off, and where these are off, each (N, m)."""
-    on, off = motion.tau.copy(), np.abs(motion.tau) > LARGEST
-    for column, idle in zip(on.T, off.T, strict=True):
-        # A command that waits for the motor, or the last one.
+class HeldCommands(NamedTuple):
+    """
+    Positions commanded to servos, steps at the time stamps of the log.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (M,)
+        Times since the first sample of the motion [s].
+    positions : np.ndarray, shape (M, m)
+        Positions, also while motors are off: then those that wait for the motor.
+    off : np.ndarray of bool, shape (M, m)
+        Mask of the motors that are off.
+    rate : float
+        Largest rate at which servos follow the positions, possibly infinite.
+    begins : np.ndarray, shape (m,)
+        Positions at which they begin to follow.
+
+    """
+
+    t: np.ndarray
+    positions: np.ndarray
+    off: np.ndarray
+    rate: float
+    begins: np.ndarray
+
+    @property
+    def reached(self) -> np.ndarray:
+        """Return the reference at the times of the commands, shape (M, m)."""
+        if self.rate == math.inf:
+            return self.positions
+        r = np.vstack([self.begins, self.positions[1:]])
+        for before, now, position, most in zip(
+                r, r[1:], self.positions, self.rate * np.diff(self.t), strict=False):
+            now[:] = before + np.clip(position - before, -most, most)
+        return r
+
+    def _since(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the last command before each time, and the time since [s], shape (N, 1)."""
+        k = np.searchsorted(self.t, times + _ROUNDED, side='right') - 1
+        k = np.clip(k, 0, len(self.t) - 1)
+        return k, (times - self.t[k])[:, None]
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Return the reference at other times, shape (N, m)."""
+        r, (k, since) = self.reached, self._since(times)
+        if self.rate == math.inf:
+            return r[k]
+        most = self.rate * np.maximum(since, 0.0)
+        return r[k] + np.clip(self.positions[k] - r[k], -most, most)
+
+    def mean(self, edges: np.ndarray) -> np.ndarray:
+        """Return the mean of the reference between edges, (N + 1,), shape (N, m)."""
+        r, (k, since) = self.reached, self._since(edges)
+        change = self.positions - r
+
+        def integral(own: np.ndarray, x: np.ndarray) -> np.ndarray:
+            if self.rate == math.inf:
+                return np.zeros_like(own)
+            ramp = np.clip(np.minimum(np.abs(own) / self.rate, x), 0.0, None)
+            return np.sign(own) * self.rate * ramp * (x - 0.5 * ramp)
+        lasting = np.diff(self.t)[:, None]
+        total = np.cumsum(np.vstack([
+            0.0 * r[:1], lasting * r[:-1] + integral(change[:-1], lasting)]), axis=0)
+        return np.diff(total[k] + r[k] * since + integral(change[k], since), axis=0) / np.diff(
+            edges)[:, None]
+
+    def off_in(self, edges: np.ndarray) -> np.ndarray:
+        """Return where motors are off for most of the time between edges, shape (N, m)."""
+        return HeldCommands(self.t, self.off.astype(float), self.off, math.inf,
+                            self.begins).mean(edges) > 0.5
+
+
+def held_commands(motion: EvenMotion, rate: float = math.inf) -> HeldCommands:
+    """
+    Return the commands of a motion, which servos follow at a rate.
+
+    They begin at the measured position if each joint has a command, else at the first command.
+    """
+    logged = motion.logged or motion
+    assert logged.tau is not None, 'commanded'
+    positions, off = logged.tau.copy(), np.abs(logged.tau) > LARGEST
+    for column, idle in zip(positions.T, off.T, strict=True):
         column[idle] = np.interp(np.flatnonzero(idle), np.flatnonzero(~idle), column[~idle]) \
             if not idle.all() else 0.0
-    return on, off
+    begins = motion.q[0] if motion.q.shape[1] == positions.shape[1] else positions[0]
+    return HeldCommands(logged.t - motion.t[0], positions, off, rate, begins)
 
 
-def ramps(motion: EvenMotion, positions: np.ndarray, rate: float) -> np.ndarray:
-    """
-    Return a reference, at the samples, that follows positions at a rate, shape (N, m).
-
-    It begins at the measured position if each joint has a command, else at the first command.
-    """
-    r, most = positions.copy(), rate * motion.spacing
-    if motion.q.shape == r.shape and rate < math.inf:
-        r[0] = motion.q[0]
-    for before, now, position in zip(r, r[1:], positions, strict=False):
-        now[:] = before + np.clip(position - before, -most, most)
-    return r
-
-
-def _limited(motion: EvenMotion, positions: np.ndarray, times: np.ndarray, rate: float
-             ) -> np.ndarray:
-    """Return the integral to given times of such a reference."""
-    spacing, r = motion.spacing, ramps(motion, positions, rate)
-
-    def integral(change: np.ndarray, x: np.ndarray) -> np.ndarray:
-        ramp = np.minimum(np.abs(change) / rate, x)
-        return np.sign(change) * rate * ramp * (x - 0.5 * ramp)
-    change = positions - r
-    total = np.cumsum(spacing * r + integral(change, np.full_like(r, spacing)), axis=0)
-    k = np.clip(np.floor(times / spacing + 1e-9).astype(int), 0, len(r) - 1)
-    x = (times - spacing * k)[:, None]
-    return np.where(k[:, None] > 0, total[k - 1], 0.0) + r[k] * x + integral(change[k], x)
-
-
-def constant_commands(motion: EvenMotion, edges: np.ndarray, h: float, delay: float,
-                      rate: float = math.inf) -> np.ndarray:
+def constant_commands(motion: EvenMotion, edges: np.ndarray, delay: float, rate: float = math.inf
+                      ) -> np.ndarray:
     """
     Return the command of each step to servos, its mean in the step, or OFF, shape (N, m).
 
-    A motor is off in a step if it is for most of it. Only positions are delayed [s] and limited
-    in rate: a drive that filters its goal switches its motor at once. Other parameters are as in
-    ``constant_forces``.
+    Only positions are delayed [s] and limited in rate: a drive that filters its goal switches its
+    motor at once.
+
+    Parameters
+    ----------
+    motion : EvenMotion
+        A commanded motion.
+    edges : np.ndarray, shape (N + 1,)
+        Start and end times of N steps, since the first sample [s].
+    delay, rate : float
+        See `servo`.
+
     """
-    on, off = commands_and_off(motion)
-    total = impulse(replace(motion, tau=on), edges - delay) if rate == math.inf else _limited(
-        motion, on, edges - delay, rate)
-    share = np.diff(impulse(replace(motion, tau=off.astype(float)), edges), axis=0) / h
-    return np.where(share > 0.5, OFF, np.diff(total, axis=0) / h)
+    commands = held_commands(motion, rate)
+    return np.where(commands.off_in(edges), OFF, commands.mean(edges - delay))
 
 
 def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
