@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The gallery: every shipped scene with its picture, its YAML and the command that runs it.
+The gallery: a card for each shipped scene, with its picture, its YAML and what it shows.
 
 `HNN_DOCS_GALLERY` is a comma-separated list of the scenes to draw (default: all; `none` for none).
 A picture is made once for each version of its scene and its model.
@@ -39,7 +39,7 @@ _VERSION = '10'
 
 def write_gallery(docs: Path) -> None:
     """
-    Write a page for each scene, one for all, and the pictures.
+    Write the page of cards and the pictures.
 
     Parameters
     ----------
@@ -54,25 +54,23 @@ def write_gallery(docs: Path) -> None:
     wanted = set(scenes) if asked == 'all' else set(asked.split(',')) - {'none'}
     if wanted - set(scenes):
         raise ValueError(f'HNN_DOCS_GALLERY: no scenes {", ".join(sorted(wanted - set(scenes)))}')
-    topics: dict[str, list[str]] = {
-        topic: [] for topic in (*_TOPICS.values(), _ROBOTS)}
+    topics: dict[str, list[str]] = {topic: [] for topic in (*_TOPICS.values(), _ROBOTS)}
     bare = []
     for name, path in scenes.items():
         why = draw(name, path, folder) if name in wanted else 'left out of this build'
-        write(folder / f'{name}.md', scene_page(name, path, folder, why))
         if (folder / f'{name}.png').is_file():
             topics[topic_of(path)].append(card(name, path))
         else:
-            bare.append(f'[{name}]({name}.md)')
+            bare.append(f'- {_link(name)}: {description(path)} ({why})')
     text = ['# Gallery', '', (
-        f'The {len(scenes)} shipped scenes. Each page has the pictures of a short run, the YAML '
-        'and the command.'), '']
+        f'The {len(scenes)} shipped scenes. `hnn run NAME --plot NAME.png` runs one, and '
+        '`hnn simulator --ros-args -p scene:=NAME` runs it as a node. Each name opens its YAML.'),
+        '']
     for topic, cards in topics.items():
         if cards:
             text += [f'## {topic}', '', '::::{container} gallery', *cards, '::::', '']
     if bare:
-        text += ['## Without a picture', '', f'{", ".join(bare)}.', '']
-    text += ['```{toctree}', ':hidden:', '', *scenes, '```', '']
+        text += ['## Without a picture', '', *bare, '']
     write(folder / 'index.md', '\n'.join(text))
 
 
@@ -95,7 +93,6 @@ def draw(name: str, path: Path, folder: Path) -> str:
         return 'its model is not shipped because of the licence of its data; train it first'
     print(f'gallery: {run}', file=sys.stderr)
     mechanism_picture(run).save(folder / f'{name}.png')
-    run.plot().savefig(folder / f'{name}-series.png', dpi=90)
     stamps[name] = key.hexdigest()
     stamps_path.write_text(json.dumps(stamps, indent=1), encoding='utf-8')
     return ''
@@ -120,27 +117,14 @@ def mechanism_picture(run: Trajectory) -> Image.Image:
     return Image.open(film).convert('RGB')
 
 
-def scene_page(name: str, path: Path, folder: Path, why: str) -> str:
-    """Return the page of one scene."""
-    text = [f'# {name}', '', f'{description(path)}.', '']
-    if (folder / f'{name}.png').is_file() and not why:
-        text += [f'![The mechanism or the phase portrait of {name}]({name}.png)', '']
-    else:
-        text += [f'No picture: {why}.', '']
-    command = f'hnn run {name} --plot {name}.png'
-    text += ['```bash', f'{command}    # without ROS', (
-        f'hnn simulator --ros-args -p scene:={name}'), '```', '',
-        f'`config/scenes/{name}.yaml`:', '', '```yaml', path.read_text('utf-8').rstrip(), '```',
-        '']
-    if (folder / f'{name}-series.png').is_file() and not why:
-        text += ['## Series', '', f'![Coordinates, momenta and energy]({name}-series.png)', '']
-    return '\n'.join(text)
-
-
 def card(name: str, path: Path) -> str:
-    """Return the part of the page of all scenes that shows one."""
-    return (f':::{{container}} card\n[![{name}]({name}.png)]({name}.md)\n\n[{name}]({name}.md)\n\n'
+    """Return the part of the page that shows one scene."""
+    return (f':::{{container}} card\n![{name}]({name}.png)\n\n{_link(name)}\n\n'
             f'{description(path)}\n:::')
+
+
+def _link(name: str) -> str:
+    return f'[{name}](../../config/scenes/{name}.yaml)'
 
 
 def topic_of(path: Path) -> str:

@@ -1,6 +1,5 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-# flake8: noqa: F401
 """
 Read and write files: YAML, XML, standard streams, command lines, size limits.
 

@@ -176,7 +176,8 @@ def test_gallery_has_a_card_for_each_scene(generate, tmp_path, monkeypatch):
     generate.write_gallery(tmp_path / 'docs')
     page = (tmp_path / 'docs' / 'gallery' / 'index.md').read_text(encoding='utf-8')
     scenes = [path.stem for path in (ROOT / 'config' / 'scenes').glob('*.yaml')]
-    assert scenes and all(f'[{name}]({name}.md)' in page for name in scenes)
+    assert scenes and all(f'[{name}](../../config/scenes/{name}.yaml)' in page for name in scenes)
+    assert [path.name for path in (tmp_path / 'docs' / 'gallery').glob('*.md')] == ['index.md']
 
 
 def test_sketch_is_seen_from_above_only_if_the_motion_is_flat(generate):

@@ -3,6 +3,7 @@
 """Hold Python files to the style of ROS 2, to ruff.toml, and the core to its types."""
 
 from collections.abc import Callable, Iterator
+from configparser import ConfigParser
 from contextlib import AbstractContextManager, contextmanager
 import gc
 from hashlib import sha256
@@ -56,7 +57,10 @@ def test_python_files_satisfy_ament_flake8(changed_sources, rare_gc, monkeypatch
     monkeypatch.chdir(tmp_path)
     rules = Path(ament_flake8.__file__).parent / 'configuration' / 'ament_flake8.ini'
     config = tmp_path / 'one_process.ini'
-    config.write_text(f'{rules.read_text()}\njobs = 1\n')
+    own = ConfigParser()
+    own.read(ROOT / 'setup.cfg')
+    ignored = own['flake8']['per-file-ignores']
+    config.write_text(f'{rules.read_text()}\njobs = 1\nper-file-ignores = {ignored}\n')
     with changed_sources('flake8') as files:
         code, errors = ament_flake8.main_with_errors(argv=[f'--config={config}', *files])
         assert code == 0, '\n'.join(errors)
