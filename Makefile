@@ -31,12 +31,13 @@ RUNNABLE := install/hnn_vi_ros/lib/hnn_vi_ros
 ONE_THREAD := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 JAX_PLATFORMS=cpu \
 	XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'
 
-.PHONY: help build run test test-long messages keys bench accuracy hard-cases study docs clean distclean
+.PHONY: help build run test test-long nightly messages keys bench accuracy hard-cases study docs clean distclean
 
 help:
 	@echo 'make run [SCENE=NAME|FILE] [DURATION=SECONDS]  simulate a scene (0: until Ctrl-C)'
 	@echo 'make test [ARGS=...]                           run the short tests (ARGS go to pytest)'
 	@echo 'make test-long                                 run the long tests; an hour'
+	@echo 'make nightly                                   check what breaks seldom: Kilted, notebook, Pythons'
 	@echo 'make messages [ARGS=...]                       regenerate the tables of error messages'
 	@echo 'make keys                                      regenerate the schema and the key reference'
 	@echo 'make bench [OUT=FOLDER] [ARGS=...]             measure the speed against other tools'
@@ -82,6 +83,11 @@ ifdef ARGS
 else
 	@$(TESTS)
 endif
+
+nightly:
+	$(VENV) run
+	$(BUILD)
+	@.ci/nightly
 
 # Review the diff: each row is a mistake and the line that answers it.
 messages:
