@@ -1,9 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Standstill of a free body is found and left out: before the release, in a pause, at the end."""
+"""A free body is at rest before the release, in a pause, at the end; joined motions are cut."""
 
 from hnn_vi_ros.learning.data.motions import even_motions, Motion, MotionData, Recording
 from hnn_vi_ros.learning.data.rest import cut_at_rest
+from hnn_vi_ros.learning.data.sampling import velocity_jumps
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -95,6 +96,37 @@ def test_wrong_stamp_is_no_rest(noise):
     (motion,), said = even_motions(Recording([Motion('log', 'log', t, q)], 'log', ''),
                                    MotionData())
     assert len(motion.t) == len(T) and 'stands still' not in said
+
+
+@pytest.mark.parametrize('noise', [0.0, 2e-3])
+@pytest.mark.parametrize('measured', [False, True])
+def test_motions_joined_at_one_place_are_cut(noise, measured):
+    one = solve_ivp(lambda _, y: [y[1], -20.0 * np.sin(y[0])], (0.0, T[-1]), [1.0, 0.0], 'DOP853',
+                    T, rtol=1e-10, atol=1e-12).y
+    end = 600 + int(np.argmax(np.abs(one[1, 600:660])))
+    # The second goes back the way that the first came.
+    q, v = np.hstack([one[:, :end], one[:, end - 1::-1] * [[1.0], [-1.0]]])
+    random = np.random.default_rng(0)
+    log = Motion('log', 'log', SPACING * np.arange(len(q)), noisy(q, noise),
+                 (v + 5.0 * noise * random.normal(size=len(v)))[:, None] if measured else None)
+    motions, said = even_motions(Recording([log], 'log', ''), MotionData())
+    assert [len(motion.t) for motion in motions] == [end, end]
+    assert f'velocity of coordinate 1 jumps in a sample (at {SPACING * end:.6g} s)' in said
+
+
+def ball(t: np.ndarray) -> np.ndarray:
+    """Return a ball that bounces on the ground, at 1 kHz."""
+    return 1.0 - 4.905 * ((t + 0.45152) % 0.90305 - 0.45152)**2
+
+
+@pytest.mark.parametrize('q', [
+    ball(1e-3 * np.arange(4000)), swing(1.0, 0.0), swing(3.1, 0.0), KEPT['dry friction'],
+    KEPT['double well'], np.round(swing(1.0), 2), 1.0 / (1.0 + (10.0 * np.sin(T))**2),
+    np.cumsum(np.random.default_rng(2).normal(size=1000))], ids=range(8))
+@pytest.mark.parametrize('noise', [0.0, 2e-3])
+def test_no_velocity_jumps_in_one_motion(q, noise):
+    t = (1e-3 if len(q) == 4000 else SPACING) * np.arange(len(q))
+    assert not velocity_jumps(t, noisy(q, noise)[:, 0], None).size
 
 
 def test_rest_of_a_driven_machine_is_kept_and_that_of_a_free_one_is_in_the_description():

@@ -17,11 +17,12 @@ from hnn_vi_ros.effects import OFF
 from hnn_vi_ros.errors import counted, DataError, listed
 from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.arguments import Course
-from hnn_vi_ros.learning.data.faults import faults
+from hnn_vi_ros.learning.data.faults import faults, times_text
 from hnn_vi_ros.learning.data.rest import cut_at_rest
 from hnn_vi_ros.learning.data.sampling import (
     Between, clock_resets, cubic, even_times, increasing_samples, interleaved, is_noise, linear,
-    low_pass, repeated_text, spaced_samples, unexplained_share, unwrap_turns)
+    low_pass, repeated_text, spaced_samples, unexplained_share, unwrap_turns,
+    velocity_jumps)
 import numpy as np
 from pydantic import Field
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
@@ -399,6 +400,9 @@ def pieces_of(motion: Motion, on_bad: str, report: ReadingReport) -> Pieces:
     gap |= intervals <= 0.0  # the clock was set back
     if on_bad == 'split':
         gap |= np.diff(kept) > 1
+    if report.least > 1 and not motion.commanded:
+        whole = np.split(kept, np.flatnonzero(gap) + 1)
+        gap[_velocity_jumps(motion, whole, on_bad, report)] = True
     pieces = np.split(kept, np.flatnonzero(gap) + 1)
     report.cuts += len(pieces) - 1
     long = [piece for piece in pieces if len(piece) >= report.least]
@@ -408,6 +412,27 @@ def pieces_of(motion: Motion, on_bad: str, report: ReadingReport) -> Pieces:
         raise DataError(f'{motion.where}: no {report.least} successive samples without a gap; '
                         f'record for longer{bridge}')
     return Pieces(motion, long, spacing)
+
+
+def _velocity_jumps(motion: Motion, pieces: Sequence[np.ndarray], on_bad: str,
+                    report: ReadingReport) -> list[int]:
+    """Return the numbers of samples in pieces behind which a velocity jumps: motions joined."""
+    found, first = list[int](), 0
+    for rows in pieces:
+        t, v = motion.t[rows], motion.v
+        q, _ = unwrap_turns(t, motion.q[rows], None if v is None else v[rows])
+        for k, label in enumerate(motion.labels[:q.shape[1]]):
+            at = velocity_jumps(t, q[:, k], None if v is None else v[rows, k])
+            if not at.size:
+                continue
+            said = f'the velocity of {label} jumps in a sample{times_text(t[at])}'
+            if on_bad == 'fail':
+                raise DataError(f'{motion.where}: {said}: number its runs in a column '
+                                '(data.trial), or use data.on_bad: drop')
+            report.note(f'{said}, where another motion begins')
+            found += (first + at - 1).tolist()
+        first += len(rows)
+    return found
 
 
 def _usable_samples(motion: Motion, on_bad: str, report: ReadingReport) -> np.ndarray:

@@ -5,7 +5,7 @@
 from itertools import chain, pairwise
 
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.learning.data.sampling import resolution
+from hnn_vi_ros.learning.data.sampling import noise_of
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
@@ -48,8 +48,7 @@ def cut_at_rest(t: np.ndarray, q: np.ndarray) -> tuple[list[np.ndarray], str]:
 
     """
     count, size = len(t), np.ptp(q, axis=0)
-    noise = np.median(np.abs(np.diff(q, 3, axis=0)), axis=0) / (0.6745 * 20.0**0.5)
-    noise = np.maximum(noise, [resolution(one) / 12.0**0.5 for one in q.T])
+    noise = noise_of(q)
     speed = _highest_speed(t, q, noise)
     moves = speed > 0.0
     held = np.maximum(_HELD * size, _AT_REST * noise)[moves]

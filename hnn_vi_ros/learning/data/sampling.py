@@ -9,6 +9,7 @@ from hnn_vi_ros.errors import DataError
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt
 
 # Order of the low-pass filter. It runs forward and backward: twice the order, no phase shift.
@@ -31,6 +32,14 @@ _LEAST, _RELATED = 50, 5.0
 _AROUND = 20
 # Rates are judged only where a coordinate moves by this multiple of its noise.
 _MIN_MOTION = 20.0
+# Third differences of white noise, as their median relative to its standard deviation.
+_THIRD = 0.6745 * math.sqrt(20.0)
+# Samples on each side of a jump of the velocity; the change that may be one, relative to those
+# around it; its size in standard deviations, and relative to steps around it; and the misfit of
+# a parabola on one side, relative to the jump.
+_SIDE, _SEEN, _SURE, _ALONE, _SMOOTH = 5, 3.0, 10.0, 4.0, 0.1
+# Largest distance of impacts on one stop, relative to the range.
+_STOP = 0.02
 # Differences that are rounding, relative to the range.
 ROUNDED = 1e-6
 # Interpolation: maps new times, times t and values, shape (N, k), to values at the new times.
@@ -122,6 +131,92 @@ def spaced_samples(t: np.ndarray, least: float) -> np.ndarray:
         if time - t[kept[-1]] >= least:
             kept.append(i)
     return np.array(kept)
+
+
+def noise_of(x: np.ndarray) -> np.ndarray:
+    """Return the standard deviations of the noise of coordinates at even times, shape (d,)."""
+    quanta = [resolution(column) / math.sqrt(12.0) for column in x.T]
+    return np.maximum(np.median(np.abs(np.diff(x, 3, axis=0)), axis=0) / _THIRD, quanta)
+
+
+def velocity_jumps(t: np.ndarray, q: np.ndarray, v: np.ndarray | None) -> np.ndarray:
+    """
+    Return the indices of samples before which the velocity of a coordinate jumps.
+
+    Parabolas through the samples on both sides differ in their slopes, or in the velocities. An
+    impact on a stop, which reverses the velocity at one place more than once, does not count.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (N,)
+        Increasing times [s].
+    q : np.ndarray, shape (N,)
+        Coordinate.
+    v : np.ndarray, shape (N,), or None
+        Velocities, if they were measured.
+
+    """
+    x, order = (q, 1) if v is None else (v, 0)
+    if len(x) < 4 * _SIDE or not np.ptp(x):
+        return np.empty(0, dtype=int)
+    noise, spacing = _rounded_noise(x), np.diff(t)
+    changes = np.abs(np.diff(x if order == 0 else np.diff(x) / spacing))
+    usual = median_filter(changes, 4 * _SIDE, mode='reflect')
+    least = noise if order == 0 else noise / float(np.median(spacing))
+    at = np.flatnonzero(changes > _SEEN * np.maximum(usual, least)) + 1
+    at = np.unique([at, at + 1])
+    at = at[(at >= _SIDE) & (at <= len(x) - _SIDE)]
+    steps, errors, misfits, _ = _steps_of(t, x, at, order)
+    size = np.abs(steps) * (spacing[at - 1] if order else 1.0)
+    sure = (np.abs(steps) > _SURE * noise * errors) & (
+        misfits < np.maximum(_SMOOTH * size, _RELATED * noise))
+    if v is not None:
+        # Positions that do not follow show a glitch.
+        slopes, errors, _, _ = _steps_of(t, q, at, 1)
+        sure &= np.abs(slopes - steps) < 0.5 * np.abs(steps) + 3.0 * _rounded_noise(q) * errors
+    at = at[sure]
+    found, reversals = list[int](), list[float]()
+    for i in at:
+        near = np.arange(max(i - 4 * _SIDE, _SIDE), min(i + 4 * _SIDE, len(x) - _SIDE) + 1)
+        steps, _, _, rates = _steps_of(t, x, near, order)
+        steps, own = np.abs(steps), int(np.flatnonzero(near == i)[0])
+        if steps[own] == steps.max() and steps[own] > _ALONE * steps[
+                np.abs(near - i) >= _SIDE].max(initial=0.0):
+            found.append(int(i))
+            reversals.append(float(q[i]) if rates[own].prod() < 0.0 else np.inf)
+    places = np.array(reversals)
+    return np.array([i for i, place in zip(found, places, strict=True) if place == np.inf or (
+        np.abs(places - place) <= _STOP * np.ptp(q)).sum() == 1], dtype=int)
+
+
+def _rounded_noise(x: np.ndarray) -> float:
+    return max(float(noise_of(x[:, None])[0]), ROUNDED * float(np.ptp(x)))
+
+
+def _steps_of(t: np.ndarray, x: np.ndarray, at: np.ndarray, order: int
+              ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Compare parabolas through the samples before and after some indices.
+
+    Returns
+    -------
+    np.ndarray, shape (M,), three times, and shape (M, 2)
+        Steps of the derivative of this order, their errors for a noise of 1, the largest misfits
+        of the parabolas, and the derivatives before and after.
+
+    """
+    values, errors, misfits = [], [], []
+    middle = 0.5 * (t[at - 1] + t[at])
+    for first in (-_SIDE, 0):
+        rows = at[:, None] + np.arange(first, first + _SIDE)
+        powers = (t[rows] - middle[:, None])[..., None]**np.arange(3)
+        inverse = np.linalg.pinv(powers)
+        numbers = np.einsum('mij,mj->mi', inverse, x[rows])
+        values.append(numbers[:, order])
+        errors.append((inverse[:, order]**2).sum(axis=-1))
+        misfits.append(np.abs(x[rows] - np.einsum('mij,mj->mi', powers, numbers)).max(axis=1))
+    return (values[1] - values[0], np.sqrt(errors[0] + errors[1]), np.maximum(*misfits),
+            np.stack(values, axis=-1))
 
 
 def even_times(t: np.ndarray, spacing: float) -> np.ndarray:
