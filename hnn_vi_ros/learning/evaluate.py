@@ -11,7 +11,7 @@ from pathlib import Path
 import shlex
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects import Commanded, Effect, ExternalForce
+from hnn_vi_ros.effects import Commanded, Effect, ExternalForce, PeriodicDrive
 from hnn_vi_ros.errors import DataError, listed, ParameterError, prefixed, RecordingError
 from hnn_vi_ros.files import check_new, elapsed, make_folder, write_text
 from hnn_vi_ros.hamiltonians import Hamiltonian
@@ -90,8 +90,12 @@ def _judged(arguments: Namespace) -> _Judgement:
     if not (arguments.model.endswith('.safetensors') or any(one.tau.any() for one in motions)):
         kinds = [type(one).__name__ for one in parts.effects if isinstance(one, Commanded)]
         description += f'; no forces, with which {listed(kinds)} acts: they are 0' * bool(kinds)
-    parts = parts._replace(effects=_effects_for(
-        arguments.model, parts.effects, motions, description))
+    effects = _effects_for(arguments.model, parts.effects, motions, description)
+    own = [one.coordinate for one in parts.effects if isinstance(one, PeriodicDrive)
+           and one not in effects]
+    description += f'; the forces in the log replace the periodic_drive of {listed(own)}' \
+        * bool(own)
+    parts = parts._replace(effects=effects)
     checkpoint = getattr(hamiltonian, 'checkpoint', None)
     card = None if checkpoint is None or checkpoint.card.mechanical is None else checkpoint.card
     if card is not None:
@@ -160,9 +164,11 @@ def _effects_for(model: str, effects: Sequence[Effect], motions: Sequence[EvenMo
         raise DataError(f'{description}: the motions contain forces, but {model} has no effect '
                         'external_force; add it with all coordinates, or omit the forces, '
                         f'{_NO_FORCES}')
-    # An external_force with an input map would require its own number of forces.
-    return [effect for effect in effects
-            if driven or not isinstance(effect, ExternalForce) or effect.names]
+    # An external_force with an input map would require its own number of forces; measured forces
+    # are all that a motor does.
+    return [effect for effect in effects if not (
+        isinstance(effect, PeriodicDrive) if driven else
+        isinstance(effect, ExternalForce) and not effect.names)]
 
 
 def _baselines(arguments: Namespace, hamiltonian: Hamiltonian) -> dict[str, Predict]:

@@ -56,6 +56,19 @@ def swings() -> dict[str, np.ndarray]:
     return arrays
 
 
+def test_measured_forces_replace_the_drive_of_a_scene(tmp_path, capsys):
+    np.savez(tmp_path / 'm.npz', **swings())
+    drive = {'kind': 'periodic_drive', 'coordinate': 'angle', 'amplitude': 3.0, 'frequency': 0.5}
+    tables = []
+    for name, effects in (('bare', SCENE['effects']), ('driven', [*SCENE['effects'], drive])):
+        (tmp_path / f'{name}.yaml').write_text(dump_yaml(SCENE | {'effects': effects}))
+        evaluate.main([str(tmp_path / f'{name}.yaml'), '--data', str(tmp_path / 'm.npz')])
+        said, *table = capsys.readouterr().out.splitlines()
+        assert ('replace the periodic_drive of angle' in said) == (name == 'driven')
+        tables.append(table)
+    assert tables[0] == tables[1]
+
+
 @pytest.fixture(scope='module')
 def made(pytestconfig) -> Training:
     """Return a machine that is hardly trained, and its motions."""
