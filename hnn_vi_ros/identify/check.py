@@ -18,7 +18,7 @@ from hnn_vi_ros.identify.commanded import (
 from hnn_vi_ros.identify.identify import source_by_format
 from hnn_vi_ros.learning import (
     ANGLE, configuration_of, even_motions, EvenMotion, joined, LogWarning, low_pass, Motion,
-    read_header, recording_of, split_runs, warnings_of)
+    read_header, recording_of, run_of, split_runs, warnings_of)
 from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -63,6 +63,7 @@ class Checked(NamedTuple):
     raw: list[Motion]
     motions: list[EvenMotion]
     names: list[str]
+    units: list[str]
     description: str
     warnings: list[LogWarning]
     numbers: list[Told]
@@ -141,19 +142,41 @@ def check(log: Sequence[str], robot: Path | None = None) -> Checked:
         if raw.motions[0].commanded or not commanded:
             break
     motions, description = even_motions(raw, data)
-    warnings = warnings_of(motions, names)
+    units = [one.q_unit for one in coordinates]
+    intervals = np.concatenate([np.diff(motion.t) for motion in raw.motions])
+    usual = float(np.median(intervals))
+    even = (spread := float(np.quantile(np.abs(intervals / usual - 1.0), 0.9))) <= 0.5
+    found = Checked(raw.motions, motions, names, units, description, [], [], None)
+    whole = _judged(found, tree, even)
+    if whole.useless:
+        # A fit of several motions learns at least what it does from the best.
+        runs = [[one for one in motions if run_of(one) == run]
+                for run in dict.fromkeys(map(run_of, motions))]
+        alone = [_judged(found._replace(motions=run), tree, even) for run in runs] \
+            if len(runs) > 1 else []
+        if usable := [one for one in alone if not one.useless]:
+            best = max(usable, key=lambda one: sum(number.known for number in one.numbers))
+            run = run_of(best.motions[0])
+            whole = best._replace(motions=motions, warnings=[LogWarning(
+                f'all runs together: {"; ".join(whole.useless)}; below is what {run} alone tells'),
+                *best.warnings])
+    warnings = [*whole.warnings]
     if data.kind == 'log':
         warnings += [LogWarning(f'{name} is constant or without numbers, and left out')
                      for name in read_header(Path(log[0]), coordinates).still]
-    intervals = np.concatenate([np.diff(motion.t) for motion in raw.motions])
-    usual = float(np.median(intervals))
-    if (spread := float(np.quantile(np.abs(intervals / usual - 1.0), 0.9))) > 0.5:
+    if not even:
         warnings.append(LogWarning(f'a tenth of the intervals differ by more than {spread:.0%} '
                                    'from the usual one'))
-    numbers, delay = list[Told](), None
-    if tree is not None and not any(one.useless for one in warnings):
-        numbers, delay = _told(tree, motions)
-    return Checked(raw.motions, motions, names, description, warnings, numbers, delay)
+    return whole._replace(warnings=warnings)
+
+
+def _judged(found: Checked, tree: RigidBodyTree | None, even: bool) -> Checked:
+    """Return a check with the warnings and the numbers of its motions."""
+    warnings = warnings_of(found.motions, found.names, found.units, even)
+    if tree is None or any(one.useless for one in warnings):
+        return found._replace(warnings=warnings)
+    numbers, delay = _told(tree, found.motions)
+    return found._replace(warnings=warnings, numbers=numbers, delay=delay)
 
 
 def _told(tree: RigidBodyTree, motions: Sequence[EvenMotion]) -> tuple[list[Told], float | None]:
@@ -237,7 +260,9 @@ def report_of(found: Checked) -> Iterator[str]:
     has = 'commanded positions' if found.motions[0].commanded else 'forces' if any(
         motion.tau.any() for motion in found.motions) else 'neither commands nor forces'
     rates = 'velocities' if found.motions[0].v is not None else 'no velocities'
-    yield f'Read as: positions, {rates}, {has}.\n'
+    yield f'Read as: positions [{", ".join(dict.fromkeys(found.units))}], {rates}, {has}.' + (
+        ' No log tells whether a length is in m or mm, nor a force in N or another unit: they are '
+        'as named.' * bool({*found.units} - {'rad'})) + '\n'
     yield '| joint | least | largest | largest speed |\n|---|---|---|---|'
     q, v = joined(found.motions, 'q_smooth', 'v_smooth')
     for k, name in enumerate(found.names):

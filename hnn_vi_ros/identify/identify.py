@@ -201,7 +201,8 @@ def identify(scene: Scene, options: Namespace, folder: Path) -> Identified:
                     resolve(ramped), [*wanted, *more], bounds, folder, False, loads)
             free = better_servos(free, limited, motions, seen)
         fitted, said = _fit(free, motions, options, seen)
-        notes += [*said, *(one.text for one in warnings_of(motions, log.names))]
+        notes += [*said, *(one.text for one in warnings_of(
+            motions, log.names, log.units))]
         fitted, free, estimates, note = _finer_steps(fitted, free, lambda one, own: estimates_of(
             one.solution, one.problem, own, hamiltonian.coordinates, STATES in options.free))
     solution, problem, stages = fitted.solution, fitted.problem, fitted.stages

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
     from hnn_vi_ros.learning.data.header import ANGLE, read_header
     from hnn_vi_ros.learning.data.log_warnings import LogWarning, warnings_of
-    from hnn_vi_ros.learning.data.motions import even_motions, EvenMotion, joined, Motion
+    from hnn_vi_ros.learning.data.motions import even_motions, EvenMotion, joined, Motion, run_of
     from hnn_vi_ros.learning.data.sampling import low_pass, steps_between
     from hnn_vi_ros.learning.data.sources import (
         configuration_of, MotionSource, read_motions, recording_of, source_of)

@@ -123,10 +123,28 @@ def test_good_log_of_torques_and_of_free_motion_are_usable(logged, tmp_path, cap
 def test_motion_of_ten_samples_a_period_moves():
     t = 0.1 * np.arange(300)
     q = np.sin(2.0 * np.pi * t)[:, None] + 1e-3 * np.random.default_rng(0).normal(size=(300, 1))
-    assert not warnings_of([smoothed('run', t, q, None, 0.0 * q, 4.0)], ['a'])
+    assert not warnings_of([smoothed('run', t, q, None, 0.0 * q, 4.0)], ['a'], ['rad'])
     noise = smoothed('run', t, 1e-3 * (q - q.mean() + 1e3 * np.random.default_rng(1).normal(
         size=q.shape)), None, 0.0 * q, 4.0)
-    assert next(iter(warnings_of([noise], ['a']))).text == 'a does not move'
+    assert next(iter(warnings_of([noise], ['a'], ['rad']))).text == 'a does not move'
+
+
+def test_degrees_that_are_called_radians_are_told(tmp_path):
+    t = 0.02 * np.arange(500)
+    path = tmp_path / 'log.csv'
+    for unit, told in (('deg', False), ('rad', True)):
+        DataFrame({'t': t, f'theta [{unit}]': 57.0 * np.cos(3.6 * t)}).to_csv(path, index=False)
+        texts = ' '.join(one.text for one in check([str(path)]).warnings)
+        assert ('theta turns by up to 4.1 rad between samples' in texts) == told
+
+
+def test_noise_at_irregular_times_is_no_fast_motion(tmp_path):
+    random = np.random.default_rng(1)
+    t = np.sort(random.uniform(0.0, 25.0, 1200))
+    q = 0.8 * np.cos(3.6 * t) * np.exp(-0.02 * t) + 5e-3 * random.normal(size=len(t))
+    DataFrame({'t': t, 'angle [rad]': q}).to_csv(tmp_path / 'log.csv', index=False)
+    found = check([str(tmp_path / 'log.csv')])
+    assert not found.useless and 'tenth of the intervals' in found.warnings[-1].text
 
 
 @pytest.mark.parametrize('frequency, fast', [(0.5, False), (18.0, True)])
@@ -146,7 +164,7 @@ def test_coarse_positions_and_times_of_another_unit_are_told(spacing, step, told
     q = np.sin(0.16 * np.arange(250))[:, None]
     q = step * np.round(q / step) if step else q
     (text,) = [one.text for one in warnings_of([smoothed(
-        'run', t, q, None, 0.0 * q, 0.4 / spacing)], ['a'])] or ['']
+        'run', t, q, None, 0.0 * q, 0.4 / spacing)], ['a'], ['rad'])] or ['']
     assert told in text and bool(told) == bool(text)
 
 
@@ -173,6 +191,17 @@ def test_log_given_twice_is_a_warning(logged, tmp_path, capsys):
     assert main([log]) == 0
     text = capsys.readouterr().out
     assert '\n1 run, 600 samples' in text and '--robot URDF' in text
+
+
+def test_good_log_beside_others_is_usable(logged, tmp_path):
+    folder, _ = logged
+    good, poor = str(folder / 'log.csv'), str(tmp_path / 'poor.csv')
+    with_values(frame(folder), R, -frame(folder)[R]).to_csv(poor, index=False)
+    assert check([poor], folder / 'arm.urdf').useless
+    found = check([good, poor], folder / 'arm.urdf')
+    assert not found.useless and 'all runs together: ' in found.warnings[0].text
+    assert {one.name: one.value for one in found.numbers} == pytest.approx(
+        {one.name: one.value for one in check([good], folder / 'arm.urdf').numbers}, rel=0.1)
 
 
 def test_missing_log_is_no_verdict(logged, tmp_path):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.errors import counted
 from hnn_vi_ros.learning.data.motions import EvenMotion
-from hnn_vi_ros.learning.data.sampling import resolution, ROUNDED
+from hnn_vi_ros.learning.data.sampling import noise_of, resolution, ROUNDED
 import numpy as np
 from scipy.signal import periodogram
 
@@ -18,6 +18,8 @@ from scipy.signal import periodogram
 _SHORT, _AT_END, _DISTINCT, _COARSE, _STILL = 200, 0.02, 0.05, 0.02, 3.0
 # Widest motion of a joint on the way of its commands: two turns [rad].
 _WIDEST = 4.0 * np.pi
+# Largest plausible turn between samples [rad].
+_TURNED = 0.5 * np.pi
 # Highest frequency of a motion, relative to the sampling rate, and share of its power that is near
 # it; longest interval of samples [s].
 _FASTEST, _POWER, _LONGEST = 0.35, 1e-5, 1.0
@@ -33,8 +35,21 @@ class LogWarning(NamedTuple):
     useless: bool = False
 
 
-def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str]) -> list[LogWarning]:
-    """Return the warnings about motions of named coordinates at even times."""
+def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str], units: Sequence[str],
+                even: bool = True) -> list[LogWarning]:
+    """
+    Return the warnings about motions.
+
+    Parameters
+    ----------
+    motions : sequence of EvenMotion
+        Motions at even times.
+    names, units : sequence of str
+        Names and units of the coordinates.
+    even : bool, optional
+        True if the samples of the log are at even times: between others, noise looks fast.
+
+    """
     found, samples = list[LogWarning](), sum(len(motion.t) for motion in motions)
     spacing = motions[0].spacing
     if samples < _SHORT:
@@ -47,8 +62,7 @@ def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str]) -> list[Log
     if fastest * spacing > _FASTEST and any(_is_fast(motion) for motion in motions):
         found.append(LogWarning(
             f'the motion has parts of up to {fastest:.3g} Hz, but {1.0 / spacing:.3g} samples per '
-            f'second: record more of them',
-            True))
+            f'second: record more of them', even))
     moves = []
     for k, name in enumerate(names):
         q = np.concatenate([motion.q[:, k] for motion in motions])
@@ -60,6 +74,11 @@ def warnings_of(motions: Sequence[EvenMotion], names: Sequence[str]) -> list[Log
             if motions[0].commanded and np.ptp(q) > _WIDEST:
                 found.append(LogWarning(f'{name} moves by {np.ptp(q):.3g}, more than two turns in '
                                         'rad: check the units of positions and commands'))
+    for k, (name, unit) in enumerate(zip(names, units, strict=True)):
+        step = max(float(np.abs(np.diff(motion.q[:, k])).max()) for motion in motions)
+        if unit == 'rad' and step > _TURNED:
+            found.append(LogWarning(f'{name} turns by up to {step:.3g} rad between samples: '
+                                    'check its unit, rad or deg, or record more of them'))
     if not any(moves):
         found.append(LogWarning('no joint moves: move them', True))
     tau = np.concatenate([motion.tau for motion in motions])
@@ -81,7 +100,7 @@ def _is_fast(motion: EvenMotion) -> bool:
 def _moves(q: np.ndarray) -> bool:
     """Return whether a coordinate moves by more than a few steps of its resolution, or noise."""
     # Third differences of a smooth motion are small, also of few samples a period.
-    noise = np.median(np.abs(np.diff(q, 3))) / (0.6745 * np.sqrt(20.0))
+    noise = float(noise_of(q[:, None])[0])
     slow = np.ptp(np.convolve(q, np.ones(5) / 5.0, 'valid'))
     return bool(slow > _STILL * max(resolution(q), 3.0 * noise))
 

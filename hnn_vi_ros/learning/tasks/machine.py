@@ -128,7 +128,8 @@ def select(data: MachineData) -> MachineData:
         train = [delayed(motion, delay) for motion in train]
         description += f'; forces delayed by {delay:.3g} samples'
     print(f'data: {description}; {_ranges(config, train)}', flush=True)
-    for one in warnings_of(train, [one.name for one in config.coordinates]):
+    for one in warnings_of(train, [one.name for one in config.coordinates],
+                           [one.q_unit for one in config.coordinates]):
         print(f'warning: {one.text}', flush=True)
     check_motors(config, train)
     chosen, selection = selected(config, train)
