@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from hnn_vi_ros.models import interval_text
 from studies.explore_page import write_explorer
 from studies.measuring import cheapest, StudyRow
 from studies.pages import render
@@ -30,7 +31,7 @@ _Results = Mapping[str, Results]
 
 def write_pages(docs: Path) -> list[Path]:
     """
-    Write the page, a page and pictures for each scene, and the page to explore.
+    Write the page, the pictures of each scene, and the page to explore.
 
     Parameters
     ----------
@@ -53,9 +54,7 @@ def write_pages(docs: Path) -> list[Path]:
             'group in a given time; lower left is better', entry.of(first), _answers(results),
             _own_error(entry, first))]
         for scene, entry in results.items():
-            page = folder / f'{scene}.md'
-            page.write_text(scene_page(scene, entry), encoding='utf-8')
-            written += [page, *draw_pictures(folder, scene, entry)]
+            written += draw_pictures(folder, scene, entry)
         return [*written, write_explorer(folder)]
     except OSError as problem:
         raise unwritable(docs, problem) from problem
@@ -75,16 +74,6 @@ def draw_pictures(folder: Path, scene: str, results: Results) -> list[Path]:
                  results.floors[horizon]) for horizon in results.shown]
 
 
-def scene_page(name: str, results: Results) -> str:
-    """Return the page of one scene."""
-    horizons = [{'horizon': horizon, 'picture': picture_name(name, horizon),
-                 'floor': results.floors[horizon]} for horizon in results.shown]
-    models = (at['floor'].model for at in horizons)
-    return render('accuracy_scene.md', name=name, horizons=horizons,
-                  choices=_choices({name: results}), choice_errors=_CHOICES,
-                  box=next((model.box for model in models if model), None))
-
-
 def picture_name(scene: str, horizon: float) -> str:
     """Return the file name of the picture of a scene and horizon [s]."""
     return f'{scene}_{horizon:g}s.png'.replace('+', '')
@@ -95,7 +84,7 @@ def as_page(results: _Results) -> str:
     parts: dict[str, Callable[[_Results], Any]] = {
         'own_errors': _own_errors, 'choices': _choices, 'slower': _slower, 'missed': _missed,
         'left_out': _left_out, 'first_order': _first_order, 'drifting': _drifting,
-        'scenes': _scenes}
+        'references': _references}
     name = _example(results)
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
     made = {name: part(results) for name, part in parts.items()}
@@ -270,5 +259,19 @@ def _drifts(results: Results) -> Iterator[tuple[StudyRow, StudyRow]]:
             yield row, later[-1]
 
 
-def _scenes(results: _Results) -> dict[str, list[str]]:
-    return {name: [f'{horizon:g}' for horizon in entry.shown] for name, entry in results.items()}
+def _references(results: _Results) -> Iterator[list[str]]:
+    """Yield for each scene and horizon its picture, the reference, and the errors of H."""
+    for name, entry in results.items():
+        for horizon in entry.shown:
+            floor = entry.floors[horizon]
+            reference = (f'{floor.how}, accurate to {floor.accuracy:.1e}' if floor.verified
+                         else 'none: the motion is chaotic')
+            path, energy, box = '', '', ''
+            if (model := floor.model) is not None:
+                path = '' if math.isnan(model.path) else f'{model.path:.2g}'
+                energy = f'{model.energy:.2g}'
+                if model.box is not None:
+                    box = (f'{model.box.rms:.2g} ({interval_text(model.box.rms_interval)}), '
+                           f'{model.box.sup:.2g}')
+            yield [f'[{name}]({FOLDER}/{picture_name(name, horizon)})', f'{horizon:g}', reference,
+                   path, energy, box]

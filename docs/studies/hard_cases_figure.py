@@ -30,6 +30,12 @@ _VERDICTS: dict[str, dict[str, Any]] = {
     'unstable': {'marker': 'X', 'color': '#c0143c', 'markersize': 6.0}}
 _NAMES = {'stable': 'stable', 'alarm': 'an alarm was raised', 'stopped': 'stopped with an error',
           'unstable': 'failed without an alarm'}
+# Parts of the bar of a method, with their names and colours: 'meant' are alarms and stops of cases
+# that claim them.
+_BARS = {'stable': ('stable', '#1b7f4d'),
+         'meant': ('an alarm or a stop, as the case claims', '#8c7853'),
+         'alarm': ('another alarm', '#c77700'), 'stopped': ('another stop', '#5a5a8c'),
+         'unstable': ('failed without an alarm', '#c0143c')}
 # Errors beyond this are drawn at it.
 _CEILING = 1e6
 _LABELS = {
@@ -122,17 +128,17 @@ def draw_verdicts(path: Path, counts: Mapping[str, Mapping[str, int]]) -> Path:
     path : Path
         Output file.
     counts : mapping of str to mapping of str to int
-        Number of runs of each verdict, by method.
+        Number of runs of each part of ``_BARS``, by method.
 
     """
     figure = Figure(figsize=(7.4, 0.9 + 0.29 * len(counts)), dpi=_DPI, facecolor='white',
                     layout='constrained')
     FigureCanvasAgg(figure)
     ax, ends = figure.add_subplot(), np.zeros(len(counts))
-    for verdict, style in _VERDICTS.items():
+    for verdict, (name, colour) in _BARS.items():
         lengths = np.array([own.get(verdict, 0) for own in counts.values()])
-        bars = ax.barh(range(len(counts)), lengths, left=ends, height=0.74, label=_NAMES[verdict],
-                       color=style['color'])
+        bars = ax.barh(range(len(counts)), lengths, left=ends, height=0.74, label=name,
+                       color=colour)
         ax.bar_label(bars, [str(length or '') for length in lengths], label_type='center',
                      color='white', fontsize=8.5)
         ends += lengths
@@ -140,7 +146,7 @@ def draw_verdicts(path: Path, counts: Mapping[str, Mapping[str, int]]) -> Path:
     ax.set_xlabel('number of runs', color=INK)
     ax.set_ylim(len(counts) - 0.4, -0.6)
     ax.spines[['top', 'right']].set_visible(False)
-    figure.legend(loc='outside upper center', ncols=4, fontsize=8.5, frameon=False,
+    figure.legend(loc='outside upper center', ncols=3, fontsize=8.5, frameon=False,
                   handlelength=1.0, columnspacing=1.2)
     figure.savefig(path)
     return path

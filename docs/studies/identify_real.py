@@ -3,7 +3,7 @@
 """
 Fit the parameters of real pendulums with ``identify`` and evaluate them.
 
-The data are published, and not shipped; see docs/how-to/identify.md.
+The data are published, and not shipped; see docs/evidence/fits.md.
 """
 
 from collections.abc import Sequence

@@ -174,7 +174,7 @@ def _other_pages(folder: Path) -> Iterator[Cells]:
         'LieGroupHamDL, pendulum, quadrotor',
         *(', '.join(f'{loss[name]:.1e}' for loss in losses) for name in ('published', 'ours')),
         '1', ''])
-    # From the table of docs/tutorials/emps_drive.md.
+    # From the table of docs/evidence/fits.md.
     yield Cells(0, 1, ['EMPS [mm]', '2.64', '**2.77**', '1', '2'])
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Identify the Silverbox by the command of docs/how-to/identify.md, and simulate the test record.
+Identify the Silverbox by the command of docs/evidence/fits.md, and simulate the test record.
 
 T. Wigren, J. Schoukens, Three free data sets for development and benchmarking in nonlinear system
 identification, ECC 2013. The record is not shipped: silverbox/silverbox.npz in --data has the
@@ -27,7 +27,7 @@ from studies.known_tables import keep, parser_of, save
 from studies.two_masses import driven
 
 TABLE, FILE = 'silverbox', 'silverbox/silverbox.npz'
-GUIDE = Path(__file__).parents[1] / 'how-to' / 'identify.md'
+GUIDE = Path(__file__).parents[1] / 'evidence' / 'fits.md'
 TRAIN, SKIPPED = 12_000, 50
 DRAG = '- {kind: quadratic_drag, coordinates: [y], coefficient: 0.01}\n'
 MODELS = {'six numbers': '', 'seven numbers': DRAG}

@@ -31,7 +31,7 @@ HORIZON = 100.0
 GOOD = 1e-8
 BEGIN, END = '<!-- turning_costs -->', '<!-- end of turning_costs -->'
 # File of the rows of long runs, in the folder of the scenes' rows.
-PAGE, FOLDER, DRIFTS = 'how-to/turning-bodies.md', 'evidence/accuracy', 'heavy_top_drifts.csv'
+PAGE, FOLDER, DRIFTS = 'evidence/fits.md', 'evidence/accuracy', 'heavy_top_drifts.csv'
 _DRIFT_COLUMNS = ('method', 'setting', 'energy_error_first_tenth', 'energy_error',
                   'vertical_momentum', 'norm', 'milliseconds', 'duration')
 # A long run, how often its invariants are looked at, and methods with step size or tolerance.

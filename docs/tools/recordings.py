@@ -20,9 +20,8 @@ from PIL import Image
 
 FOLDER = Path(__file__).resolve().parents[1] / 'how-to' / 'recordings'
 # Scene, and simulated time [s].
-SCENES = {'harmonic_oscillator': 20.0, 'double_pendulum': 10.0, 'kepler': 20.0,
-          'henon_heiles': 100.0, 'fput_chain': 60.0, 'spherical_pendulum': 10.0,
-          'heavy_top': 10.0, 'exact_damped_driven_pendulum': 3.0, 'six_joint_arm': 2.6}
+SCENES = {'harmonic_oscillator': 20.0, 'spherical_pendulum': 10.0,
+          'exact_damped_driven_pendulum': 3.0, 'six_joint_arm': 2.6}
 _WINDOW, _WIDTH, _COLOURS = '1400x900', 1400, 256
 
 

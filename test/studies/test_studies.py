@@ -17,7 +17,7 @@ from studies import (
     bag_to_model, hard_cases_report, known_tables, paper_figures, path_error, published_page,
     turning_costs)
 from studies.__main__ import main, studies
-from studies.accuracy_page import as_page, FOLDER, PAGE, results_of, scene_page
+from studies.accuracy_page import as_page, FOLDER, PAGE, results_of
 
 DOCS = ROOT / 'docs' / 'evidence'
 
@@ -60,10 +60,7 @@ def test_missing_peer_is_one_line_before_anything_is_measured(tmp_path, monkeypa
 # Pages are what their templates make of the committed results, to the byte.
 
 def pages_on_accuracy() -> dict[Path, str]:
-    results = results_of(DOCS)
-    return {DOCS / PAGE: as_page(results)} | {
-        DOCS / FOLDER / f'{scene}.md': scene_page(scene, entry)
-        for scene, entry in results.items()}
+    return {DOCS / PAGE: as_page(results_of(DOCS))}
 
 
 def page_on_learning() -> dict[Path, str]:

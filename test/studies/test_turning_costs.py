@@ -51,7 +51,7 @@ def test_study_of_a_second_writes_the_page_and_rows_that_agree(docs: Path):
     # The last table tells what is kept, of ours and of two of the peers.
     assert page.count('| `lie_gauss8` |') == 2 and page.count('| MuJoCo RK4 |') == 2
     assert page.count('| RK4 on quaternions |') == 3
-    assert page.index('## Limits') > page.index(turning_costs.END)
+    assert page.index('## Bands of ensembles') > page.index(turning_costs.END)
 
 
 def test_table_has_the_cheapest_good_row_of_each_method_and_the_best_of_others():

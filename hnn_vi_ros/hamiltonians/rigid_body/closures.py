@@ -71,7 +71,7 @@ def loops_in(robot: Robot, rows: Mapping[str, int], bodies: Bodies, following: F
             raise ModelError(
                 f'{place}: acts between links in a way that is not supported, and without it the '
                 'chain would be open; write it as <loop_joint>, as loops in hamiltonian, or give '
-                'loops: [] to leave it out; see docs/how-to/grippers-and-linkages.md')
+                'loops: [] to leave it out; see docs/how-to/robots.md')
         found.append(ClosingJoint(**loop))
     return found
 

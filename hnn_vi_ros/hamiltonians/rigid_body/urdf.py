@@ -96,7 +96,7 @@ def parse_urdf(text: bytes, where: str) -> Robot:
     if root.tag in _FORMATS:
         name, tool = _FORMATS[root.tag]
         raise ModelError(f'{where}:{root.line}: {name}, not a URDF; convert it with {tool}: see '
-                         'docs/how-to/sdf-and-mjcf.md')
+                         'docs/how-to/robots.md')
     if root.tag != 'robot':
         raise ModelError(f'{where}:{root.line}: not a URDF: <{root.tag}>, expected <robot>')
     macro = next((one for one in below(root) if one.tag.startswith('xacro:')), None)

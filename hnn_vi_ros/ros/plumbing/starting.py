@@ -76,7 +76,7 @@ def plain_ros_errors() -> Iterator[None]:
             text += '; set ROS_LOG_DIR to a writable folder'
         if os.environ.get('ROS_SECURITY_ENABLE', '').lower() == 'true':
             text += ('; security is enabled, which requires a keystore and a middleware built '
-                     'with security: see docs/how-to/security.md, or set '
+                     'with security: see docs/how-to/launch.md, or set '
                      'ROS_SECURITY_ENABLE=false')
         raise ParameterError(f'ROS: {text}') from problem
     finally:
