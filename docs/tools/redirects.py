@@ -38,7 +38,7 @@ MOVED = {
     'reference/scene-options': 'reference/scene',
     'reference/simulation-interfaces': 'reference/services',
     'tutorials/bag-to-verdict': 'how-to/log-to-model', 'tutorials/emps_drive': 'evidence/fits',
-    'tutorials/first-notebook': 'tutorials/python', 'tutorials/formula': 'tutorials/scene',
+    'tutorials/formula': 'tutorials/scene',
     'tutorials/sweeps': 'how-to/scale', 'tutorials/train': 'how-to/log-to-model',
     'tutorials/tuning-accuracy': 'how-to/accuracy'}
 
