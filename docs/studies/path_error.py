@@ -236,7 +236,6 @@ def as_page(folder: Path) -> str:
     return render('path-error.md', rows=rows, systems=len({row.system for row in rows}),
                   methods=len({row.method for row in rows}), total=Summary.of('all', rows),
                   classes=[found.cells for found in summaries(rows, 'class')],
-                  by_method=[found.cells for found in summaries(rows, 'method')],
                   silent=[row for row in rows if row.silent],
                   false=[row for row in rows if row.false])
 
