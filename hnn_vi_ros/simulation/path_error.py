@@ -297,8 +297,13 @@ class Repetition:
         return np.clip(np.where(np.isnan(seen), high, seen), low, high)
 
     def error(self, second: np.ndarray, third: np.ndarray, exponent: np.ndarray) -> np.ndarray:
-        """Return the errors: G / (1 - f^-a), or D / (1 - 2^-a); see ``exponent``."""
-        return (third if self.factors[0] > 1.0 else second) / (1.0 - self._ratio ** exponent)
+        """
+        Return the errors: G / (1 - f^-a), or D / (1 - 2^-a); see ``exponent``.
+
+        Both are at least G. Where D / (1 - 2^-a) is not, h / 2 is as wrong as h.
+        """
+        nearer = third if self.factors[0] > 1.0 else second
+        return np.maximum(nearer / (1.0 - self._ratio ** exponent), third)
 
 
 @dataclass(frozen=True, repr=False)

@@ -183,6 +183,12 @@ def test_time_in_h_that_stages_cannot_see_is_told(method):
 
 
 @pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('method, h_nu', [('kahan_li8', 4), ('kahan_li8', 6), ('suzuki4', 2)])
+def test_path_is_lost_where_half_the_step_is_as_wrong(method, h_nu):
+    assert 'path not resolved' in alarms_of(h_nu, method)
+
+
+@pytest.mark.filterwarnings('ignore')
 def test_pulse_between_stages_is_told_and_a_jump_is_not():
     """Whenever it comes: the time in H is checked all along the run."""
     def kinds(force: str) -> set[str]:
