@@ -64,6 +64,7 @@ class Checked(NamedTuple):
     motions: list[EvenMotion]
     names: list[str]
     units: list[str]
+    times: str  # column of the times of a log
     description: str
     warnings: list[LogWarning]
     numbers: list[Told]
@@ -146,7 +147,8 @@ def check(log: Sequence[str], robot: Path | None = None) -> Checked:
     intervals = np.concatenate([np.diff(motion.t) for motion in raw.motions])
     usual = float(np.median(intervals))
     even = (spread := float(np.quantile(np.abs(intervals / usual - 1.0), 0.9))) <= 0.5
-    found = Checked(raw.motions, motions, names, units, description, [], [], None)
+    found = Checked(raw.motions, motions, names, units, getattr(data, 'time', ''),
+                    description, [], [], None)
     whole = _judged(found, tree, even)
     if whole.useless:
         # A fit of several motions learns at least what it does from the best.
@@ -260,9 +262,11 @@ def report_of(found: Checked) -> Iterator[str]:
     has = 'commanded positions' if found.motions[0].commanded else 'forces' if any(
         motion.tau.any() for motion in found.motions) else 'neither commands nor forces'
     rates = 'velocities' if found.motions[0].v is not None else 'no velocities'
-    yield f'Read as: positions [{", ".join(dict.fromkeys(found.units))}], {rates}, {has}.' + (
-        ' No log tells whether a length is in m or mm, nor a force in N or another unit: they are '
-        'as named.' * bool({*found.units} - {'rad'})) + '\n'
+    times, units = f'times of {found.times}, ' * bool(found.times), dict.fromkeys(found.units)
+    yield f'Read as: {times}positions [{", ".join(units)}], {rates}, {has}.\n'
+    if {*units} - {'rad'}:
+        yield ('No log tells whether a length is in m or mm, nor a force in N or another unit: '
+               'they are as named.\n')
     yield '| joint | least | largest | largest speed |\n|---|---|---|---|'
     q, v = joined(found.motions, 'q_smooth', 'v_smooth')
     for k, name in enumerate(found.names):

@@ -6,8 +6,10 @@ from pathlib import Path
 
 from bag_files import state, write
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.identify.check import check
 from hnn_vi_ros.learning import read_motions, source_of
 from hnn_vi_ros.learning.data.header import read_header
+from hnn_vi_ros.learning.data.text import _rows
 from hnn_vi_ros.learning.data.units import conversion, split_unit
 from hnn_vi_ros.learning.families.priors import PlanarChain
 from hnn_vi_ros.learning.fit.config import guess_config, load_config
@@ -94,6 +96,24 @@ def test_header_that_is_not_clear_is_refused_in_a_line(tmp_path, header):
 
 
 SCENE = [Coordinate('angle', 'rad', 'N m s'), Coordinate('x', 'm', 'N s')]
+
+
+def test_log_is_parsed_once_for_its_columns_and_for_its_motions(tmp_path):
+    paths = [str(log(tmp_path / f'{name}.csv', 't,theta_deg')) for name in 'ab']
+
+    def by_train():
+        config, _ = guess_config(paths)
+        config.motions(tmp_path, ['theta'], paths)
+
+    def by_scene():
+        source = source_of(paths[0], SCENE[:1])
+        read_motions(tmp_path, source, ['angle'], paths, ['rad'])
+    for read in (by_train, by_scene, lambda: check(paths)):
+        _rows.cache_clear()
+        read()
+        assert _rows.cache_info().misses == len(paths)
+    (tmp_path / 'a.csv').write_text((tmp_path / 'b.csv').read_text().replace('theta_deg', 'phi'))
+    assert read_header(tmp_path / 'a.csv').q[0].name == 'phi'
 
 
 @pytest.mark.parametrize('header, coordinates, q, v, tau', [

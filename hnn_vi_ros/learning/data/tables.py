@@ -5,7 +5,6 @@
 from collections.abc import Mapping
 import csv
 import errno
-from functools import lru_cache
 import gzip
 from io import BytesIO, StringIO
 from itertools import chain
@@ -63,13 +62,6 @@ def table_text(path: Path, most: int, encoding: str) -> str | None:
         raise DataError(f'{path}: {suffix} is no format of a log; {_REMEDIES[suffix]}')
     if suffix not in _READ:
         return None
-    state = path.stat()
-    return _unpacked(path, suffix, most, encoding, state.st_mtime_ns, state.st_size)
-
-
-# The text is read three times: for its form, for the roles of its columns, and for the numbers.
-@lru_cache(maxsize=1)
-def _unpacked(path: Path, suffix: str, most: int, encoding: str, *_: int) -> str:
     stream, (reader, needs) = BytesIO(read_limited(path, most)), _PANDAS.get(suffix, ('', ''))
     try:
         with memory_for(_MEMORY):

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 import csv
 from datetime import date
+from functools import lru_cache
 from itertools import chain, islice, pairwise, zip_longest
 import os
 from pathlib import Path
@@ -31,6 +32,9 @@ MAX_BYTES = 256 << 20
 _MOST_COLUMNS, _MOST_QUOTED = 1000, 100_000
 # Maximum number of lines before the first row of numbers, and of rows that show the delimiter.
 _MOST_HEAD, _ROWS = 200, 10
+
+# Parsed logs that are kept: those of one fit.
+_MOST_LOGS = 100
 
 # Names of columns without a header.
 COLUMN = 'column {}'
@@ -323,9 +327,23 @@ class Layout(NamedTuple):
 
     delimiter: str | None  # None for white space
     decimal: str  # mark of the decimals, point or comma
-    names: Names  # those of all columns
+    head: int  # line of the names
+    names: Names  # those of all columns; none without a header
+    width: int  # number of columns
     first: int  # line of the first row
-    above: list[str]  # lines before it
+    above: list[tuple[int, str]]  # lines before it
+
+
+class _Rows(NamedTuple):
+    """All numbers of a log, and what is none: rows of another width, and words in columns."""
+
+    layout: Layout
+    numbers: np.ndarray
+    lines: np.ndarray
+    digest: str
+    notes: list[str]
+    width: tuple[int, int] | None  # line and columns of the first row of another width
+    words: dict[int, tuple[int, str]]  # line and text of the first word in a column
 
 
 def read_log(path: Path, data: LogFormat) -> Table:
@@ -349,7 +367,9 @@ def read_log(path: Path, data: LogFormat) -> Table:
         raise DataError(f'{path}: {no_file(path, "no such data file")}; pass the log with '
                         '--data FILE')
     try:
-        table = _read_rows(path, data, _layout(path, data))
+        state = path.stat()
+        rows = _rows(path, data.encoding, data.delimiter, data.comment, state.st_mtime_ns,
+                     state.st_size)
     except OSError as problem:
         raise DataError(f'{path}: cannot be read: {problem.strerror}; use a smaller part of it, '
                         'or another log') from problem
@@ -357,54 +377,87 @@ def read_log(path: Path, data: LogFormat) -> Table:
         encoded = ', and its encoding, as in data: {kind: log, encoding: cp1252}'
         raise DataError(f'{path}:{problem}; give a log of rows of numbers'
                         + encoded * isinstance(problem.__cause__, UnicodeError)) from problem
-    if len(table.lines) < 2:
-        raise DataError(f'{path}: {counted(len(table.lines), "row")} of data, expected a longer '
+    names = _names(path, data, rows.layout)
+    _check_rows(path, data, rows, names)
+    if len(rows.lines) < 2:
+        raise DataError(f'{path}: {counted(len(rows.lines), "row")} of data, expected a longer '
                         'log')
-    return table
+    return Table(_with_stamps(rows.numbers, names), rows.lines, rows.digest, names,
+                 [text for _, text in rows.layout.above], rows.notes)
 
 
-def _lines(path: Path, data: LogFormat) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a log, each with its number."""
-    encoding = 'utf-8-sig' if data.encoding == 'utf-8' else data.encoding
+def _check_rows(path: Path, data: LogFormat, rows: _Rows, names: Names) -> None:
+    """Raise DataError for the first row of another width, or word in a column in use."""
+    used, width = {*(data.used or names)}, rows.width
+    used |= {part for part, _ in _stamps(names).values()}
+    if width is None and len(names) != rows.layout.width:
+        width = rows.layout.first, rows.layout.width
+    flaws = [(line, k, field) for k, (line, field) in rows.words.items() if k < len(names)
+             and names[k] in used and (data.used or _DIGITS.fullmatch(field))]
+    line, k, field = min(flaws, default=(np.inf, 0, ''))
+    if width is not None and width[0] <= line:
+        more = ' or more' * (width[1] > _MOST_COLUMNS)
+        raise DataError(f'{path}:{width[0]}: {counted(width[1], "column")}{more}, expected '
+                        f'{len(names)}: {listed(names)}')
+    if flaws:
+        remedy = 'remove separators of thousands, and use one decimal mark' if \
+            _DIGITS.fullmatch(field) else 'remove the row'
+        raise DataError(f'{path}:{line}: column {k + 1} ({names[k]}): expected a finite number, '
+                        f'found {field[:40]!r}; {remedy}')
+
+
+# The roles of columns and the motions are found in turn: a log is parsed once for both.
+@lru_cache(maxsize=_MOST_LOGS)
+def _rows(path: Path, encoding: str, delimiter: str | None, comment: str, *_: int) -> _Rows:
+    """Return the numbers of a log in all columns, NaN for words."""
+    encoding = 'utf-8-sig' if encoding == 'utf-8' else encoding
     text = table_text(path, MAX_BYTES, encoding)
-    if text is None:
-        yield from text_lines(path, MAX_BYTES, encoding)
-    else:
-        yield from enumerate(text.splitlines(), 1)
 
-
-def _read_rows(path: Path, data: LogFormat, layout: Layout) -> Table:
+    def content() -> Iterator[tuple[int, str]]:
+        return text_lines(path, MAX_BYTES, encoding) if text is None else iter(
+            enumerate(text.splitlines(), 1))
+    layout = _layout(path, content(), delimiter, comment)
     # Stored as 8-byte numbers: lists of lists would take ten times the size of the log.
     numbers, lines, notes = array('d'), array('q'), list[str]()
-    names, stamps = layout.names, _stamps(layout.names)
-    used = {*(data.used or names), *(part for part, _ in stamps.values())}
-    rows = (row for row in _lines(path, data) if row[0] >= layout.first
-            and row[1].strip() and not row[1].lstrip().startswith(data.comment))
-    closed, least = _ends_with_line_break(path), MAX_BYTES
-    for (number, line), (after, _) in pairwise(chain(rows, [(0, '')])):
-        complete = closed or after > 0
-        try:
-            row = _row(f'{path}:{number}', line, layout, used, strict=bool(data.used))
-        except DataError:
-            if complete or not lines:
-                raise
-            row = []
+    found = (row for row in content() if row[0] >= layout.first
+             and row[1].strip() and not row[1].lstrip().startswith(comment))
+    closed = _ends_with_line_break(path) if text is None else text.endswith('\n')
+    width: tuple[int, int] | None = None
+    words, least = dict[int, tuple[int, str]](), MAX_BYTES
+    for (number, line), (after, _) in pairwise(chain(found, [(0, '')])):
+        complete = closed or after > 0 or not lines
+        fields = _trimmed(_fields(line, layout.delimiter), layout.width)
+        row = [_number_or_none(field, layout.decimal) for field in fields]
+        new = {k: (number, field) for k, (field, x) in enumerate(zip(fields, row, strict=True))
+               if x is None and k not in words}
         # A truncated row lacks columns, or digits of its last number.
         decimals = 0 if closed else len(line.rsplit(layout.delimiter, 1)[-1].rstrip('"').partition(
             layout.decimal)[2])
-        if not complete and (not row or decimals < least):
+        if not complete and (len(row) != layout.width or new or decimals < least):
             notes.append(f'line {number}, the last one, is truncated')
-        else:
-            numbers.extend(row)
-            lines.append(number)
-            least = min(least, decimals)
-    table = np.array(numbers).reshape(len(lines), -1)
+            continue
+        if len(row) != layout.width:
+            width = number, len(row)
+            break
+        words |= new
+        numbers.extend(np.nan if x is None else x for x in row)
+        lines.append(number)
+        least = min(least, decimals)
+    table = np.array(numbers).reshape(len(lines), layout.width)
+    table.setflags(write=False)
+    return _Rows(layout, table, np.array(lines), sha256_of(path, MAX_BYTES), notes, width, words)
+
+
+def _with_stamps(numbers: np.ndarray, names: Names) -> np.ndarray:
+    """Add the parts of stamps, such as nanoseconds, to their whole seconds."""
+    stamps = _stamps(names)
+    table = numbers.copy() if stamps else numbers
     for whole, (part, size) in stamps.items():
         rest = size * table[:, names.index(part)]
         known = rest[np.isfinite(rest)]
         if known.size and ((known % 86400.0 == 0.0) if size == 1.0 else np.abs(known) < 1.0).all():
             table[:, names.index(whole)] += rest
-    return Table(table, np.array(lines), sha256_of(path, MAX_BYTES), names, layout.above, notes)
+    return table
 
 
 def _stamps(names: Sequence[str]) -> dict[str, tuple[str, float]]:
@@ -422,8 +475,6 @@ def _stamps(names: Sequence[str]) -> dict[str, tuple[str, float]]:
 
 
 def _ends_with_line_break(path: Path) -> bool:
-    if (text := table_text(path, MAX_BYTES, 'utf-8-sig')) is not None:
-        return text.endswith('\n')
     with limited(path, MAX_BYTES) as stream:
         stream.seek(max(os.fstat(stream.fileno()).st_size - 2, 0))
         return stream.read().rstrip(b'\0')[-1:] in (b'\n', b'\r')  # UTF-16 has zeros after them
@@ -476,39 +527,24 @@ def _seconds(field: str) -> float:
         (match['s'] or '0').replace(',', '.'))
 
 
-def _row(where: str, line: str, layout: Layout, used: set[str], strict: bool) -> list[float]:
-    """Return the numbers of a line; raise DataError for words in used columns if `strict`."""
-    names, row = layout.names, list[float]()
-    fields = _trimmed(_fields(line, layout.delimiter), len(names))
-    if len(fields) != len(names):
-        more = ' or more' * (len(fields) > _MOST_COLUMNS)
-        raise DataError(f'{where}: {counted(len(fields), "column")}{more}, expected {len(names)}: '
-                        f'{listed(names)}')
-    for name, field in zip(names, fields, strict=True):
-        if name not in used or field.lower() in _MISSING:
-            row.append(np.nan)
-            continue
-        row.append(_number(field, layout.decimal))
-        if row[-1] == row[-1]:
-            continue
-        digits = bool(_DIGITS.fullmatch(field))
-        if strict or digits:
-            remedy = 'remove separators of thousands, and use one decimal mark' if digits else \
-                'remove the row'
-            raise DataError(f'{where}: column {len(row)} ({name}): expected a finite number, '
-                            f'found {field[:40]!r}; {remedy}')
-    return row
+def _number_or_none(field: str, decimal: str) -> float | None:
+    """Return a number, NaN for a missing one, or None for words."""
+    if field.lower() in _MISSING:
+        return np.nan
+    value = _number(field, decimal)
+    return value if value == value else None
 
 
-def _layout(path: Path, data: LogFormat) -> Layout:
+def _layout(path: Path, lines: Iterator[tuple[int, str]], delimiter: str | None, comment: str
+            ) -> Layout:
     """Find out how a log is written, from its first lines."""
     head, size = list[tuple[int, str]](), 0
-    for number, line in islice(_lines(path, data), _MOST_HEAD):
+    for number, line in islice(lines, _MOST_HEAD):
         head += [(number, line)] * bool(line.strip())
         size += len(line)
         if size > LONGEST_LINE:
             break
-    rows = [line for _, line in head if not line.lstrip().startswith(data.comment)][-_ROWS:]
+    rows = [line for _, line in head if not line.lstrip().startswith(comment)][-_ROWS:]
 
     def is_number(field: str) -> bool | None:
         return None if field.lower() in _MISSING else any(
@@ -523,44 +559,49 @@ def _layout(path: Path, data: LogFormat) -> Layout:
         return (sum(numbers) >= 2 * sum(map(bool, numbers)) > 0,
                 -sum(row.count(False) for row in found), sum(numbers))
     best = max(_SEPARATORS, key=score)
-    mark = _SEPARATORS[data.delimiter or best]
+    mark = _SEPARATORS[delimiter or best]
     sample = [row for line in rows if any(row := kinds(line, mark))]
     first = next((at for at, (_, line) in enumerate(head) if sample
-                  and not line.lstrip().startswith(data.comment) and any(row := kinds(line, mark))
+                  and not line.lstrip().startswith(comment) and any(row := kinds(line, mark))
                   and len(row) >= min(len(sample[-1]), 2)
                   and (row[0] is not False or sample[-1][0] is False)), None)
     if first is None:
-        split_by = f', split by {data.delimiter}; set data.delimiter: {best}' \
-            if data.delimiter and score(best)[0] else ''
+        split_by = f', split by {delimiter}; set data.delimiter: {best}' \
+            if delimiter and score(best)[0] else ''
         raise DataError(f'{path}: no rows of numbers{split_by or "; give one for each sample"}')
     fields = [field for line in rows for field in _fields(line, mark)]
     decimal = max('.,', key=lambda mark: sum(
         mark in field and bool(is_number(field)) and _seconds(field) != _seconds(field)
         for field in fields))
-    above = [(number, line.strip().removeprefix(data.comment).removeprefix('% ').strip())
+    above = [(number, line.strip().removeprefix(comment).removeprefix('% ').strip())
              for number, line in head[:first]]
     width = len(_trimmed(_fields(head[first][1], mark)))
-    return Layout(mark, decimal, _names(path, data, above, mark, width), head[first][0],
-                  [text for _, text in above])
+    number, names = _header(above, mark, width)
+    return Layout(mark, decimal, number, names, len(names) or width, head[first][0], above)
 
 
-def _names(path: Path, data: LogFormat, above: list[tuple[int, str]], mark: str | None,
-           width: int) -> Names:
-    """Return the names of the columns, given the lines above the rows."""
+def _header(above: list[tuple[int, str]], mark: str | None, width: int) -> tuple[int, Names]:
+    """Return the line of the names of the columns, and the names, none without a header."""
     lines = [(number, _trimmed(_fields(text, mark))) for number, text in above]
-    lines = [(number, names) for number, names in lines if len(names) >= max(2, width)
-             or (data.used and {*data.used} <= {*names})] or [
+    lines = [(number, names) for number, names in lines if len(names) >= max(2, width)] or [
         (number, text.split()) for number, text in above if len(text.split()) == width]
     number, names = lines[-1] if lines else (1, [])
-    half = [number for number, text in above if 2 * len(_fields(text, mark)) == width > 2]
-    if mark == ',' and half and not names and data.columns is None:
-        raise DataError(f'{path}:{half[-1]}: {width // 2} names for {width} columns; are decimals '
-                        'written with commas? Write points, or separate columns by semicolons')
     if len(lines) > 1 and all(parse_unit(field.strip('[]()')) for field in names if field):
         units = [unit.strip('[]()') for unit in names]
         number, names = lines[-2]
         names = [f'{name} [{unit}]' if unit and not split_unit(name)[1] else name
                  for name, unit in zip_longest(names, units[:len(names)], fillvalue='')]
+    return number, names
+
+
+def _names(path: Path, data: LogFormat, layout: Layout) -> Names:
+    """Return the names of the columns: those given, or those in the header, or numbers."""
+    number, names, mark = layout.head, layout.names, layout.delimiter
+    half = [at for at, text in layout.above if 2 * len(_fields(text, mark)) == layout.width > 2]
+    if mark == ',' and half and not names and data.columns is None:
+        raise DataError(f'{path}:{half[-1]}: {layout.width // 2} names for {layout.width} '
+                        'columns; are decimals written with commas? Write points, or separate '
+                        'columns by semicolons')
     if data.columns is not None:
         moved = [name for k, name in enumerate(names) if name in data.columns
                  and data.columns.index(name) != k and names.count(name) == 1
@@ -569,6 +610,10 @@ def _names(path: Path, data: LogFormat, above: list[tuple[int, str]], mark: str 
             raise DataError(f'{path}:{number}: data.columns has {moved[0]} at another place than '
                             f'the header: {listed(names)}; correct one of them')
         return data.columns
+    if not names and data.used:
+        # A header of fewer names than the rows have columns.
+        names = next((own for _, text in layout.above
+                      if {*data.used} <= {*(own := _trimmed(_fields(text, mark)))}), [])
     for name in data.used:
         if names.count(name) == 1:
             continue
@@ -581,4 +626,4 @@ def _names(path: Path, data: LogFormat, above: list[tuple[int, str]], mark: str 
         raise DataError(f'{path}:{number}: no column {name!r}{did_you_mean(name, names)} in the '
                         f'header: {listed(names)}; name the columns in data.columns, or set '
                         'data.delimiter')
-    return names or [COLUMN.format(k + 1) for k in range(width)]
+    return names or [COLUMN.format(k + 1) for k in range(layout.width)]
