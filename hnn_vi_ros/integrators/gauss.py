@@ -4,7 +4,6 @@
 
 from collections.abc import Callable, Iterator
 from functools import cache
-import math
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from hnn_vi_ros.integrators.arithmetic import copy_array, plus
@@ -13,7 +12,7 @@ from hnn_vi_ros.integrators.base import (
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import (
-    anderson, assess, BACK, COMMON, converges_too_slowly, GO_ON, rescaled, SolverOptions, stalls)
+    anderson, GO_ON, Round, solver, SolverOptions)
 from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
 from hnn_vi_ros.kernels import inlined, invert, Kernel
 import numpy as np
@@ -121,9 +120,10 @@ class ModesWork(NamedTuple):
                    np.zeros((d, d), dtype), np.zeros(fours, dtype))
 
 
-@inlined
-def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np.ndarray,
-                      work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
+# J counts as one evaluation.
+@solver(foresees=True, cost=1)
+def simplified_newton(tangent: Callable, problem: Any, x: np.ndarray, work: SolverWork,
+                      value: np.ndarray, defect: np.ndarray, at: Round) -> tuple[int, int, int]:
     """
     Solve for s stages with one matrix I - h A x J in each step.
 
@@ -142,39 +142,16 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
     E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996, section IV.8.
 
     """
-    iterates = work.iterates
-    sizes = iterates.scale, iterates.own_scale, iterates.accepted
-    value, defect = iterates.values[0], iterates.residuals[0]
-    before, previous, residual, stage, more = math.inf, math.inf, math.inf, COMMON, 1
-    inverted, direct = False, problem.work.direct
-    for k in range(1, max_iterations + 1):
-        settled = stage == COMMON and before < math.inf and previous * previous <= _EPS * before
-        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect,
-                                          0.0 if settled else previous, stage, k == max_iterations)
-        # J counts as one evaluation.
-        if outcome != GO_ON:
-            return outcome, residual, k + more
-        if stalls(k, more - 1, stage, residual, previous):
-            residual, more = rescaled(
-                equation, problem, x, work, sizes[0], value, defect), more + 1
-        if stage == COMMON and converges_too_slowly(k, residual, previous):
-            return NO_CONVERGENCE, residual, k + more
-        before, previous = previous, residual
-        if k == max_iterations:
-            break
-        if stage == BACK:
-            copy_array(value, x)
-            continue
-        if direct[0] > 0 and k > 1 and residual > _SLOW_RATIO * before:
-            direct[0] = 0
-        elif direct[0] > 0:
-            copy_array(value, x)
-            continue
-        if not inverted and not _invert(problem, x, work.newton):
-            return NO_CONVERGENCE, residual, k + more
-        inverted = True
-        _correct(problem, value, x)
-    return NO_CONVERGENCE, residual, max_iterations + more
+    direct = problem.work.direct
+    if direct[0] > 0 and at.number > 1 and at.residual > _SLOW_RATIO * at.before:
+        direct[0] = 0
+    elif direct[0] > 0:
+        copy_array(value, x)
+        return GO_ON, 0, 0
+    if at.state == 0 and not _invert(problem, x, work.newton):
+        return NO_CONVERGENCE, 0, 0
+    _correct(problem, value, x)
+    return GO_ON, 0, 1
 
 
 @inlined

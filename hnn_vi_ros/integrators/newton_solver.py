@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NO_SOLUTION
-from hnn_vi_ros.integrators.solvers import assess, BACK, COMMON, GO_ON, OWN, raise_scales
+from hnn_vi_ros.integrators.solvers import GO_ON, OWN, raise_scales, Round, solver
 from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
 from hnn_vi_ros.kernels import called, factorise_rows, inlined, solve_factorised, solve_linear
 import numpy as np
@@ -26,9 +26,9 @@ _EPS = float(np.finfo(np.float64).eps)
 _REUSE_RATIO = 0.1
 
 
-@inlined
-def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-           work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
+@solver(rescales=False, gives_up=False)
+def newton(tangent: Callable, problem: NamedTuple, x: np.ndarray, work: SolverWork,
+           value: np.ndarray, defect: np.ndarray, at: Round) -> tuple[int, int, int]:
     """
     Iterate (I - G'(y)) step = G(x) - x, with the matrix built column by column; see the module.
 
@@ -40,37 +40,22 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     revolutions. All unknowns of a kind share the largest of their scales, because terms that do
     not cancel in H may cancel in the sum.
     """
-    n, iterates, own = x.size, work.iterates, work.newton
-    value, defect, step = iterates.values[0], iterates.residuals[0], own.direction
-    sizes = iterates.scale, iterates.own_scale, iterates.accepted
-    previous, residual, stage, evaluations = math.inf, math.inf, COMMON, 0
-    bound, is_kept = max(8, n) * _EPS, False
-    for k in range(1, max_iterations + 1):
-        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
-                                          stage, k == max_iterations)
-        evaluations += 1
-        if outcome != GO_ON:
-            return outcome, residual, evaluations
-        if k == max_iterations or own.matrix.shape[0] != n:
-            break
-        if stage == BACK:
-            copy_array(value, x)
-            continue
-        # Residuals of the size of rounding contain no information about the matrix.
-        if not is_kept or residual > max(bound, _REUSE_RATIO * previous):
-            fill_matrix(tangent, problem, x, 1.0, own)
-            raise_scales(iterates.scale, iterates.own_scale, own.known)
-            evaluations += n
-            is_kept = factorise_rows(own.matrix, own.pivots)
-            if not is_kept:
-                break
-        previous = residual
-        for i in range(n):
-            step[i] = value[i] - x[i]
-        solve_factorised(own.matrix, own.pivots, step)
-        for i in range(n):
-            x[i] += step[i]
-    return NO_CONVERGENCE, residual, evaluations
+    n, iterates, own, spent = x.size, work.iterates, work.newton, 0
+    if own.matrix.shape[0] != n:
+        return NO_CONVERGENCE, spent, 0
+    # Residuals of the size of rounding contain no information about the matrix.
+    if at.state == 0 or at.residual > max(max(8, n) * _EPS, _REUSE_RATIO * at.before):
+        fill_matrix(tangent, problem, x, 1.0, own)
+        raise_scales(iterates.scale, iterates.own_scale, own.known)
+        spent = n
+        if not factorise_rows(own.matrix, own.pivots):
+            return NO_CONVERGENCE, spent, 0
+    for i in range(n):
+        own.direction[i] = value[i] - x[i]
+    solve_factorised(own.matrix, own.pivots, own.direction)
+    for i in range(n):
+        x[i] += own.direction[i]
+    return GO_ON, spent, 1
 
 
 @called
@@ -115,9 +100,9 @@ def by_differences(equation: Callable[..., None]) -> Callable[..., None]:
 _LINEAR_TOLERANCE = 1e-3
 
 
-@inlined
-def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-           work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
+@solver(rescales=False, gives_up=False)
+def krylov(tangent: Callable, problem: NamedTuple, x: np.ndarray, work: SolverWork,
+           value: np.ndarray, defect: np.ndarray, at: Round) -> tuple[int, int, int]:
     """
     Iterate (I - G'(x)) step = G(x) - x, where each step is solved by GMRES; see the module.
 
@@ -133,47 +118,34 @@ def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     Inexact Newton methods, SIAM J. Numer. Anal. 19 (1982).
 
     """
-    iterates, own = work.iterates, work.newton
-    n, columns = x.size, own.hessenberg.shape[1]
-    value, defect = iterates.values[0], iterates.residuals[0]
+    iterates, own, spent, used, goal = work.iterates, work.newton, 0, 0, 0.0
+    n, columns, first = x.size, own.hessenberg.shape[1], at.number == 1
     v, product, weights = own.direction, own.product, own.weights
-    sizes = iterates.scale, iterates.own_scale, iterates.accepted
-    previous, residual, stage, evaluations = math.inf, math.inf, COMMON, 0
-    for k in range(1, max_iterations + 1):
-        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
-                                          stage, k == max_iterations)
-        evaluations += 1
-        if outcome != GO_ON:
-            return outcome, residual, evaluations
-        if k == max_iterations or columns == 0:
+    if columns == 0:
+        return NO_CONVERGENCE, spent, 0
+    copy_array(x, v)
+    for j in range(-1, columns):
+        if j >= 0 or first:
+            tangent(problem, x, v, product)
+            spent += 1
+        if j >= 0:
+            left = _extend(own, product, j)
+            used = j + 1
+        else:
+            if first:
+                for i in range(n):
+                    own.known[i] = abs(product[i])
+                raise_scales(iterates.scale, iterates.own_scale, own.known)
+            left = _begin(own, iterates.own_scale if at.stage == OWN else iterates.scale,
+                          x, value)
+            goal = _LINEAR_TOLERANCE * left
+        # The negated form also ends the loop for NaN.
+        if used == columns or not left > goal:
             break
-        if stage == BACK:
-            copy_array(value, x)
-            continue
-        previous, used, goal = residual, 0, 0.0
-        copy_array(x, v)
-        for j in range(-1, columns):
-            if j >= 0 or k == 1:
-                tangent(problem, x, v, product)
-                evaluations += 1
-            if j >= 0:
-                left = _extend(own, product, j)
-                used = j + 1
-            else:
-                if k == 1:
-                    for i in range(n):
-                        own.known[i] = abs(product[i])
-                    raise_scales(iterates.scale, iterates.own_scale, own.known)
-                left = _begin(own, iterates.own_scale if stage == OWN else iterates.scale,
-                              x, value)
-                goal = _LINEAR_TOLERANCE * left
-            # The negated form also ends the loop for NaN.
-            if used == columns or not left > goal:
-                break
-            for i in range(n):
-                v[i] = weights[i] * own.directions[used, i]
-        _add_combination(own, used, value, x)
-    return NO_CONVERGENCE, residual, evaluations
+        for i in range(n):
+            v[i] = weights[i] * own.directions[used, i]
+    _add_combination(own, used, value, x)
+    return GO_ON, spent, 0
 
 
 @inlined

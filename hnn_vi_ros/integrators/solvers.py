@@ -6,9 +6,10 @@ Solvers of the implicit equation x = G(x) of a step; each converges to round-off
 Each method defines its equation by two functions: ``equation(problem, x, value)`` fills G(x), and
 ``tangent(problem, x, v, product)`` fills G'(x) v; ``problem`` contains their data.
 
-Every solver has the signature ``(equation, tangent, problem, x, work, max_iterations)``. On entry
-x is the initial guess, on return the solution; ``work.iterates`` contains the scales. It returns
-the outcome, the largest relative residual [1] and the number of evaluations of G and G' v.
+All solvers are one loop, each with its own choice of the next iterate; see ``solver``. They have
+the signature ``(equation, tangent, problem, x, work, max_iterations)``. On entry x is the initial
+guess, on return the solution; ``work.iterates`` contains the scales. They return the outcome, the
+largest relative residual [1] and the number of evaluations of G and G' v.
 
 An iterate is accepted when the residual G(x) - x, relative to the largest unknown of its kind, is
 at most eps, or no longer decreases at no more than max(8, N) eps. A much smaller unknown may then
@@ -68,69 +69,144 @@ class SolverOptions(NamedTuple):
     connected: bool = False
 
 
-@inlined
-def fixed_point(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-                work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
+# Returns the outcome, the largest relative residual, and the number of evaluations.
+_Solver = Callable[..., tuple[int, float, int]]
+# Changes x to the next iterate; see solver.
+_Choice = Callable[..., tuple[int, int, int]]
+
+
+class Round(NamedTuple):
+    """
+    A round of a solver, for the choice of its next iterate.
+
+    Parameters
+    ----------
+    number : int
+        Number of the round, from 1.
+    origin : int
+        The first round whose residual has the present scales.
+    stage : int
+        COMMON or OWN.
+    residual, before : float
+        The residual, and that of the round before.
+    state : int
+        What the choice in the round before returned; 0 at first.
+
+    """
+
+    number: int
+    origin: int
+    stage: int
+    residual: float
+    before: float
+    state: int
+
+
+def solver(shared: bool = True, rescales: bool = True, gives_up: bool = True,
+           foresees: bool = False, cost: int = 0, rows: int = 1
+           ) -> Callable[[_Choice], _Solver]:
+    """
+    Return a decorator that makes a solver of a function that chooses its next iterate.
+
+    The function is ``choose(tangent, problem, x, work, value, defect, at)`` with a ``Round``. It
+    changes x, and returns GO_ON or the outcome, the number of evaluations, and a state.
+
+    Parameters
+    ----------
+    shared : bool, optional
+        False to make residuals relative to each unknown from the beginning.
+    rescales : bool, optional
+        True to raise the scales where iterations stall.
+    gives_up : bool, optional
+        True to end where convergence is slow.
+    foresees : bool, optional
+        True to take a residual for rounding if the last convergence rate predicts less than eps.
+    cost : int, optional
+        Number of evaluations in addition to one each round.
+    rows : int, optional
+        Number of the last evaluations that are kept.
+
+    """
+    def made(choose: _Choice) -> _Solver:
+        inlined(choose)
+
+        # Whether products with G' are needed is told by a choice that uses the name `tangent`, not
+        # by this loop, which only passes them on; see provide_for.
+        @inlined
+        def solve(equation: Callable, derivative: Callable, problem: NamedTuple, x: np.ndarray,
+                  work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
+            iterates = work.iterates
+            common = iterates.scale if shared else iterates.own_scale
+            sizes = common, iterates.own_scale, iterates.accepted
+            before, previous, residual = math.inf, math.inf, math.inf
+            stage, old_stage, origin, known, more, state = COMMON, COMMON, 1, 0, cost, 0
+            for k in range(1, max_iterations + 1):
+                value, defect = iterates.values[k % rows], iterates.residuals[k % rows]
+                settled = foresees and stage == COMMON and before < math.inf \
+                    and previous * previous <= _EPS * before
+                outcome, residual, stage = assess(
+                    equation, problem, x, sizes, value, defect, 0.0 if settled else previous,
+                    stage, k == max_iterations)
+                if outcome != GO_ON:
+                    return outcome, residual, k + more
+                if rescales and stalls(k, known, stage, residual, previous):
+                    old = residual
+                    residual, known, more = rescaled(
+                        equation, problem, x, work, common, value, defect), known + 1, more + 1
+                    origin = k if residual != old else origin
+                if gives_up and stage == COMMON and converges_too_slowly(k, residual, previous):
+                    return NO_CONVERGENCE, residual, k + more
+                if k <= 2:
+                    iterates.first[k - 1] = residual
+                before, previous = previous, residual
+                if shared and stage != old_stage:
+                    origin, old_stage = k, stage
+                if k == max_iterations:
+                    break
+                if stage == BACK:
+                    copy_array(value, x)
+                    continue
+                outcome, spent, state = choose(
+                    derivative, problem, x, work, value, defect, Round(
+                        k, origin, stage, residual, before, state))
+                more += spent
+                if outcome != GO_ON:
+                    return outcome, residual, k + more
+            return NO_CONVERGENCE, residual, max_iterations + more
+
+        # Compiled code is named and cached by these.
+        solve.__module__, solve.__name__ = choose.__module__, choose.__name__
+        solve.__doc__ = choose.__doc__
+        return solve
+    return made
+
+
+@solver(gives_up=False)
+def fixed_point(tangent: Callable, problem: NamedTuple, x: np.ndarray, work: SolverWork,
+                value: np.ndarray, defect: np.ndarray, at: Round) -> tuple[int, int, int]:
     """Iterate x = G(x), as the paper does; see the module."""
-    iterates = work.iterates
-    sizes = iterates.scale, iterates.own_scale, iterates.accepted
-    previous, residual, stage, more = math.inf, math.inf, COMMON, 0
-    value, defect = iterates.values[0], iterates.residuals[0]
-    for k in range(1, max_iterations + 1):
-        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
-                                          stage, k == max_iterations)
-        if outcome != GO_ON:
-            return outcome, residual, k + more
-        if stalls(k, more, stage, residual, previous):
-            residual, more = rescaled(
-                equation, problem, x, work, sizes[0], value, defect), more + 1
-        previous = residual
-        if k < max_iterations:
-            copy_array(value, x)
-    return NO_CONVERGENCE, residual, max_iterations + more
+    copy_array(value, x)
+    return GO_ON, 0, 0
 
 
-@inlined
-def secant(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-           work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
+# The rounding of one unknown does not enter the equation of another.
+@solver(shared=False)
+def secant(tangent: Callable, problem: NamedTuple, x: np.ndarray, work: SolverWork,
+           value: np.ndarray, defect: np.ndarray, at: Round) -> tuple[int, int, int]:
     """Solve for unknowns that do not depend on each other by the secant method; see the module."""
-    # The rounding of one unknown does not enter the equation of another.
-    iterates = work.iterates
-    sizes = iterates.own_scale, iterates.own_scale, iterates.accepted
-    previous, residual, stage, more = math.inf, math.inf, COMMON, 0
-    value, defect = iterates.values[0], iterates.residuals[0]
-    old_value, old_defect = iterates.values[1], iterates.residuals[1]
-    for k in range(1, max_iterations + 1):
-        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
-                                          stage, k == max_iterations)
-        if outcome != GO_ON:
-            return outcome, residual, k + more
-        if stalls(k, more, stage, residual, previous):
-            before = residual
-            residual, more = rescaled(
-                equation, problem, x, work, sizes[0], value, defect), more + 1
-            if residual != before:
-                # Residuals with a different scale must not be combined with these.
-                copy_array(defect, old_defect)
-        if stage == COMMON and converges_too_slowly(k, residual, previous):
-            return NO_CONVERGENCE, residual, k + more
-        if k <= 2:
-            iterates.first[k - 1] = residual
-        previous = residual
-        if k == max_iterations:
-            break
-        for i in range(x.size):
-            x[i] = value[i]
-            change = defect[i] - old_defect[i]
-            if k > 1 and change != 0.0:
-                x[i] -= defect[i] / change * (value[i] - old_value[i])
-            old_value[i], old_defect[i] = value[i], defect[i]
-    return NO_CONVERGENCE, residual, max_iterations + more
+    old_value, old_defect = work.iterates.values[1], work.iterates.residuals[1]
+    for i in range(x.size):
+        x[i] = value[i]
+        change = defect[i] - old_defect[i]
+        if at.number > at.origin and change != 0.0:
+            x[i] -= defect[i] / change * (value[i] - old_value[i])
+        old_value[i], old_defect[i] = value[i], defect[i]
+    return GO_ON, 0, 0
 
 
-@inlined
-def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.ndarray,
-             work: SolverWork, max_iterations: int) -> tuple[int, float, int]:
+@solver(rows=DEPTH + 1)
+def anderson(tangent: Callable, problem: NamedTuple, x: np.ndarray, work: SolverWork,
+             value: np.ndarray, defect: np.ndarray, at: Round) -> tuple[int, int, int]:
     """
     Accelerate the fixed-point iteration by Anderson's method of depth 3; see the module.
 
@@ -142,32 +218,8 @@ def anderson(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.n
     (2011).
 
     """
-    iterates = work.iterates
-    sizes = iterates.scale, iterates.own_scale, iterates.accepted
-    previous, residual, stage, more = math.inf, math.inf, COMMON, 0
-    rows, origin, old_stage = DEPTH + 1, 1, COMMON
-    for k in range(1, max_iterations + 1):
-        value, defect = iterates.values[k % rows], iterates.residuals[k % rows]
-        outcome, residual, stage = assess(equation, problem, x, sizes, value, defect, previous,
-                                          stage, k == max_iterations)
-        if outcome != GO_ON:
-            return outcome, residual, k + more
-        if stalls(k, more, stage, residual, previous):
-            before = residual
-            residual, more = rescaled(
-                equation, problem, x, work, sizes[0], value, defect), more + 1
-            origin = k if residual != before else origin
-        if stage == COMMON and converges_too_slowly(k, residual, previous):
-            return NO_CONVERGENCE, residual, k + more
-        if k <= 2:
-            iterates.first[k - 1] = residual
-        previous = residual
-        if stage != old_stage:
-            # Residuals with a different scale must not be combined with these.
-            origin, old_stage = k, stage
-        if k < max_iterations:
-            _accelerate(work, k, value, defect, k - origin, x)
-    return NO_CONVERGENCE, residual, max_iterations + more
+    _accelerate(work, at.number, value, defect, at.number - at.origin, x)
+    return GO_ON, 0, 0
 
 
 @inlined

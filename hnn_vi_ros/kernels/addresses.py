@@ -125,7 +125,7 @@ def provide_for(kernel: Kernel, step: Callable[..., Any], options: Parameters) -
     Compile the functions of a kernel by address that a step will call.
 
     Other functions are compiled when they are called. A function named ``..._tangent`` is called
-    if a solver, one of the options, uses its argument ``tangent``; see solvers.
+    if a solver, one of the options, uses a name ``tangent``; see solvers.
     """
     functions = reached(step, options)
     solves = any(map(_takes_tangent, reached(options)))
