@@ -424,8 +424,8 @@ def _rows(path: Path, encoding: str, delimiter: str | None, comment: str, *_: in
     closed = _ends_with_line_break(path) if text is None else text.endswith('\n')
     width: tuple[int, int] | None = None
     words, least = dict[int, tuple[int, str]](), MAX_BYTES
-    for (number, line), (after, _) in pairwise(chain(found, [(0, '')])):
-        complete = closed or after > 0 or not lines
+    for (number, line), following in pairwise(chain(found, [(0, '')])):
+        complete = closed or following[0] > 0 or not lines
         fields = _trimmed(_fields(line, layout.delimiter), layout.width)
         row = [_number_or_none(field, layout.decimal) for field in fields]
         new = {k: (number, field) for k, (field, x) in enumerate(zip(fields, row, strict=True))
