@@ -23,9 +23,9 @@ from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
-# Half-width of an interval of 95 % in standard errors, cut-off of the estimates [Hz], and the
-# motion that tells a number.
-_WIDTH, _CUTOFF = 1.96, 10.0
+# Half-width of an interval of 95 % in standard errors, cut-off of the estimates [Hz], share of the
+# forces that a log resolves, and the motion that tells a number.
+_WIDTH, _CUTOFF, _SEEN = 1.96, 10.0, 0.05
 _COMMANDED = {
     'stiffness': ('N m/rad', 'steps of the command'), 'damping': ('N m s/rad', 'fast steps'),
     'friction': ('N m', 'slow ramps in both directions'),
@@ -43,18 +43,38 @@ _SHARE, _UNLIMITED, _STEPS, _HELD, _RAMP = 0.2, 0.5, (0.2, -0.2, 0.3, -0.1, 0.0)
 
 
 class Told(NamedTuple):
-    """A number of a joint: its name, value, half-width, unit, and the motion that tells it."""
+    """
+    A number of a joint.
+
+    Parameters
+    ----------
+    name, unit : str
+        Its name and unit.
+    value, half_width : float
+        Its value and half the width of its interval.
+    motion : str
+        The motion that tells it.
+    share : float
+        The half-width as a share of the forces: if it is small, the log has this motion.
+
+    """
 
     name: str
     value: float
     half_width: float
     unit: str
     motion: str
+    share: float
 
     @property
     def known(self) -> bool:
         """Return whether the half-width is less than the number; only offsets are negative."""
         return self.half_width < (abs(self.value) if 'offset' in self.name else self.value)
+
+    @property
+    def small(self) -> bool:
+        """Return whether the log tells that the number hardly matters."""
+        return not self.known and self.share < _SEEN
 
 
 class Checked(NamedTuple):
@@ -201,13 +221,16 @@ def _told(tree: RigidBodyTree, motions: Sequence[EvenMotion]) -> tuple[list[Told
     found = []
     for name, part in zip(names, parts, strict=True):
         values, widths, _ = _solved(*part)
+        with np.errstate(invalid='ignore'):
+            shares = widths * np.linalg.norm(part[0], axis=0) / np.linalg.norm(part[1])
         if motions[0].commanded:
             # Relative to the stiffness, whose reciprocal is the first coefficient.
             values[0], widths[0] = 1.0 / values[0], widths[0] / values[0]**2
             values[1:], widths[1:] = values[1:] * values[0], widths[1:] * abs(values[0])
-        found += [Told(f'{kind} of {name}', value, width, unit, motion)
-                  for (kind, (unit, motion)), value, width in zip(
-                      kinds.items(), values.tolist(), widths.tolist(), strict=True)]
+        found += [Told(f'{kind} of {name}', value, width, unit, motion, share)
+                  for (kind, (unit, motion)), value, width, share in zip(
+                      kinds.items(), values.tolist(), widths.tolist(), shares.tolist(),
+                      strict=True)]
     return found, delay
 
 
@@ -279,7 +302,11 @@ def report_of(found: Checked) -> Iterator[str]:
                '| number | value | half-width | unit |\n|---|---|---|---|')
         yield from (f'| {one.name} | {one.value:.3g} | {one.half_width:.2g} | {one.unit} |'
                     for one in found.numbers if one.known)
-        if lacking := [one for one in found.numbers if not one.known]:
+        if small := [one for one in found.numbers if one.small]:
+            yield f'\nToo small to matter, within {_SEEN:.0%} of the forces:\n'
+            yield from (f'- {one.name}: {one.value:.2g} +- {one.half_width:.2g} {one.unit}'
+                        for one in small)
+        if lacking := [one for one in found.numbers if not (one.known or one.small)]:
             yield '\nIt does not tell, and what would:\n'
             yield from (f'- {one.name}: {one.motion}' for one in lacking)
     if found.warnings:

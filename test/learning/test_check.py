@@ -120,6 +120,17 @@ def test_good_log_of_torques_and_of_free_motion_are_usable(logged, tmp_path, cap
     assert not free.useless and not free.numbers, free.warnings
 
 
+def test_advice_names_no_motion_that_the_log_has(logged, tmp_path, capsys):
+    folder, _ = logged
+    torques(folder).to_csv(tmp_path / 'log.csv', index=False)
+    main([str(tmp_path / 'log.csv'), '--robot', str(folder / 'arm.urdf')])
+    text = capsys.readouterr().out
+    # There is no offset, and no rotor: both are told.
+    small, _, lacking = text.partition('Too small to matter')[2].partition('It does not tell')
+    assert 'offset of elbow' in small and 'offset of elbow' not in lacking
+    assert 'rotor inertia of shoulder' not in lacking
+
+
 def test_motion_of_ten_samples_a_period_moves():
     t = 0.1 * np.arange(300)
     q = np.sin(2.0 * np.pi * t)[:, None] + 1e-3 * np.random.default_rng(0).normal(size=(300, 1))
