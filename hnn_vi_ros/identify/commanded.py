@@ -31,8 +31,9 @@ _LATEST, _LARGEST_STEP = 0.15, 0.01
 # Residuals in units of the noise that leave nothing to explain, share of the squared residuals
 # beyond noise that ramps may leave, and tolerance of the fits that tell it.
 _NOISE_ALONE, _LEFT, _ROUGH = 1.1, 0.5, 1e-4
-# Name of the rate of ramps; names of the frictions in gears, and value from which they are fitted.
-RATE, LOADS, _LOAD = 'servo.rate_limit', 'servo.load', 0.1
+# Names of the delay and of the rate of ramps; names of the frictions in gears, and value from
+# which they are fitted.
+DELAY, RATE, LOADS, _LOAD = 'servo.delay', 'servo.rate_limit', 'servo.load', 0.1
 # Rates of ramps that are tried for the initial guess, relative to the largest speed that is kept
 # for this time [s].
 _RATES, _SUSTAINED = (1.2, 1.0, 0.85, 0.7, 0.5), 0.05
@@ -98,7 +99,7 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
         raise DataError(f'{motions[0].where}: the motors are off in all samples, which tells '
                         'nothing of servos; give a log in which they are on')
     loads = {f'{LOADS}.{k}': None for k in range(len(names))}
-    spacing, places = motions[0].spacing, {'servo.delay': None, RATE: None, **loads} | {
+    spacing, places = motions[0].spacing, {DELAY: None, RATE: None, **loads} | {
         f'{key}.{name}': (k, column) for column, key in enumerate((
             'servo.stiffness', 'servo.damping', 'joint_friction.friction', 'rotor_inertia',
             'servo.offset')) for k, name in enumerate(
@@ -109,7 +110,7 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
                                  f'{", ".join(places)}')
     rates = [known[RATE]] if RATE in known else [
         share * _sustained_speed(motions) for share in _RATES] if limited else [math.inf]
-    numbers, delay, rate = _guess(robots, motions, rates)
+    numbers, delay, rate = _guess(robots, motions, rates, known)
     for name, value in known.items():
         if places[name] is not None:
             numbers[places[name]] = value
@@ -119,7 +120,7 @@ def commanded_scene(robot: Path, folder: Path, robots: Sequence[tuple[Hamiltonia
     load = [known.get(name, 0.0) for name in loads]
     effects = [
         {'kind': 'servo', 'coordinates': names, 'stiffness': stiffness, 'damping': damping,
-         'offset': offset, 'delay': known.get('servo.delay', delay),
+         'offset': offset, 'delay': delay,
          **({'load': load, 'speed': SPEED} if off or any(load) else {}),
          **({'rate_limit': rate} if rate < math.inf else {}),
          **({'effort_limit': limits.tolist()} if (limits < LARGEST).any() else {})},
@@ -218,13 +219,13 @@ def columns_of(motion: EvenMotion, gain: float, delay: float, rate: float = math
 
 
 def _guess(robots: Sequence[tuple[Hamiltonian, float]], motions: Sequence[EvenMotion],
-           rates: Sequence[float]) -> tuple[np.ndarray, float, float]:
+           rates: Sequence[float], known: Mapping[str, float]) -> tuple[np.ndarray, float, float]:
     """Return k, c, F, J, o of each joint, (d, 5), and the delay and the rate that fit best."""
     needed = np.concatenate([forces_needed(hamiltonian, motion) for (hamiltonian, _), motion in
                              zip(robots, motions, strict=True)])
     fits = []
     for rate in rates:
-        for delay in delays_of(motions):
+        for delay in [known[DELAY]] if DELAY in known else delays_of(motions):
             columns = np.concatenate([columns_of(motion, gain, delay, rate) for (_, gain), motion
                                       in zip(robots, motions, strict=True)])
             # The offset may have either sign.

@@ -9,6 +9,7 @@ from pathlib import Path
 from hnn_vi_ros.effects import JointCommand, OFF
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.identify.check import main as check
+from hnn_vi_ros.identify.commanded import commanded_scene, first_scene
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.identify import main
 from hnn_vi_ros.identify.loads import Load, read_loads
@@ -184,6 +185,22 @@ def test_delay_is_found_with_time_stamps_that_jitter(jitter, dropped, tmp_path):
     found = fitted(tmp_path, '--horizon', '0.5')
     # Within a tenth of a sample.
     assert found['servo.delay']['value'] == pytest.approx(truth['servo.delay'], abs=STEP)
+
+
+def test_guess_of_servos_holds_a_known_delay(tmp_path):
+    write_log(tmp_path, 1, 0)
+    robot, at = tmp_path / 'arm.urdf', {}
+    scene = first_scene(robot, tmp_path)
+    source = source_of(str(tmp_path / 'log.csv'), scene.create_hamiltonian().coordinates, None,
+                       commanded=True)
+    motions, _ = read_motions(tmp_path / 'log.csv', source, ['shoulder'], [], ['rad'], True)
+    for delay in (0.0, 0.1):
+        found, _ = commanded_scene(robot, tmp_path, [(scene.create_hamiltonian(), 1.0)], motions,
+                                   {'servo.delay': delay})
+        at[delay] = found.effects[0]
+    assert [servo.delay for servo in at.values()] == [0.0, 0.1]
+    # Other numbers are the best ones with this delay.
+    assert at[0.0].stiffness != at[0.1].stiffness
 
 
 def test_rate_of_ramps_of_commands_is_found(tmp_path):
