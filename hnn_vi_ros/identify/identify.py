@@ -27,7 +27,7 @@ from hnn_vi_ros.identify.loads import check_loads, Load, load_of, read_loads, wi
 from hnn_vi_ros.learning import (
     ArraysData, check_times, Course, DELAY, EvenMotion, EVIDENCE, fit_numbers, FittedNumbers,
     input_courses, InputCourses, judged, keys_of, made_up, MeasuredColumns, MotionSource,
-    predicted_by, read_motions, refitted, Solution, source_of, split_runs, steps_between,
+    predicted_by, read_motions, refitted, refusals, Solution, source_of, split_runs, steps_between,
     warnings_of, Windows)
 from hnn_vi_ros.models import force_unit
 from hnn_vi_ros.phase_space import Coordinate, energy_unit
@@ -568,12 +568,18 @@ def _counted(windows: Windows, length: float) -> str:
 
 
 def _held_back(found: Identified) -> list[str]:
-    """Describe numbers that ended at their bounds."""
+    """Describe numbers that ended at their bounds, or where the scene refuses others."""
+    estimates = found.estimates.estimates[:len(found.free.numbers)]
+    near = np.array([max(1e-6 * abs(one.value), 1e-2 * (one.standard_error or 0.0))
+                     for one in estimates])
+    refused = refusals(found.free, np.array([one.value for one in estimates]), near)
     return [f'{one.name} is at its bound, {end:g} {one.unit}: the data may fit better beyond it, '
             'and its interval ignores the bound'
-            for number, one in zip(found.free.numbers, found.estimates.estimates, strict=False)
-            for end in (number.low, number.high) if one.known and abs(one.value - end) <= max(
-                1e-6 * abs(one.value), 1e-2 * (one.standard_error or 0.0))]
+            for number, one, most in zip(found.free.numbers, estimates, near, strict=True)
+            for end in (number.low, number.high) if one.known and abs(one.value - end) <= most
+            ] + [f'{estimates[k].name} is at the end of what the scene accepts: {reason}; the '
+                 'data may fit better beyond it, and its interval ignores this condition'
+                 for k, reason in refused.items()]
 
 
 def _wrong_units(found: Identified) -> list[str]:

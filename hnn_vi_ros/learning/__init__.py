@@ -36,6 +36,6 @@ if TYPE_CHECKING:
         units_of)
     from hnn_vi_ros.learning.fit.step_forces import held_commands, HeldCommands
     from hnn_vi_ros.learning.fit.windows import (
-        CannotFollow, check_times, DELAY, MeasuredColumns, ModelParts, Number, Windows)
+        CannotFollow, check_times, DELAY, MeasuredColumns, ModelParts, Number, refusals, Windows)
 
 __getattr__, __dir__ = lazy_exports(__name__)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import math
 from pathlib import Path
 
+from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.learning.data.motions import of_positions, smoothed
 from hnn_vi_ros.learning.families.choices import FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
@@ -16,13 +17,40 @@ from hnn_vi_ros.learning.fit.growing import first_length
 from hnn_vi_ros.learning.fit.machine import scales_of
 from hnn_vi_ros.learning.fit.machine_fit import fit_machine
 from hnn_vi_ros.learning.fit.prediction import Prediction
-from hnn_vi_ros.learning.fit.rigid_model import PriorUnknowns
+from hnn_vi_ros.learning.fit.rigid_model import PriorUnknowns, RigidModel
+from hnn_vi_ros.learning.fit.shooting import search
+from hnn_vi_ros.learning.fit.windows import ModelParts, refusals
 from hnn_vi_ros.learning.tasks.machine import MACHINE, MachineData
 from hnn_vi_ros.models import CoordinateCard, equation_text
 from machines import carriage, compiled, double_well, kinked_spring, machine_config, sliding
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+
+
+class Refusing:
+    """A rigid body of at most 1.9 kg, a condition that is no bound of a number."""
+
+    def __init__(self, model: RigidModel):
+        self.name, self.numbers, self._model = model.name, model.numbers, model
+
+    def parts_at(self, values: np.ndarray) -> ModelParts:
+        """Return the parts, or raise SceneError."""
+        if values[0] > 1.9:
+            raise SceneError('the carriage is too heavy')
+        return self._model.parts_at(values)
+
+
+def test_trial_that_a_model_refuses_is_rejected_and_the_condition_is_named():
+    """Derivatives beside such a value ended the fit."""
+    fitted = fit_machine(sliding(prior='planar_chain', residual=False), of_positions([
+        carriage(1, 1.0)])).numbers
+    model, values = Refusing(fitted.problem.model), fitted.solution.values.copy()
+    values[0] = 1.8
+    found = search(replace(fitted.problem, model=model), values, 1e-5).values
+    # It is 2 kg without the condition.
+    assert 1.89 < found[0] <= 1.9
+    assert refusals(model, found, 0.01 * found) == {0: 'the carriage is too heavy'}
 
 
 def test_more_friction_never_fits_windows_worse_than_less(monkeypatch):

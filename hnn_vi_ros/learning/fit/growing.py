@@ -7,7 +7,7 @@ from dataclasses import replace
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.learning.data.motions import EvenMotion, joined
 from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.noise import covariances, likeliest, Process
@@ -325,10 +325,13 @@ def cost_at_start(model: ParametricModel, motions: Sequence[EvenMotion]) -> floa
     windows = cut_windows(motions, min(first_length(motions), max(
         motion.t[-1] - motion.t[0] for motion in motions)))
     values = np.array([number.start for number in model.numbers])
-    prediction = predicted_by(model, values, windows)
-    starts = prediction.log.starts(*windows.start.swapaxes(0, 1))
-    problem = FitProblem(model, windows, first_noise(motions), starts, False, tolerance=1.0)
-    _, residuals, _ = problem.descend(prediction, starts)
+    try:
+        prediction = predicted_by(model, values, windows)
+        starts = prediction.log.starts(*windows.start.swapaxes(0, 1))
+        problem = FitProblem(model, windows, first_noise(motions), starts, False, tolerance=1.0)
+        _, residuals, _ = problem.descend(prediction, starts)
+    except HnnViRosError:
+        return math.inf
     cost = float(problem.cost(np.nan_to_num(residuals, nan=FAILED)).sum())
     return cost if math.isfinite(cost) else math.inf
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from functools import cached_property, partial
 from typing import Any
 
-from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
+from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.windows import (
@@ -215,7 +215,7 @@ class Prediction:
         sides = (number.low, number.high), (value, number.high), (number.low, value)
         for low, high in sides:
             # Neighboring values may be invalid on one side, as for a singular mass.
-            with suppress(ModelError):
+            with suppress(HnnViRosError):
                 return [(weight, Prediction(self._model, np.where(
                     np.arange(len(self._values)) == k, other, self._values), self.log.windows))
                     for other, weight in difference(

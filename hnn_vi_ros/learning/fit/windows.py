@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple, Protocol
 
 from hnn_vi_ros.effects import Effect, PeriodicDrive
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.learning.data.motions import EvenMotion
@@ -97,6 +97,19 @@ class ParametricModel(Protocol):
 
     def parts_at(self, values: np.ndarray) -> ModelParts:
         """Return the parts at values of the numbers, (n,), or raise HnnViRosError."""
+
+
+def refusals(model: ParametricModel, values: np.ndarray, steps: np.ndarray) -> dict[int, str]:
+    """Return why a model refuses numbers that are within their bounds a step away, by index."""
+    found = dict[int, str]()
+    for k, number in enumerate(model.numbers):
+        for value in (values[k] - steps[k], values[k] + steps[k]):
+            if number.low <= value <= number.high:
+                try:
+                    model.parts_at(np.where(np.arange(len(values)) == k, value, values))
+                except HnnViRosError as reason:
+                    found[k] = str(reason)
+    return found
 
 
 class KnownModel(NamedTuple):
