@@ -10,6 +10,10 @@ from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.models.planar_chain import chain_terms, CHAINS, sensor_offsets
 import numpy as np
 
+_UNEXPLAINED = (
+    'These numbers are not a minimum that explains the log: residuals are more than five times '
+    'the noise, so they have no intervals. Something is missing in the model, or the fit ended '
+    'far from the best numbers.')
 # Friction below this share of the largest one is not written.
 _LEAST = 1e-4
 
@@ -61,20 +65,31 @@ def parameters_text(card: ModelCard, open_scale: str) -> str:
     if mechanical is None or mechanical.prior is None or mechanical.prior.tree is not None:
         return ''
     estimates, rows = mechanical.prior.estimates, list[tuple[str, float, str, str]]()
+    first = list[str]()
     if estimates:
-        rows = [(name, one.value, one.unit, f'{one.interval[0]:.6g} to {one.interval[1]:.6g}')
+        rows = [(name, one.value, one.unit, '-' if one.interval is None else
+                 f'{one.interval[0]:.6g} to {one.interval[1]:.6g}')
                 for name, one in estimates.items()]
         said = ('The intervals hold if the noise of the sensors is the only error; where '
                 'residuals exceed it, they are as many times wider, which may not suffice. '
                 'Friction and springs without a row are not in the data; a width without a row '
                 'cannot be told from them, and is taken as 2 % of the usual speed.')
+        if all(one.interval is None for one in estimates.values()):
+            first, said = [_UNEXPLAINED, ''], ''
+        elif any(one.interval is None for one in estimates.values()):
+            said = f'A number without an interval is not told by the data. {said}'
+        pairs = {' and '.join(sorted([name, other]))
+                 for name, one in estimates.items() for other in one.alike}
+        if pairs:
+            said = (f'The data hardly tell apart {"; ".join(sorted(pairs))}: an error of one is '
+                    f'made up for by the other. {said}')
     else:
         rows = [(name, one.value, one.unit, '-') for name, one in
                 mechanical.prior.parameters.items()]
         said = ('Fits to positions estimate intervals, of rigid bodies alone. The equation has '
                 'the friction.')
     return '\n'.join([
-        '| parameter | value | 95 % interval | unit |', '|---|---|---|---|', *(
+        *first, '| parameter | value | 95 % interval | unit |', '|---|---|---|---|', *(
             f'| {name} | {value:.6g} | {interval} | {ratio_unit(unit, open_scale)} |'
             for name, value, unit, interval in rows), '', said])
 

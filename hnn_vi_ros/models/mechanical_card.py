@@ -87,9 +87,11 @@ class Quantity(StrictModel):
 
 
 class FittedNumber(Quantity):
-    """A fitted number with its 95 % confidence interval."""
+    """A fitted number with its 95 % confidence interval, if the data determine it."""
 
-    interval: Interval
+    interval: Interval | None
+    alike: list[str] = Field([], description=(
+        'numbers that are hardly told from it: their errors have a correlation above 0.99'))
 
 
 class PriorCard(StrictModel):

@@ -53,6 +53,17 @@ def test_trial_that_a_model_refuses_is_rejected_and_the_condition_is_named():
     assert refusals(model, found, 0.01 * found) == {0: 'the carriage is too heavy'}
 
 
+def test_forces_that_are_the_same_leave_one_of_them():
+    """The criterion charged each of them for what the other one could make up for."""
+    found = fit_machine(sliding(prior='planar_chain', residual=False, springs=1, friction={
+        'coulomb': 1, 'offset': True}), of_positions([
+            carriage(1, 1.0, 60.0, 0.1)])).estimates(sliding().coordinates, None)
+    low, high = found['gravity1'].interval
+    assert 'offset of x' not in found
+    # Four standard errors.
+    assert abs(found['gravity1'].value + 6.0) < 2.0 * (high - low) / 1.96
+
+
 def test_more_friction_never_fits_windows_worse_than_less(monkeypatch):
     """Accelerations gave a start at which windows diverged, or ended at a local minimum."""
     first = rigid_body._first
@@ -204,6 +215,13 @@ def test_intervals_are_wider_where_residuals_exceed_the_noise():
         stages=[(length, excess)])).estimates(sliding().coordinates, None)['inertia1'].interval)
         for excess in (1.0, 3.0)]
     assert stages and sizes[1] == pytest.approx(3.0 * sizes[0], rel=1e-9)
+
+
+def test_fit_that_explains_nothing_has_no_intervals(rounded):
+    (length, _), *others = rounded.numbers.stages[::-1]
+    found = replace(rounded, numbers=rounded.numbers._replace(
+        stages=[*others, (length, 7.0)])).estimates(sliding().coordinates, None)
+    assert found and all(one.interval is None for one in found.values())
 
 
 def test_width_that_a_log_does_not_tell_is_a_usual_one():

@@ -16,7 +16,8 @@ from hnn_vi_ros.learning.fit.machine import samples_of
 from hnn_vi_ros.learning.fit.noise import covariances
 from hnn_vi_ros.learning.fit.prediction import Prediction
 from hnn_vi_ros.learning.fit.rigid_model import RigidModel
-from hnn_vi_ros.learning.fit.shooting import least_squares_factors, projected, units_of
+from hnn_vi_ros.learning.fit.shooting import (
+    least_squares_factors, projected, undetermined, units_of)
 from hnn_vi_ros.learning.fit.step_forces import constant_forces
 from hnn_vi_ros.learning.fit.windows import KnownModel
 from hnn_vi_ros.models import CoordinateCard, FittedNumber
@@ -27,6 +28,10 @@ _QUANTILE = 1.96
 # Residuals in units of the noise that show that a body lacks something, and the least share of
 # them that is evidence for other forces.
 _POOR, _MOST = 5.0, 0.5
+# Correlation of two numbers from which they are hardly told apart.
+_ALIKE = 0.99
+# Share of a direction that the data do not determine from which a number is a part of it.
+OPEN_SHARE = 1e-3
 # Differences of the values of a column, relative to its range, that are rounding errors of
 # conversions; distance from a multiple of their common step; and least number of levels.
 _ROUNDED, _MULTIPLE, _LEVELS = 1e-9, 0.01, 100
@@ -108,6 +113,9 @@ class FittedRigidBody(Fitted):
         """
         Return the numbers of a rigid body that was fitted to positions, with 95 % intervals.
 
+        A number that the data do not determine has none; none has one if residuals are so large
+        that the fit explains nothing.
+
         Parameters
         ----------
         coordinates : sequence of CoordinateCard
@@ -119,7 +127,7 @@ class FittedRigidBody(Fitted):
         assert self.numbers is not None
         solution, model = self.numbers.solution, self.numbers.problem.model
         assert isinstance(model, RigidModel)
-        values, covariance = solution.values, covariance_of(self.numbers)
+        values, slopes = solution.values, np.eye(len(solution.values))
         labels = model.unknowns.labels(coordinates)
         own = [labels[int(number.name)] for number in model.numbers]
         if q is not None:
@@ -129,20 +137,43 @@ class FittedRigidBody(Fitted):
             factor = np.where(scaled, 1.0 / (w @ values), 1.0)
             values = values * factor
             slopes = (np.eye(len(w)) - np.outer(values * scaled, w)) * factor[:, None]
-            covariance = slopes @ covariance @ slopes.T
         motors = model.motors
         if motors:
             # The norm of the map is open too; that of MechanicalNetwork.input_map is taken.
             values, size = values.copy(), float(np.linalg.norm(values[motors]))
             unit_map = values[motors] / size
             norm = math.sqrt(model.unknowns.network.raw_map.shape[1])
-            slopes = np.eye(len(values))
-            slopes[np.ix_(motors, motors)] = norm / size * (
+            own_slopes = np.eye(len(values))
+            own_slopes[np.ix_(motors, motors)] = norm / size * (
                 np.eye(len(motors)) - np.outer(unit_map, unit_map))
-            values[motors], covariance = norm * unit_map, slopes @ covariance @ slopes.T
-        half = _QUANTILE * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return {name: FittedNumber(value=x, unit=unit, interval=[x - e, x + e])
-                for (name, unit), x, e in zip(own, values.tolist(), half.tolist(), strict=True)}
+            values[motors], slopes = norm * unit_map, own_slopes @ slopes
+        covariance = slopes @ covariance_of(self.numbers) @ slopes.T
+        error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        half, told = _QUANTILE * error, self._told(slopes) & self.explains
+        alike = np.abs(covariance) > _ALIKE * np.outer(error, error)
+        return {name: FittedNumber(
+            value=x, unit=unit, interval=[x - e, x + e] if known else None,
+            alike=[other for (other, _), same, as_well in zip(own, row, told, strict=True)
+                   if same and known and as_well and other != name])
+                for (name, unit), x, e, known, row in zip(
+                    own, values.tolist(), half.tolist(), told.tolist(), alike, strict=True)}
+
+    @property
+    def explains(self) -> bool:
+        """Return whether the residuals are small enough to be those of a minimum of the log."""
+        assert self.numbers is not None
+        return self.numbers.stages[-1][1] < _POOR
+
+    def _told(self, slopes: np.ndarray) -> np.ndarray:
+        """Return which quantities, of these slopes by the numbers, the data determine, (n,)."""
+        assert self.numbers is not None
+        solution = self.numbers.solution
+        units = units_of(solution)
+        open_ = undetermined(
+            solution, self.numbers.problem.weights(solution.residuals)) / units[:, None]
+        least = OPEN_SHARE * (np.abs(slopes) @ (1.0 / units))
+        told: np.ndarray = (np.abs(slopes @ open_) <= least[:, None]).all(axis=1)
+        return told
 
 
 def positions_alone(motions: Sequence[EvenMotion]) -> bool:
@@ -166,7 +197,7 @@ def covariance_of(fitted: FittedNumbers) -> np.ndarray:
     Return the covariance of fitted numbers, shape (n, n).
 
     It is that of the noise of the sensors, or of residuals where errors of the model exceed it,
-    and 0 along directions that the data do not determine, such as the scale of the energy.
+    and 0 along directions that the data do not determine; see ``undetermined``.
     """
     solution, excess = fitted.solution, max(1.0, fitted.stages[-1][1])
     slopes, _ = projected(solution, fitted.problem.weights(solution.residuals))

@@ -19,14 +19,15 @@ from hnn_vi_ros.learning.data.motions import cutoff_of, EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import Structure, TrajectoryLoss
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.fitted_rigid_body import (
-    covariance_of, covariance_of_sums, downsampled, FittedRigidBody, positions_alone)
+    covariance_of, covariance_of_sums, downsampled, FittedRigidBody, OPEN_SHARE,
+    positions_alone)
 from hnn_vi_ros.learning.fit.following import LogSimulation
 from hnn_vi_ros.learning.fit.growing import (
     cost_at_start, excess_of, fit_numbers, FittedNumbers, refitted)
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.rigid_model import ABOVE, parts_of_card, PriorUnknowns, RigidModel
-from hnn_vi_ros.learning.fit.shooting import made_up, projected, units_of
+from hnn_vi_ros.learning.fit.shooting import made_up, projected, undetermined, units_of
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.learning.fit.windows import CannotFollow, cut_windows
 from hnn_vi_ros.models import chain_angles, PLANAR_CHAIN
@@ -51,6 +52,8 @@ _OVERLAP = 20
 # Share by which residuals without idle numbers may grow beyond what the criterion allows; more
 # shows a false minimum.
 _NO_WORSE = 1.02
+# Variance along directions that the data do not determine, in units of all others together.
+_OPEN = 1e6
 # Size of a width in standard errors from which the data tell it.
 _TOLD = 1.96
 # Relative tolerance of the fit to positions: errors of the numbers are far larger.
@@ -139,8 +142,9 @@ def _with_usual_widths(fitted: FittedNumbers) -> FittedNumbers:
     solution, model = fitted.solution, fitted.problem.model
     assert isinstance(model, RigidModel)
     errors = np.sqrt(np.diag(covariance_of(fitted)))
+    free = np.abs(undetermined(solution, fitted.problem.weights(solution.residuals)))
     open_ = [k for k in model.useless_widths(range(len(errors)))
-             if solution.values[k] < _TOLD * errors[k]]
+             if solution.values[k] < _TOLD * errors[k] or (free[k] > OPEN_SHARE).any()]
     if not open_:
         return fitted
     found = refitted(fitted, model.without(open_), np.delete(solution.values, open_), _TOLERANCE)
@@ -217,6 +221,11 @@ def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
     slopes[..., model.useless_widths(range(n))] = 0.0
     _, R = np.linalg.qr(slopes.reshape(-1, n))
     C = np.linalg.pinv(R.T @ R, hermitian=True) / np.outer(units, units)
+    # Along directions of optional numbers that the data do not determine, any of them makes up
+    # for the others, so that they are removed first, the last one of them at the start.
+    open_ = _open_directions(undetermined(solution, weights), model.optional)
+    C += _OPEN * np.trace(C @ np.diag(units**2)) * (open_ @ open_.T) / np.outer(units, units)
+    same = (np.abs(open_) > OPEN_SHARE).any(axis=1)
     B = np.outer(units, units) * covariance_of_sums(fitted, slopes)
     x, price, idle = solution.values.copy(), math.log(solution.freedom), list[int]()
     low, high = np.array([(number.low, number.high) for number in model.numbers]).T
@@ -224,12 +233,16 @@ def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
     while left := [k for k in model.optional if k not in idle and C[k, k] > 0.0]:
         spread = np.einsum('ki,ij,kj->k', C, B, C)
         above = np.where(np.isfinite(low), np.maximum(x - least, 0.0), x)
-        k = min(left, key=lambda k: above[k]**2 / spread[k])
-        if above[k]**2 > price * spread[k]:
+        cost = np.where(same, -np.arange(n), above**2 / np.maximum(spread, 1e-300))
+        k = min(left, key=lambda k: cost[k])
+        if cost[k] > price:
             break
         x -= C[:, k] / C[k, k] * (x[k] - least[k])
         C -= np.outer(C[:, k], C[:, k]) / C[k, k]
         idle.append(k)
+        if same[k]:
+            open_ = _open_directions(open_, [j for j in range(n) if j not in idle])
+            same = (np.abs(open_) > OPEN_SHARE).any(axis=1)
     if not idle:
         return fitted
     idle += model.useless_widths(idle)
@@ -237,6 +250,13 @@ def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
     limit = _NO_WORSE * math.sqrt(1.0 + len(idle) * price / solution.freedom)
     return _refitted_without(
         fitted, model.without(idle), np.delete(np.clip(x, low, high), idle), limit)
+
+
+def _open_directions(directions: np.ndarray, numbers: Sequence[int]) -> np.ndarray:
+    """Return an orthonormal basis, (n, k), of the directions along some numbers alone."""
+    _, sizes, rows = np.linalg.svd(np.delete(directions, numbers, axis=0))
+    large = np.count_nonzero(sizes > OPEN_SHARE)
+    return directions @ rows[large:].T
 
 
 def _refitted_without(fitted: FittedNumbers, model: RigidModel, values: np.ndarray, limit: float

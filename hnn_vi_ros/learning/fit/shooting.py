@@ -279,6 +279,13 @@ def made_up(solution: Solution, weights: np.ndarray, change: np.ndarray
     return moved / units, (rows[:, -1] - rows[:, :-1] @ moved).reshape(change.shape) / root
 
 
+def undetermined(solution: Solution, weights: np.ndarray) -> np.ndarray:
+    """Return the directions, in units of ``units_of``, that the data do not determine, (n, m)."""
+    units = units_of(solution)
+    slopes = projected(solution, weights)[0].reshape(-1, len(units))
+    return least_squares_factors(slopes, units)[2] * units[:, None]
+
+
 def units_of(solution: Solution) -> np.ndarray:
     """Return the effect of each number on the residuals, the norm of its derivatives, (n,)."""
     return column_norms(solution.parameter_jacobian[solution.windows.there].reshape(

@@ -328,7 +328,9 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
                         np.linspace(0.0, 1.0, _KNOTS + 2)[1:-1])
     terms: list[tuple[bool, str, dict[str, object]]] = [
         (alone and {*kinds} != {'prismatic'}, 'offsets of sensors', {'sensor_offsets': True}),
-        (True, 'springs', {'springs': HIGHEST_POWER if single else 1}),
+        # Powers and gravity make up for each other: the simplest that explains is kept.
+        (True, 'springs', {'springs': 1}),
+        (single, 'springs of higher powers', {'springs': HIGHEST_POWER}),
         (single, 'a spring of straight pieces', {
             'springs': 1, 'spring_knots': [float(f'{knot:.4g}') for knot in knots]})]
     for may_help, name, changes in terms:
@@ -373,7 +375,9 @@ def _differing_runs(config: MachineConfig, motions: Sequence[EvenMotion]) -> str
     for key in set.intersection(*map(set, found.values())) if found else ():
         low, *_, high = sorted(found, key=lambda name: found[name][key].value)
         first, last = found[low][key], found[high][key]
-        # An inertia that is set to 1 has no interval.
+        if first.interval is None or last.interval is None:
+            continue
+        # The interval of an inertia that is set to 1 is a point.
         halves = max(first.interval[1] - first.value + last.interval[1] - last.value,
                      1e-6 * abs(last.value))
         apart[(last.value - first.value) / (halves or 1.0)] = key, low, high
