@@ -264,8 +264,8 @@ def _references(results: _Results) -> Iterator[list[str]]:
     for name, entry in results.items():
         for horizon in entry.shown:
             floor = entry.floors[horizon]
-            reference = (f'{floor.how}, accurate to {floor.accuracy:.1e}' if floor.verified
-                         else 'none: the motion is chaotic')
+            reference = (f'{floor.how.partition(",")[0]}, {floor.accuracy:.1e}' if floor.verified
+                         else 'none: chaotic')
             path, energy, box = '', '', ''
             if (model := floor.model) is not None:
                 path = '' if math.isnan(model.path) else f'{model.path:.2g}'
