@@ -20,8 +20,6 @@ _ANSWERS = (1e-2, 1e-4, 1e-6, 1e-9)
 _CHOICES = (1e-2, 1e-4, 1e-6, 1e-9)
 # Errors at which our methods are compared with peers.
 _COMPARED = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
-# Share of a peer's time above which a cell is explained.
-_SHARE = 0.9
 # Longest horizon in the table of all scenes [s].
 _LONGEST = 2000.0
 # The page opens with it.
@@ -82,7 +80,7 @@ def picture_name(scene: str, horizon: float) -> str:
 def as_page(results: _Results) -> str:
     """Return the page, from the results of each scene."""
     parts: dict[str, Callable[[_Results], Any]] = {
-        'own_errors': _own_errors, 'choices': _choices, 'slower': _slower, 'missed': _missed,
+        'own_errors': _own_errors, 'choices': _choices, 'slower': _slower,
         'left_out': _left_out, 'first_order': _first_order, 'drifting': _drifting,
         'references': _references}
     name = _example(results)
@@ -119,9 +117,9 @@ def _has_paths(rows: Iterable[StudyRow]) -> bool:
     return any(not math.isnan(row.path_error) for row in rows)
 
 
-def _microseconds(row: StudyRow, parts: float = 1.0) -> str:
-    """Return the time of a simulated second, or of each of its parts [us]."""
-    value = row.us_per_simulated_second / parts
+def _microseconds(row: StudyRow) -> str:
+    """Return the time of a simulated second [us]."""
+    value = row.us_per_simulated_second
     return f'{value:.0f}' if value >= 100.0 else f'{value:.3g}'
 
 
@@ -197,19 +195,6 @@ def _slower(results: _Results) -> dict[str, tuple[float, float, float]]:
             if best is not None and other is not None and _ratio(best, other) > 1.0:
                 found[name] = max(found.get(name, (0.0,)), (_ratio(best, other), horizon, error))
     return found
-
-
-def _missed(results: _Results) -> Iterator[list[str]]:
-    """Yield the cells in which we take more than _SHARE of a peer's."""
-    for name, horizon, rows in _cases(results):
-        for error in _CHOICES:
-            best, other = _cheapest_pair(rows, error)
-            if best is not None and other is not None and _ratio(best, other) > _SHARE:
-                yield [name, f'{horizon:g}', f'{error:g}', f'{_ratio(best, other):.2g}',
-                       *(f'{row.family}, {row.setting("h={:.3g}")}: '
-                         f'{row.gradients_per_simulated_second:.0f} x '
-                         f'{_microseconds(row, row.gradients_per_simulated_second)}'
-                         for row in (best, other))]
 
 
 def _first_order(results: _Results) -> list[dict[str, float]]:

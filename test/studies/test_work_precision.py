@@ -278,7 +278,7 @@ def test_page_says_of_each_method_what_its_rows_say(tmp_path):
         assert (tmp_path / link).is_file() or link == 'benchmarks.md'
 
 
-def test_page_explains_cells_in_which_a_peer_is_faster_than_the_pair():
+def test_page_names_scenes_in_which_a_peer_is_faster():
     results = {scene: invent(scene) for scene in ('pendulum', 'kepler')}
     rows = results['kepler'].rows
     rows += [dataclasses.replace(rows[0], method=method, step_size=math.nan, path_error=1e-9,
@@ -287,9 +287,7 @@ def test_page_explains_cells_in_which_a_peer_is_faster_than_the_pair():
              for method, seconds in (('dop853 tolerance=1e-10', 8e-5),
                                      ('diffrax Dopri8 tolerance=1e-10', 4e-5))]
     text = accuracy_page.as_page(results)
-    assert ('| kepler | 10 | 1e-09 | 2 | dop853, tol 1e-10: 10 x 8 | '
-            'diffrax Dopri8, tol 1e-10: 10 x 4 |') in text
-    assert 'we take more than 0.9 of the fastest peer' in text
+    assert 'kepler 2 (T = 10 s, error 1e-06)' in text
 
 
 def test_results_of_other_scenes_stay(tmp_path):
