@@ -29,8 +29,8 @@ from benchmarks.processes import given, own_node, running
 from hnn_vi_ros.control import momentum
 from hnn_vi_ros.control.task import load_task
 from hnn_vi_ros.recording import BagReader
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
-from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.run.recorded_run import RecordedRun
+from hnn_vi_ros.run.replay_check import check_replay
 from hnn_vi_ros.scene import load_scene
 import numpy as np
 import numpy.typing as npt

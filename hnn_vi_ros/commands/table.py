@@ -18,7 +18,7 @@ GROUPS = {
               'import': 'learning.import_model'},
     'control': {'controller': 'ros.controller_node'},
     'ROS': {'simulator': 'ros.simulator_node', 'listener': 'ros.listener_node'},
-    'data': {'replay': 'ros.replay.replay_node', 'recover_bag': 'recording.bags.recover_bag'},
+    'data': {'replay': 'ros.replay.command', 'recover_bag': 'recording.bags.recover_bag'},
     'this installation': {'doctor': 'commands.doctor'},
 }
 COMMANDS = {name: module for group in GROUPS.values() for name, module in group.items()}

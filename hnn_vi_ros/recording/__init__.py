@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from hnn_vi_ros.recording.bags.bag_files import bag_files, digest_of, is_sqlite
     from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, qos_profiles, Topic
     from hnn_vi_ros.recording.bags.cdr import (
-        decode_float64_multi_array, decode_joint_state, decode_joint_trajectory, decode_state,
-        decode_string, MOMENTUM, RATE, serialize, state_names, StateMessage, Template)
+        ARRAY, decode, decode_float64_multi_array, decode_joint_state, decode_joint_trajectory,
+        decode_state, INERTIA, JOINT_STATE, MOMENTUM, RATE, serialize, state_names, StateMessage,
+        STRING, Template, TRAJECTORY, WRENCH)
     from hnn_vi_ros.recording.bags.mcap_reader import BagReader, RecordedMessage
     from hnn_vi_ros.recording.bags.mcap_sink import FLUSH_INTERVAL, McapSink
     from hnn_vi_ros.recording.sample import Sample

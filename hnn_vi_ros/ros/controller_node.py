@@ -22,14 +22,15 @@ from hnn_vi_ros.ros.plumbing.graph import (
 from hnn_vi_ros.ros.plumbing.managed_node import (
     CLOCK_TOPIC, follows_clock, ManagedNode, steady_timer, SUCCESS)
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
-from hnn_vi_ros.ros.plumbing.stamps import LATEST, nanoseconds, Stamps
+from hnn_vi_ros.ros.plumbing.stamps import LATEST, Stamps
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
 from hnn_vi_ros.ros.settings import CONTROLLER_PARAMETERS, ControllerSettings
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, OK, Status, WARN
-from hnn_vi_ros.ros.topics.inputs import Input, NEWEST, read_observation
+from hnn_vi_ros.ros.topics.inputs import Input, NEWEST
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS
 from hnn_vi_ros.ros.topics.subscriptions import Subscriptions
+from hnn_vi_ros.run import nanoseconds, read_observation
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -159,9 +160,9 @@ class ControllerNode(ManagedNode):
         self._joiner = ObservationJoiner(
             columns(assignment.hamiltonian.coordinates)[0], 0.5 * self._silence, self._now)
         # A reset simulator publishes its scene again, and its stamps may then be older.
-        self._hearing.hear(Input(f'{self._simulator}/scene', String, frozenset(), None, NEWEST),
+        self._hearing.hear(Input(f'{self._simulator}/scene', String, NEWEST),
                            self._on_scene, then=self._answer)
-        self._hearing.hear(Input(self._states, JointState, frozenset(), None, _STATES),
+        self._hearing.hear(Input(self._states, JointState, _STATES),
                            self._on_state, then=self._answer)
         self._timers = [steady_timer(self, 0.25 * self._silence, self._watch),
                         steady_timer(self, _REPORT_PERIOD, self._report)]

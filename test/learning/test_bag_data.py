@@ -14,7 +14,7 @@ from hnn_vi_ros.learning.data.dataset import BLOCKS, Dataset
 from hnn_vi_ros.learning.data.sources import configuration_of, make_dataset
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models import load_checkpoint, NeuralHamiltonian
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.run.recorded_run import RecordedRun
 from hnn_vi_ros.scene import load_scene
 from messages import misfit, refused
 import numpy as np

@@ -3,16 +3,22 @@
 """What works without the extras `train`, `rerun` and `sweep`, and what names the missing one."""
 
 from hnn_vi_ros.files import shipped_names
-from sources import run_without
+import pytest
+from sources import ROOT, run_without
 
 IMPORTS = """
 from importlib import import_module
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import MissingPackage
 """
+RECORDED = ROOT / 'test' / 'fixtures' / 'recorded'
 # What a light install lacks, and what only training brings.
 TRAINING = {'matplotlib', 'torch'}
 # What the extras of recordings and of sweeps bring.
+# Packages of ROS 2 that nodes import.
+ROS = {'rclpy', 'ament_index_python', 'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs',
+       'lifecycle_msgs', 'rcl_interfaces', 'sensor_msgs', 'std_msgs', 'std_srvs',
+       'trajectory_msgs'}
 RECORDING = {'rerun', 'rerun_bindings', 'pyarrow', 'PIL', 'psutil', 'attr'}
 SIMULATED = """
 trajectory = simulate(load_scene('harmonic_oscillator'), 1.0)
@@ -72,3 +78,15 @@ cli.main()
 """, RECORDING - {'PIL'})
     for name in ('trajectory.png', 'run.png'):
         assert (tmp_path / name).stat().st_size > 0
+
+
+@pytest.mark.parametrize('name', ['pendulum', 'servo_arm'])
+def test_bag_is_verified_without_ros(name):
+    """Of a machine that takes commands, too; the processor of the recording is another."""
+    done = run_without(ROS | RECORDING, f"""
+from hnn_vi_ros import cli
+sys.argv = ['hnn', 'replay', {str(RECORDED / name)!r}, '--verify']
+cli.main()
+""")
+    assert 'samples are bit-identical' in done.stdout, done.stderr
+    assert done.stderr == ''

@@ -10,7 +10,7 @@ from bag_content import content_of
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.recording import BagReader, BagTopics, RecordedMessage, Sample, serialize, Topic
 from hnn_vi_ros.ros.recording import BagOutput, RecordingStart
-from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.run.replay_check import check_replay
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode, encode_causes
@@ -74,8 +74,8 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
             # Joint states are commands before they are observations.
             one = next(one for one in INPUTS if isinstance(message, one.message_type))
             try:
-                if one.read is not None:
-                    simulation.set_command(one.read(message, sampler.stamp), limited)
+                if one.content is not None:
+                    simulation.set_command(one.content.read(message, sampler.stamp), limited)
             except ValueError:
                 if not refuse:
                     raise

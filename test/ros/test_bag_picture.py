@@ -6,7 +6,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.replay.picture import Picture, write_picture
-from hnn_vi_ros.ros.replay.replay_node import main
+from hnn_vi_ros.ros.replay.command import main
 from messages import assert_message, refused
 import numpy as np
 from processes import finish, read_bag, refusal, start

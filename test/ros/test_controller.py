@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.files import shipped_file
 from hnn_vi_ros.ros.controller_node import state_of
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.run.recorded_run import RecordedRun
 from hnn_vi_ros.ros.topics.messages import encode_state
 from hnn_vi_ros.run import Sampler
 from hnn_vi_ros.simulation import build

@@ -16,8 +16,8 @@ from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.mcap_file import McapFile
 from hnn_vi_ros.ros.replay.picture import write_picture
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
-from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.run.recorded_run import RecordedRun, resume
+from hnn_vi_ros.run.replay_check import check_replay
 from messages import refused
 import numpy as np
 from processes import finish, start_executable

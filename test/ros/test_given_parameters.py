@@ -14,7 +14,7 @@ from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, POLICIES
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.run.recorded_run import RecordedRun
 from hnn_vi_ros.ros.settings import ALWAYS, PARAMETERS, Settings, START, UNCONFIGURED
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS
 from hnn_vi_ros.scene import load_scene

@@ -12,9 +12,9 @@ from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros.plumbing.executor import LONGEST_REASON
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
-from hnn_vi_ros.ros.replay.replay_check import check_replay
-from hnn_vi_ros.ros.topics.inputs import read_joints, read_path
+from hnn_vi_ros.run.recorded_run import RecordedRun
+from hnn_vi_ros.run.replay_check import check_replay
+from hnn_vi_ros.run.command_messages import read_joints, read_path
 from hnn_vi_ros.ros.topics.messages import encode_feedback
 from hnn_vi_ros.run import Sampler
 from hnn_vi_ros.scene import Scene

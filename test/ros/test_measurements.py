@@ -5,7 +5,7 @@
 from pathlib import Path
 
 from hnn_vi_ros.recording import BagReader, decode_state
-from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.run.replay_check import check_replay
 from hnn_vi_ros.run import JointSensor
 import numpy as np
 from peer import simulating
@@ -46,7 +46,7 @@ def test_readings_replace_joint_states_and_are_verified(tmp_path, monkeypatch):
     assert abs(np.std(errors) - 0.01) < 0.002 and abs(np.mean(errors)) < 0.003
     assert_agrees(tmp_path / 'bag', 400)
     with monkeypatch.context() as patched:
-        patched.setattr('hnn_vi_ros.ros.replay.recorded_run.RecordedRun.own', False)
+        patched.setattr('hnn_vi_ros.run.recorded_run.RecordedRun.own', False)
         verdict = check_replay(tmp_path / 'bag')
     assert verdict.good and ('readings of joint_states are not compared: another recorder may '
                              'have lost some') in verdict.text

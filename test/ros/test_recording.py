@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from executables import Executable
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.mcap_recovery import recover
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.run.recorded_run import RecordedRun
 from peer import peer, simulating
 from processes import finish, read_bag, standard_error, start, wait_until
 import pytest

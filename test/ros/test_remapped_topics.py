@@ -9,8 +9,8 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.listener_node import Listener
 from hnn_vi_ros.ros.replay.picture import write_picture
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
-from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.run.recorded_run import RecordedRun, resume
+from hnn_vi_ros.run.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import ReplayNode
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.topics import Topics

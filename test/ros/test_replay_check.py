@@ -15,10 +15,10 @@ from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.learning.data.bag_signals import SignalReader
 from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.recording.bags.mcap_file import MAGIC
-from hnn_vi_ros.ros.replay import replay_check
+from hnn_vi_ros.run import replay_check
 from hnn_vi_ros.ros.replay.picture import write_picture
-from hnn_vi_ros.ros.replay.recorded_run import CAUSES, RecordedRun, resume
-from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays, stamp_gaps, StampGap
+from hnn_vi_ros.run.recorded_run import CAUSES, RecordedRun, resume
+from hnn_vi_ros.run.replay_check import check_replay, check_replays, stamp_gaps, StampGap
 from hnn_vi_ros.ros.run.preparation import _continue, _load
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.run import preview_bounds, restore_state, Sampler, STATE_FILE, state_file

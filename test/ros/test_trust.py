@@ -13,9 +13,10 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ModelError, RecordingError, SceneError
 from hnn_vi_ros.files import dump_yaml, share_folder, shipped_file, yaml_text
 from hnn_vi_ros.files.named_code import trust_context
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
-from hnn_vi_ros.ros.replay.replay_check import check_replay
-from hnn_vi_ros.ros.replay.replay_node import find_type, main as replay
+from hnn_vi_ros.run.recorded_run import RecordedRun, resume
+from hnn_vi_ros.run.replay_check import check_replay
+from hnn_vi_ros.ros.replay.command import main as replay
+from hnn_vi_ros.ros.replay.replay_node import find_type
 from hnn_vi_ros.ros.worlds import open_world, WorldError
 from hnn_vi_ros.run import scene_report
 from hnn_vi_ros.scene import described_scene, Scene

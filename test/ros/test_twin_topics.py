@@ -10,11 +10,11 @@ from types import SimpleNamespace
 from diagnostic_msgs.msg import DiagnosticArray
 from ensembles import ensemble
 from hnn_vi_ros.models import save_checkpoint
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.run.recorded_run import RecordedRun
 from hnn_vi_ros.ros.topics import companions
 from hnn_vi_ros.ros.topics.companions import TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import OK, WARN
-from hnn_vi_ros.ros.topics.inputs import read_observation
+from hnn_vi_ros.run import read_observation
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.run import Report
 from messages import refused

@@ -3,7 +3,7 @@
 """Read joint signals from topics of ROS 2 bags: joint states and arrays."""
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 import logging
 from pathlib import Path
 from typing import final, TypeVar
@@ -12,17 +12,15 @@ from hnn_vi_ros.errors import DataError, listed, RecordingError
 from hnn_vi_ros.files import parse_mapping
 from hnn_vi_ros.learning.data.sqlite_bag import SqliteBag
 from hnn_vi_ros.recording import (
-    bag_files, BagReader, decode_float64_multi_array, decode_joint_state,
-    decode_joint_trajectory, decode_string, is_sqlite, MOMENTUM, qos_profiles, RecordedMessage)
+    ARRAY, bag_files, BagReader, decode, decode_float64_multi_array, decode_joint_state,
+    decode_joint_trajectory, is_sqlite, JOINT_STATE, MOMENTUM, qos_profiles, RecordedMessage,
+    STRING, TRAJECTORY)
 from hnn_vi_ros.run import STATE_FILE
 import numpy as np
 import safetensors
 import safetensors.numpy
 from scipy.interpolate import CubicHermiteSpline
 
-JOINT_STATE = 'sensor_msgs/msg/JointState'
-ARRAY = 'std_msgs/msg/Float64MultiArray'
-TRAJECTORY = 'trajectory_msgs/msg/JointTrajectory'
 # Time between samples of the path of a trajectory [s].
 _PATH_STEP = 0.01
 # Message types allowed for a topic of states.
@@ -377,7 +375,8 @@ class SignalReader:
             return None
         topic = _scene_of(state)
         first = next(self.bag.messages(self._topics.get(topic, [])), None)
-        return None if first is None else self._decode(topic, first, decode_string)
+        return None if first is None else self._decode(
+            topic, first, partial(decode, STRING)).data
 
     def _messages_of(self, topic: str, expected: str = ''
                      ) -> tuple[str, str, Iterator[RecordedMessage]]:

@@ -8,13 +8,12 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from hnn_vi_ros.errors import counted, DataError, listed
 from hnn_vi_ros.files import StrictModel
-from hnn_vi_ros.learning.data.bag_signals import (
-    ARRAY, JOINT_STATE, SignalReader, STATES, TRAJECTORY)
+from hnn_vi_ros.learning.data.bag_signals import SignalReader, STATES
 from hnn_vi_ros.learning.data.dataset import (
     BLOCKS, Derivatives, mass_matrix, Names, SavitzkyGolay, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.motions import GAP, Motion, MotionData, NONE, Recording
 from hnn_vi_ros.learning.data.sampling import cubic, increasing_samples, unwrap_turns
-from hnn_vi_ros.recording import MOMENTUM, RATE
+from hnn_vi_ros.recording import ARRAY, JOINT_STATE, MOMENTUM, RATE, TRAJECTORY
 import numpy as np
 from pydantic import Field
 

@@ -1,10 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Serialise messages, and decode those with states, without ROS."""
+"""Serialise messages, and decode those of a simulator, without ROS."""
 
 from collections.abc import Sequence
 import re
 import struct
+from types import SimpleNamespace
 from typing import Any, final, NamedTuple
 
 import numpy as np
@@ -102,11 +103,19 @@ class _Cursor:
             raise ValueError('it is not plain CDR')
         self._data, self._order, self._place = data, _ORDERS[data[1]], _PREFIX
 
-    def number(self, code: str) -> int:
-        """Return an integer of four bytes."""
-        self._align(4)
-        (value,) = struct.unpack(self._order + code, self._take(4))
+    def number(self, code: str) -> Any:
+        """Return a number, of a code of ``struct``."""
+        size = struct.calcsize(code)
+        self._align(size)
+        (value,) = struct.unpack(self._order + code, self._take(size))
         return value
+
+    def count(self) -> int:
+        """Return the length of a sequence with entries of at least four bytes each."""
+        count: int = self.number('I')
+        if 4 * count > len(self._data):
+            raise ValueError(f'it declares {count} entries, more than it contains')
+        return count
 
     def text(self) -> str:
         """Return a string."""
@@ -114,7 +123,7 @@ class _Cursor:
 
     def doubles(self) -> np.ndarray:
         """Return a sequence of doubles."""
-        count = self.number('I')
+        count: int = self.number('I')
         if count:
             self._align(8)
         return np.frombuffer(self._take(8 * count), self._order + 'f8').astype(np.float64)
@@ -135,9 +144,65 @@ def decode_joint_state(data: bytes) -> JointStates:
     cursor = _Cursor(data)
     seconds, nanoseconds = cursor.number('i'), cursor.number('I')
     cursor.text()
-    names = tuple(cursor.text() for _ in range(_count(cursor, data)))
+    names = tuple(cursor.text() for _ in range(cursor.count()))
     return JointStates(seconds * 10**9 + nanoseconds, names,
                        cursor.doubles(), cursor.doubles(), cursor.doubles())
+
+
+# Fields of the types of messages that a simulator takes, and of its scene: names, each with a code
+# of ``struct``, 'text', 'doubles', the fields of a message, or a list with the kind of an entry.
+_STAMP = ('sec', 'i'), ('nanosec', 'I')
+_HEADER = ('header', (('stamp', _STAMP), ('frame_id', 'text')))
+_VECTOR = tuple((axis, 'd') for axis in 'xyz')
+_POINT = (*((name, 'doubles') for name in ('positions', 'velocities', 'accelerations', 'effort')),
+          ('time_from_start', _STAMP))
+_DIMENSION = ('label', 'text'), ('size', 'I'), ('stride', 'I')
+STRING, ARRAY, JOINT_STATE, TRAJECTORY, WRENCH, INERTIA = (
+    'std_msgs/msg/String', 'std_msgs/msg/Float64MultiArray', 'sensor_msgs/msg/JointState',
+    'trajectory_msgs/msg/JointTrajectory', 'geometry_msgs/msg/WrenchStamped',
+    'geometry_msgs/msg/InertiaStamped')
+_FIELDS: dict[str, Any] = {
+    STRING: (('data', 'text'),),
+    ARRAY: (('layout', (('dim', [_DIMENSION]), ('data_offset', 'I'))), ('data', 'doubles')),
+    JOINT_STATE: (_HEADER, ('name', ['text']), ('position', 'doubles'), ('velocity', 'doubles'),
+             ('effort', 'doubles')),
+    TRAJECTORY: (_HEADER, ('joint_names', ['text']), ('points', [_POINT])),
+    WRENCH: (_HEADER, ('wrench', (('force', _VECTOR), ('torque', _VECTOR)))),
+    INERTIA: (_HEADER, ('inertia', (('m', 'd'), ('com', _VECTOR), *(
+        (name, 'd') for name in ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'))))),
+}
+
+
+def decode(kind: str, data: bytes) -> Any:
+    """
+    Return a serialised message with the fields of ROS, in which sequences of numbers are arrays.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the type, such as ``'sensor_msgs/msg/JointState'``; see _FIELDS.
+    data : bytes
+        The message.
+
+    Raises
+    ------
+    ValueError
+        The bytes are invalid.
+
+    """
+    return _decoded(_Cursor(data), _FIELDS[kind])
+
+
+def _decoded(cursor: _Cursor, kind: Any) -> Any:
+    if kind == 'text':
+        return cursor.text()
+    if kind == 'doubles':
+        return cursor.doubles()
+    if isinstance(kind, str):
+        return cursor.number(kind)
+    if isinstance(kind, list):
+        return [_decoded(cursor, kind[0]) for _ in range(cursor.count())]
+    return SimpleNamespace(**{name: _decoded(cursor, own) for name, own in kind})
 
 
 def decode_joint_trajectory(
@@ -147,38 +212,17 @@ def decode_joint_trajectory(
 
     A point is (time from start [s], positions, velocities). ValueError if the bytes are invalid.
     """
-    cursor = _Cursor(data)
-    cursor.number('i'), cursor.number('I'), cursor.text()
-    names = tuple(cursor.text() for _ in range(_count(cursor, data)))
-    points = []
-    for _ in range(_count(cursor, data)):
-        positions, velocities, _, _ = (cursor.doubles() for _ in range(4))
-        points.append((cursor.number('i') + 1e-9 * cursor.number('I'), positions, velocities))
-    return names, points
-
-
-def decode_string(data: bytes) -> str:
-    """Return the text of a std_msgs/msg/String; raise ValueError if the bytes are invalid."""
-    return _Cursor(data).text()
+    found = decode(TRAJECTORY, data)
+    return tuple(found.joint_names), [
+        (point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec, point.positions,
+         point.velocities) for point in found.points]
 
 
 def decode_float64_multi_array(data: bytes) -> np.ndarray:
     """Return the data of a std_msgs/msg/Float64MultiArray; raise ValueError if invalid."""
-    cursor = _Cursor(data)
-    for _ in range(_count(cursor, data)):
-        cursor.text()
-        cursor.number('I')
-        cursor.number('I')
-    offset = cursor.number('I')
-    return cursor.doubles()[offset:]
-
-
-def _count(cursor: _Cursor, data: bytes) -> int:
-    """Return the length of a sequence with entries of at least four bytes each."""
-    count = cursor.number('I')
-    if 4 * count > len(data):
-        raise ValueError(f'it declares {count} entries, more than it contains')
-    return count
+    found = decode(ARRAY, data)
+    numbers: np.ndarray = found.data[found.layout.data_offset:]
+    return numbers
 
 
 # Header of plain little-endian CDR; alignment is relative to its end.

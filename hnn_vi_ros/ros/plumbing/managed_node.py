@@ -18,8 +18,8 @@ from hnn_vi_ros.ros.plumbing.executor import NodeExecutor
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
 from hnn_vi_ros.ros.plumbing.qos_overrides import PREFIX
 from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, log, state_machine
-from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
+from hnn_vi_ros.run import nanoseconds
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult

@@ -3,18 +3,9 @@
 """Checks of the time stamps of incoming messages: validity and order."""
 
 from collections.abc import Callable
-from typing import Any
 
 # The latest time that a stamp can hold [ns].
 LATEST = 2**31 * 10**9 - 1
-
-
-def nanoseconds(time: Any) -> int:
-    """Convert a time or duration of ROS to nanoseconds; ValueError if negative or invalid."""
-    if time.sec < 0 or time.nanosec >= 10**9:
-        raise ValueError(f'a time of {time.sec} s and {time.nanosec} ns: expected at least 0 s '
-                         'and less than 10^9 ns')
-    return int(time.sec * 10**9 + time.nanosec)
 
 
 class Stamps:

@@ -10,13 +10,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.errors import prefixed, RecordingError
 from hnn_vi_ros.hamiltonians import MECHANISMS
 from hnn_vi_ros.recording import RerunSink, Sample, StateMessage
-from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, EVENT
-from hnn_vi_ros.run import preview_bounds
+from hnn_vi_ros.run import nanoseconds, preview_bounds, RecordedRun
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build
 import numpy as np
+from rclpy.serialization import deserialize_message
 
 # Simulated time that fits into the picture [s].
 _PREVIEW_TIME = 30.0
@@ -126,7 +125,11 @@ def write_picture(bag: Path, path: Path, trust_code: bool = False, node: str = '
                     picture.show(state)
                     samples += 1
                 elif message.channel in told:
-                    picture.tell(run.decoded(message, DiagnosticArray))
+                    picture.tell(deserialize_message(message.data, DiagnosticArray))
+    except RuntimeError as problem:
+        raise RecordingError(f'{run.reader.path}: the message of '
+                             f'{run.reader.channels[message.channel].topic} at {message.time} ns '
+                             'cannot be read: it is not a DiagnosticArray') from problem
     finally:
         picture.close()
     return samples, run.reader.damage

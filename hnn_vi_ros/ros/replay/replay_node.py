@@ -10,20 +10,19 @@ import sys
 from typing import Any
 
 from ament_index_python.resources import has_resource
-from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
+from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, RecordingError
 from hnn_vi_ros.recording import BagReader, qos_profiles, RecordedMessage
-from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (
     Discovery, DISCOVERY_PERIOD, freeze_memory, spin, THREAD_TURN, wait_for_delivery)
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, RobustNode, steady_timer
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
-from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
+from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors, ros_process
 from hnn_vi_ros.ros.replay.player import Player, read_ahead
 from hnn_vi_ros.ros.settings import REPLAY_PARAMETERS, ReplaySettings, Value
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.messages import clock_message, CLOCK_QOS, type_hash
-from hnn_vi_ros.ros.topics.remapped_topics import own_topics
+from hnn_vi_ros.run import own_topics
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.parameter import Parameter
@@ -281,45 +280,11 @@ def find_type(name: str) -> type:
                              'contains it') from problem
 
 
-def main(argv: list[str]) -> int:
-    """Play a bag until its end or a signal, verify it, or write its picture."""
-    parser = arguments.replay()
-    words = own_arguments(argv)
-    options = parser.parse_args(words)
-    given = {item.name: item.check(value) for item in REPLAY_PARAMETERS
-             if (value := getattr(options, item.name)) is not None}
-    instead = [name for name, value in (('--verify', options.verify), ('--rerun', options.rerun))
-               if value]
-    if len(instead) == 2:
-        parser.error('--verify and --rerun exclude each other; call replay twice')
-    if options.trust_code and not instead:
-        parser.error('--trust-code: only --verify and --rerun run code')
-    if options.node and not instead:
-        parser.error('--node: valid only with --verify or --rerun; --topics selects what is '
-                     'published')
-    if instead and (given or len(words) < len(argv)):
-        unused = f'--{next(iter(given)).replace("_", "-")}' if given else 'ROS arguments'
-        parser.error(f'{instead[0]}: nothing is published, so {unused} would have no effect; '
-                     f'remove {unused}')
-    # Imported lazily: playback needs no compiler.
-    if options.rerun:
-        from hnn_vi_ros.ros.replay.picture import write_picture
-        samples, damage = write_picture(
-            options.bag, options.rerun, options.trust_code, options.node)
-        print(f'{options.rerun}: {samples} samples')
-        if damage:
-            print(f'warning: {damage}', file=sys.stderr)
-        return 0
-    if options.verify:
-        from hnn_vi_ros.ros.replay.replay_check import check_replays
-        good = True
-        for verdict in check_replays(options.bag, options.trust_code, options.node):
-            print(printable(verdict.text), flush=True)
-            good = good and verdict.good
-        return 0 if good else 1
+def play(bag: Path, given: dict[str, Value], argv: list[str]) -> int:
+    """Play a bag until its end or a signal."""
     with ros_process(argv) as received:
         sys.setswitchinterval(THREAD_TURN)
-        return _play(ReplayNode(options.bag, given, argv), received)
+        return _play(ReplayNode(bag, given, argv), received)
 
 
 def _play(node: ReplayNode, received: Sequence[int]) -> int:

@@ -19,10 +19,9 @@ from hnn_vi_ros.ros.recording import RunRecording
 from hnn_vi_ros.ros.run.lockstep import Lockstep
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import JOINT_COMMANDS
-from hnn_vi_ros.ros.topics.remapped_topics import KEY
 from hnn_vi_ros.run import (
     compile_in_background, joint_sensor, JointSensor, LAST_STATE_FILE, Members, preview_bounds,
-    restore_state, Sampler, scene_report, stamp_of, Twin)
+    REMAPPED, restore_state, Sampler, scene_report, stamp_of, Twin)
 from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation import (
     BandGuard, BoxGuard, build, Choice, choose, Chosen, EnergyGuard, PoleGuard,
@@ -30,7 +29,7 @@ from hnn_vi_ros.simulation import (
 import numpy as np
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.ros.replay.recorded_run import ResumePoint
+    from hnn_vi_ros.run import ResumePoint
 
 
 class LogLine(NamedTuple):
@@ -218,7 +217,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
             simulation, min(seconds, settings.duration or seconds))
     report = scene_report(scene, simulation, origin, chosen)
     if topics.remapped:
-        report[KEY] = dict(topics.remapped)
+        report[REMAPPED] = dict(topics.remapped)
     while settings.autostart and not discovery.over:
         begin('waiting for subscribers')
         time.sleep(DISCOVERY_PERIOD)
@@ -246,7 +245,7 @@ def _load(settings: Settings, trust_code: bool) -> tuple[Scene, 'ResumePoint | N
         raise ParameterError(f'parameter {name}: cannot be changed in a resumed run; remove it, '
                              'or remove resume')
     # Imported lazily: only resumed runs read a bag.
-    from hnn_vi_ros.ros.replay.recorded_run import resume
+    from hnn_vi_ros.run import resume
     found = resume(settings.resume, settings.trust_code)
     if own is not None:
         state = found.scene.initial_state

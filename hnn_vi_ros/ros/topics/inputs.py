@@ -1,19 +1,17 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of commands and wrenches, and the conversion of their messages, live or from a bag."""
+"""Subscribed topics of commands and wrenches, and wrenches on the body of a command."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
-from hnn_vi_ros.effects import (
-    Command, EFFORT, JointCommand, JointPath, LINK_WRENCH, LinkWrench, NUMBERS, OBSERVATION,
-    Observation, PATH, PAYLOAD, POSITION, printable, VELOCITY)
-from hnn_vi_ros.errors import counted, listed
-from hnn_vi_ros.hamiltonians import Payload, payload_of
+from hnn_vi_ros.effects import printable
+from hnn_vi_ros.errors import listed
+from hnn_vi_ros.hamiltonians import Payload
 from hnn_vi_ros.phase_space import Coordinate, leaders
-from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
-import numpy as np
+from hnn_vi_ros.recording import ARRAY, INERTIA, JOINT_STATE, TRAJECTORY, WRENCH
+from hnn_vi_ros.run import COMMAND_TOPICS, CommandTopic, MOMENTS
 from rclpy.qos import qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -92,90 +90,23 @@ class Input(NamedTuple):
         Name relative to the node.
     message_type : type
         Class of the messages.
-    holds : frozenset of str
-        Kinds of commands that it can carry; a scene accepts some of them, see commands.contents.
-        Empty for topics without commands, whose subscription is created elsewhere.
-    read : callable or None
-        ``read(message, stamp)`` converts a message to a command, or raises ValueError; `stamp` is
-        that of the state at its arrival [ns].
     qos : QoSProfile
         QoS profile of the subscription.
+    content : CommandTopic, optional
+        What its messages hold; nothing for topics without commands, whose subscription is created
+        elsewhere.
 
     """
 
     topic: str
     message_type: type
-    holds: frozenset[str]
-    read: Callable[[Any, int], Command] | None
     qos: QoSProfile
+    content: CommandTopic | None = None
 
-
-def read_numbers(message: Float64MultiArray, stamp: int) -> Command:
-    """Return the numbers of a command: forces, or inputs of a motor model."""
-    return list(message.data)
-
-
-def read_joints(message: JointState, stamp: int) -> JointCommand:
-    """Return a joint command; each list has one number per name, or is empty."""
-    return JointCommand(tuple(message.name), *_lists(message, (POSITION, VELOCITY, EFFORT)))
-
-
-def read_observation(message: JointState, stamp: int) -> Observation:
-    """Return an observation of a machine; a header stamp of zero means now."""
-    seen = nanoseconds(message.header.stamp)
-    return Observation(tuple(message.name), (seen - stamp) / 1e9 if seen else 0.0,
-                       *_lists(message, (POSITION, VELOCITY)))
-
-
-def _lists(message: JointState, fields: Sequence[str]) -> list[np.ndarray]:
-    """Return lists of joint states, one number per name; an empty list becomes NaN."""
-    count, lists = len(message.name), []
-    for name in fields:
-        values = np.array(getattr(message, name), dtype=np.float64)
-        if values.size not in (0, count):
-            raise ValueError(f'{name} has {counted(values.size, "number")} for '
-                             f'{counted(count, "name")}: send one for '
-                             'each, or none')
-        lists.append(values if values.size else np.full(count, np.nan))
-    return lists
-
-
-def read_path(message: JointTrajectory, stamp: int) -> JointPath:
-    """Return the joint path; it begins at the header stamp, or now if that is zero."""
-    begin = nanoseconds(message.header.stamp)
-    points, columns = message.points, []
-    for name in ('positions', 'velocities', 'accelerations', 'effort'):
-        rows = [getattr(point, name) for point in points]
-        lengths = {len(row) for row in rows}
-        if len(lengths) > 1 or lengths - {0, len(message.joint_names)}:
-            raise ValueError(f'{name} must have a number for each of joint_names in every point, '
-                             'or none')
-        columns.append(np.array(rows, dtype=np.float64) if lengths - {0} else None)
-    positions, velocities, accelerations, effort = columns
-    if effort is not None:
-        raise ValueError('efforts in a trajectory are not supported: remove them')
-    if positions is None:
-        positions = np.empty((len(points), 0))
-    times = [nanoseconds(point.time_from_start) for point in points]
-    return JointPath(tuple(message.joint_names), (begin - stamp) / 1e9 if begin else 0.0,
-                     np.array(times) / 1e9, positions, velocities, accelerations)
-
-
-def read_wrench(message: WrenchStamped, stamp: int) -> LinkWrench:
-    """Return a wrench on a link; its stamp is not used."""
-    return LinkWrench(message.header.frame_id, *([part.x, part.y, part.z] for part in (
-        message.wrench.force, message.wrench.torque)))
-
-
-_MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
-
-
-def read_payload(message: InertiaStamped, stamp: int) -> Payload:
-    """Return the payload on the link `frame_id`; its stamp is not used."""
-    own = message.inertia
-    return payload_of({'link': message.header.frame_id, 'mass': own.m,
-                       'centre': [own.com.x, own.com.y, own.com.z],
-                       'inertia': [getattr(own, name) for name in _MOMENTS]})
+    @property
+    def holds(self) -> frozenset[str]:
+        """Return the kinds of commands that it can carry; see CommandTopic."""
+        return frozenset() if self.content is None else self.content.holds
 
 
 def write_payload(payload: Payload) -> InertiaStamped:
@@ -184,23 +115,17 @@ def write_payload(payload: Payload) -> InertiaStamped:
     message.header.frame_id, message.inertia.m = payload.link, float(payload.mass)
     own = message.inertia.com
     own.x, own.y, own.z = map(float, payload.centre)
-    for name, value in zip(_MOMENTS, payload.inertia, strict=True):
+    for name, value in zip(MOMENTS, payload.inertia, strict=True):
         setattr(message.inertia, name, float(value))
     return message
 
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-OBSERVATIONS = Input('~/observations', JointState, frozenset({OBSERVATION}), read_observation,
-                     qos_profile_sensor_data)
-WRENCH = Input('~/wrench', WrenchStamped, frozenset({LINK_WRENCH}), read_wrench, NEWEST)
-PAYLOADS = Input('~/payload', InertiaStamped, frozenset({PAYLOAD}), read_payload, NEWEST)
-INITIAL_STATE = Input('~/initial_state', JointState, frozenset(), None, NEWEST)
+_CLASSES = {ARRAY: Float64MultiArray, JOINT_STATE: JointState, TRAJECTORY: JointTrajectory,
+            WRENCH: WrenchStamped, INERTIA: InertiaStamped}
 # A best-effort subscription also receives from reliable publishers, such as ros2_control.
-JOINT_COMMANDS = Input('~/joint_commands', JointState, frozenset({POSITION, VELOCITY, EFFORT}),
-                       read_joints, qos_profile_sensor_data)
-INPUTS = (
-    Input('~/commands', Float64MultiArray, frozenset({NUMBERS}), read_numbers, NEWEST),
-    JOINT_COMMANDS, OBSERVATIONS,
-    Input('~/joint_trajectory', JointTrajectory, frozenset({PATH}), read_path, NEWEST),
-    WRENCH, PAYLOADS, INITIAL_STATE,
-)
+_SENSOR_TOPICS = ('~/joint_commands', '~/observations')
+INITIAL_STATE = Input('~/initial_state', JointState, NEWEST)
+INPUTS = (*(Input(one.topic, _CLASSES[one.kind], qos_profile_sensor_data if one.topic in
+                  _SENSOR_TOPICS else NEWEST, one) for one in COMMAND_TOPICS), INITIAL_STATE)
+COMMANDS, JOINT_COMMANDS, OBSERVATIONS, _, WRENCHES, PAYLOADS, _ = INPUTS

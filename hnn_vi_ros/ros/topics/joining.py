@@ -5,8 +5,7 @@
 from collections.abc import Callable, Sequence
 
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
-from hnn_vi_ros.ros.topics.inputs import read_observation
+from hnn_vi_ros.run import nanoseconds, read_observation
 import numpy as np
 from sensor_msgs.msg import JointState
 

@@ -12,17 +12,16 @@ from hnn_vi_ros.recording import BagTopics, Sample, serialize, Topic
 from hnn_vi_ros.ros.plumbing.graph import wait_for_delivery
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
-from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import (
-    body_of, command_of, INITIAL_STATE, Input, INPUTS, JOINT_COMMANDS, OBSERVATIONS, PAYLOADS,
-    WRENCH, write_payload)
+    body_of, command_of, COMMANDS, INITIAL_STATE, Input, INPUTS, JOINT_COMMANDS, OBSERVATIONS,
+    PAYLOADS, WRENCHES, write_payload)
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import (
     ConfiguredRun, DIAGNOSTICS, JOINT_STATES, Output, OUTPUTS, ROBOT, SCENE)
 from hnn_vi_ros.ros.topics.remapped_topics import remapped_names
 from hnn_vi_ros.ros.topics.subscriptions import Subscriptions
-from hnn_vi_ros.run import Monitor
+from hnn_vi_ros.run import Monitor, nanoseconds
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -102,7 +101,7 @@ class Topics:
                 self._hear_commands(one)
         self._body = body_of(simulation.hamiltonian.coordinates, simulation.command_names)
         if self._body is not None:
-            self.subscriptions.hear(WRENCH, self._on_wrench)
+            self.subscriptions.hear(WRENCHES, self._on_wrench)
 
     def follow(self, monitor: Monitor) -> None:
         """Take later samples from another monitor, whose run is in its initial state."""
@@ -214,13 +213,13 @@ class Topics:
             if message is None:
                 return
         stamp = self._stamp()
-        assert one.read is not None, 'it holds commands'
+        assert one.content is not None, 'it holds commands'
         accepted = None
         if self._answer is not None and one.topic == JOINT_COMMANDS.topic:
             accepted = self._answer(nanoseconds(message.header.stamp))
             if accepted is None:
                 return
-        self._material.simulation.set_command(one.read(message, stamp))
+        self._material.simulation.set_command(one.content.read(message, stamp))
         # Serialised again, because the sender's padding bytes differ from run to run.
         self._record(self._described[one.topic], stamp, serialize(message))
         if accepted is not None:
@@ -232,5 +231,5 @@ class Topics:
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         # The bag records the equivalent command, so that the run can be simulated again from it.
-        self._take(INPUTS[0], Float64MultiArray(data=command_of(
+        self._take(COMMANDS, Float64MultiArray(data=command_of(
             message, self._body or '', self._material.simulation.command_names)))

@@ -6,8 +6,10 @@ from itertools import zip_longest
 import struct
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import InertiaStamped, Vector3, WrenchStamped
 from hnn_vi_ros.recording import (
-    decode_float64_multi_array, decode_joint_state, decode_state, serialize, Template)
+    decode, decode_float64_multi_array, decode_joint_state, decode_state, serialize, Template)
+from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.messages import array_message
 from hypothesis import given, settings, strategies as st
 from messages import refused
@@ -19,6 +21,7 @@ from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import (
     Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String)
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 TEXTS = st.text(st.characters(exclude_characters='\0', exclude_categories=['Cs']), max_size=9)
 NUMBERS = st.lists(st.floats(allow_nan=False), max_size=5)
@@ -98,6 +101,54 @@ def test_joint_state_is_decoded_as_ros_serialises_it(names, frame, seconds, valu
     assert state.stamp == seconds * 10**9 + 999_999_999
     for found, expected in zip(state[2:], values, strict=True):
         assert np.array_equal(found, expected, equal_nan=True)
+
+
+def filled(text: str, numbers: list[float]) -> dict[str, object]:
+    """Return a message of each type of commands, by type."""
+    x, y, z = (*numbers, 0.5, 1.5, 2.5)[:3]
+    point = JointTrajectoryPoint(positions=numbers, velocities=numbers[:1])
+    point.time_from_start.sec, point.time_from_start.nanosec = -3, 7
+    inertia = InertiaStamped()
+    inertia.inertia.m, inertia.inertia.com, inertia.inertia.iyz = x, Vector3(x=x, y=y, z=z), z
+    wrench = WrenchStamped()
+    wrench.wrench.torque, wrench.header.frame_id = Vector3(x=x, y=y, z=z), text
+    wrench.header.stamp.nanosec = 5
+    return {
+        'std_msgs/msg/String': String(data=text),
+        'std_msgs/msg/Float64MultiArray': Float64MultiArray(data=numbers, layout=MultiArrayLayout(
+            dim=[MultiArrayDimension(label=text, size=3, stride=4)], data_offset=1)),
+        'sensor_msgs/msg/JointState': JointState(name=[text, ''], velocity=numbers),
+        'trajectory_msgs/msg/JointTrajectory': JointTrajectory(
+            joint_names=[text], points=[point, JointTrajectoryPoint()]),
+        'geometry_msgs/msg/WrenchStamped': wrench, 'geometry_msgs/msg/InertiaStamped': inertia}
+
+
+def equal(found: object, message: object) -> bool:
+    """Return whether a decoded message equals that of ROS, field by field."""
+    if hasattr(message, 'get_fields_and_field_types'):
+        fields = message.get_fields_and_field_types()
+        return {*fields} == {*vars(found)} and all(
+            equal(getattr(found, name), getattr(message, name)) for name in fields)
+    if isinstance(found, list):
+        return len(found) == len(message) and all(map(equal, found, message))
+    return np.array_equal(found, message)
+
+
+@given(text=TEXTS, numbers=NUMBERS)
+@settings(max_examples=30)
+def test_each_command_is_decoded_as_ros_serialises_it(text, numbers):
+    messages = filled(text, numbers)
+    assert {one.content.kind for one in INPUTS if one.content is not None} < {*messages}
+    for kind, message in messages.items():
+        assert equal(decode(kind, serialize_message(message)), message), kind
+
+
+@pytest.mark.parametrize('kind', filled('', []))
+def test_damaged_command_raises_value_error(kind):
+    whole = serialize(filled('abc', [1.0, 2.0])[kind])
+    for size in range(len(whole)):
+        with pytest.raises(ValueError):
+            decode(kind, whole[:size])
 
 
 @given(labels=st.lists(TEXTS, max_size=3), values=st.lists(st.floats(), max_size=5))

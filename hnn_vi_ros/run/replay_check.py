@@ -12,10 +12,10 @@ from hnn_vi_ros.errors import HnnViRosError, prefixed, RecordingError, StepFailu
 from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.phase_space import columns, momentum_rates
 from hnn_vi_ros.recording import BagReader
-from hnn_vi_ros.ros.replay.recorded_run import CAUSES, RecordedRun, simulators
-from hnn_vi_ros.ros.topics.remapped_topics import own_topics
-from hnn_vi_ros.run import (
-    joint_sensor, joints_of, nanoseconds_of, restore_state, Sampler, STATE_FILE)
+from hnn_vi_ros.run.companions.sensors import joint_sensor, joints_of
+from hnn_vi_ros.run.recorded_run import CAUSES, own_topics, RecordedRun, simulators
+from hnn_vi_ros.run.sampling import nanoseconds_of, Sampler
+from hnn_vi_ros.run.saved_state import restore_state, STATE_FILE
 from hnn_vi_ros.simulation import build, PathReport, Simulation
 import numpy as np
 

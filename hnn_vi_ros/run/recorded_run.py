@@ -3,6 +3,7 @@
 """Run that a bag was recorded from: its scene, its samples, its last state."""
 
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 import math
@@ -12,18 +13,14 @@ from typing import Any
 from hnn_vi_ros.effects import Command
 from hnn_vi_ros.errors import did_you_mean, listed, RecordingError
 from hnn_vi_ros.files import expand_user, parse_mapping
-from hnn_vi_ros.recording import BagReader, decode_state, RecordedMessage, StateMessage
-from hnn_vi_ros.ros.topics.inputs import INPUTS
-from hnn_vi_ros.ros.topics.outputs import JOINT_STATES
-from hnn_vi_ros.ros.topics.remapped_topics import own_topics
-from hnn_vi_ros.run import LAST_STATE_FILE, nanoseconds_of, stamp_of, steps_between
+from hnn_vi_ros.recording import (
+    BagReader, decode, decode_state, JOINT_STATE, RecordedMessage, StateMessage, STRING)
+from hnn_vi_ros.run.command_messages import COMMAND_TOPICS, REMAPPED
+from hnn_vi_ros.run.sampling import nanoseconds_of, stamp_of, steps_between
+from hnn_vi_ros.run.saved_state import LAST_STATE_FILE
 from hnn_vi_ros.scene import described_scene, ONE_RUN, only_scene, Scene
 import numpy as np
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
-_STATE_TYPE = 'sensor_msgs/msg/JointState'
 # Upper bound on the time between two stamps [ns].
 _MAX_SPACING = 2**63
 # The last state is searched for in the last part of the bag; increasing lengths of it [ns].
@@ -141,8 +138,8 @@ class RecordedRun:
         channels = [self._topics[topic]] if topic in self._topics and \
             self.scene.energy_by_cause else []
         for message in self.reader.messages(channels):
-            own = self.decoded(message, JointState)
-            found[own.header.stamp.sec * 10**9 + own.header.stamp.nanosec] = np.array(own.position)
+            own = self.decoded(message, JOINT_STATE)
+            found[own.header.stamp.sec * 10**9 + own.header.stamp.nanosec] = own.position
         return found
 
     def samples(self, first: int = 0) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
@@ -158,14 +155,15 @@ class RecordedRun:
             raise RecordingError(f'{self.reader.path}: the message of {self.node}/state at '
                                  f'{message.time} ns cannot be read: {problem}') from problem
 
-    def decoded(self, message: RecordedMessage, kind: type) -> Any:
-        """Deserialise a message of a ROS type; RecordingError if the bytes are invalid."""
+    def decoded(self, message: RecordedMessage, kind: str) -> Any:
+        """Decode a message of a type; RecordingError if the bytes are invalid."""
         try:
-            return deserialize_message(message.data, kind)
-        except RuntimeError as problem:
+            return decode(kind, message.data)
+        except ValueError as problem:
             topic = self.reader.channels[message.channel].topic
-            raise RecordingError(f'{self.reader.path}: the message of {topic} at {message.time} '
-                                 f'ns cannot be read: it is not a {kind.__name__}') from problem
+            raise RecordingError(
+                f'{self.reader.path}: the message of {topic} at {message.time} ns cannot be '
+                f'read: it is not a {kind.rpartition("/")[2]}') from problem
 
     def in_order(self, channels: Collection[int], first: int = 0
                  ) -> Iterator[tuple[RecordedMessage, StateMessage | None]]:
@@ -193,12 +191,12 @@ class RecordedRun:
         return all(self.state(message).stamp == message.time
                    for message in self.reader.messages([self.channel]))
 
-    def joint_states(self) -> Iterator[JointState]:
+    def joint_states(self) -> Iterator[Any]:
         """Yield the messages of joint_states; nothing if the bag holds none."""
-        topic = f'{self.node.rpartition("/")[0]}/{JOINT_STATES.topic}'
+        topic = f'{self.node.rpartition("/")[0]}/joint_states'
         if topic in self._topics:
             for message in self.reader.messages([self._topics[topic]]):
-                yield self.decoded(message, JointState)
+                yield self.decoded(message, JOINT_STATE)
 
     def commands(self) -> Iterator[tuple[int, str, Command]]:
         """
@@ -206,14 +204,14 @@ class RecordedRun:
 
         Nothing is yielded if the bag does not show the steps at which commands acted.
         """
-        inputs = {self._topics[name]: (one, one.read) for one in INPUTS if one.read is not None
-                  and (name := f'{self.node}{one.topic[1:]}') in self._topics}
+        inputs = {self._topics[name]: one for one in COMMAND_TOPICS
+                  if (name := f'{self.node}{one.topic[1:]}') in self._topics}
         if inputs and self.stamped:
             for message in self.reader.messages(inputs):
-                one, read = inputs[message.channel]
+                one = inputs[message.channel]
                 topic = self.reader.channels[message.channel].topic
                 try:
-                    command = read(self.decoded(message, one.message_type), message.time)
+                    command = one.read(self.decoded(message, one.kind), message.time)
                 except ValueError as problem:
                     if not self.own:
                         continue  # Other recorders also record commands that are refused.
@@ -281,7 +279,7 @@ class RecordedRun:
         """Return the text of ~/scene, used for bags without an attached scene."""
         name = f'{self.node}/scene'
         channels = [self._topics[name]] if name in self._topics else []
-        return only_scene(((self.decoded(message, String).data, message.time) for message
+        return only_scene(((self.decoded(message, STRING).data, message.time) for message
                            in self.reader.messages(channels)), name, self.reader.path)
 
 
@@ -305,7 +303,7 @@ def simulators(reader: BagReader, topics: dict[str, int]) -> list[str]:
     nodes = []
     for topic, number in topics.items():
         schema = reader.schemas.get(reader.channels[number].schema_id)
-        if topic.endswith('/state') and schema is not None and schema.name == _STATE_TYPE:
+        if topic.endswith('/state') and schema is not None and schema.name == JOINT_STATE:
             nodes.append(topic.removesuffix('/state'))
     if not nodes:
         raise RecordingError(f'{reader.path}: contains no topic state of a simulator; topics: '
@@ -330,3 +328,42 @@ def _simulator_name(nodes: Sequence[str], name: str, where: str) -> str:
 def resume(bag: str | Path, trust_code: bool = False) -> ResumePoint:
     """Return the point from which a simulator can continue a bag; see RecordedRun."""
     return RecordedRun(expand_user(bag), trust_code).resumption()
+
+
+def own_topics(reader: BagReader) -> dict[str, int]:
+    """
+    Return the channels of a bag by topic; a remapped one also has its original name as a key.
+
+    Parameters
+    ----------
+    reader : BagReader
+        Reader of a bag of the simulator, or of another recorder that contains ~/scene.
+
+    """
+    topics = {channel.topic: number for number, channel in reader.channels.items()}
+    found: dict[str, int] = {}
+    for text in _scenes(reader, topics):
+        try:
+            remapped = parse_mapping(text, reader.path, RecordingError)[0].get(REMAPPED)
+        except RecordingError:
+            # The code that needs the scene reports its faults.
+            continue
+        for own, called in (remapped if isinstance(remapped, dict) else {}).items():
+            if isinstance(called, str) and called in topics:
+                found[own] = topics[called]
+    return topics | found
+
+
+def _scenes(reader: BagReader, topics: dict[str, int]) -> Iterator[bytes | str]:
+    """Yield possible texts of scenes: that of the bag, or the first message of each such topic."""
+    if (kept := reader.attachment('scene.yaml')) is not None:
+        yield kept
+        return
+    for topic, number in topics.items():
+        schema = reader.schemas.get(reader.channels[number].schema_id)
+        if topic.endswith('/scene') and schema is not None and schema.name == STRING:
+            for message in reader.messages([number]):
+                # A message of another type is reported by the code that needs it.
+                with suppress(ValueError):
+                    yield decode(STRING, message.data).data
+                break
