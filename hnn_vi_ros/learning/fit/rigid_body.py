@@ -233,7 +233,8 @@ def _without_idle_numbers(fitted: FittedNumbers) -> FittedNumbers:
     while left := [k for k in model.optional if k not in idle and C[k, k] > 0.0]:
         spread = np.einsum('ki,ij,kj->k', C, B, C)
         above = np.where(np.isfinite(low), np.maximum(x - least, 0.0), x)
-        cost = np.where(same, -np.arange(n), above**2 / np.maximum(spread, 1e-300))
+        with np.errstate(over='ignore'):
+            cost = np.where(same, -np.arange(n), above**2 / np.maximum(spread, 1e-300))
         k = min(left, key=lambda k: cost[k])
         if cost[k] > price:
             break

@@ -42,8 +42,8 @@ _PIECES, _LONGEST = 40, 2.0
 _FURTHEST, _ORDINARY = 0.1, 5
 # From this number of runs on, the most extreme runs are held out whole, half of the time at most.
 _RUNS = 4
-# Number of knots of a spring whose force consists of straight lines.
-_KNOTS = 32
+# Number of knots of a spring whose force consists of straight lines, and name of linear ones.
+_KNOTS, _LINEAR = 32, 'linear springs'
 # Shares of training steps and windows per step for candidates; horizons at which they are
 # judged, and time between starts [s].
 _SHARE, _BATCH, _HORIZONS, _EVERY = 0.5, 0.125, (0.1, 0.5), 0.05
@@ -328,14 +328,20 @@ def _rigid_body(first: Candidate) -> list[Candidate]:
                         np.linspace(0.0, 1.0, _KNOTS + 2)[1:-1])
     terms: list[tuple[bool, str, dict[str, object]]] = [
         (alone and {*kinds} != {'prismatic'}, 'offsets of sensors', {'sensor_offsets': True}),
-        # Powers and gravity make up for each other: the simplest that explains is kept.
-        (True, 'springs', {'springs': 1}),
-        (single, 'springs of higher powers', {'springs': HIGHEST_POWER}),
+        (single, _LINEAR, {'springs': 1}),
+        (True, 'springs', {'springs': HIGHEST_POWER if single else 1}),
         (single, 'a spring of straight pieces', {
             'springs': 1, 'spring_knots': [float(f'{knot:.4g}') for knot in knots]})]
     for may_help, name, changes in terms:
-        if may_help and not found[0].explained:
-            found[:1] = _with_terms(found[0], first, name, changes)
+        if not may_help or found[0].explained:
+            continue
+        best, *others = _with_terms(found[0], first, name, changes)
+        # Powers and gravity make up for each other: linear springs are kept if they explain all.
+        if name == _LINEAR and not best.explained:
+            tried = others[0] if best is found[0] else best.named(f'{RIGID} with {name}')
+            found.append(tried)
+        else:
+            found[:1] = [best, *others]
     if springs_first and found[0].rigid is first.rigid:
         found[:1] = _with_forces(found[0])
     return found
