@@ -13,9 +13,10 @@ from hnn_vi_ros.files import shipped_file
 from hnn_vi_ros.ros import controller_node
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.plumbing.graph import RepetitionFilter
-from hnn_vi_ros.ros.plumbing.stamps import nanoseconds, Stamps
+from hnn_vi_ros.ros.plumbing.stamps import Stamps
 from hnn_vi_ros.ros.topics import subscriptions
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
+from hnn_vi_ros.run import nanoseconds
 from messages import refused
 from peer import ros, values_of
 from processes import wait_until

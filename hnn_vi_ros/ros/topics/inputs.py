@@ -125,7 +125,8 @@ _CLASSES = {ARRAY: Float64MultiArray, JOINT_STATE: JointState, TRAJECTORY: Joint
             WRENCH: WrenchStamped, INERTIA: InertiaStamped}
 # A best-effort subscription also receives from reliable publishers, such as ros2_control.
 _SENSOR_TOPICS = ('~/joint_commands', '~/observations')
-INITIAL_STATE = Input('~/initial_state', JointState, NEWEST)
 INPUTS = (*(Input(one.topic, _CLASSES[one.kind], qos_profile_sensor_data if one.topic in
-                  _SENSOR_TOPICS else NEWEST, one) for one in COMMAND_TOPICS), INITIAL_STATE)
-COMMANDS, JOINT_COMMANDS, OBSERVATIONS, _, WRENCHES, PAYLOADS, _ = INPUTS
+                  _SENSOR_TOPICS else NEWEST, one) for one in COMMAND_TOPICS),
+          Input('~/initial_state', JointState, NEWEST))
+(COMMANDS, JOINT_COMMANDS, OBSERVATIONS, _TRAJECTORIES, WRENCHES, PAYLOADS,
+ INITIAL_STATE) = INPUTS
