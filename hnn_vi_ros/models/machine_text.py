@@ -79,7 +79,7 @@ def parameters_text(card: ModelCard, open_scale: str) -> str:
         elif any(one.interval is None for one in estimates.values()):
             said = f'A number without an interval is not told by the data. {said}'
         pairs = {' and '.join(sorted([name, other]))
-                 for name, one in estimates.items() for other in one.alike}
+                 for name, one in estimates.items() for other in one.correlated}
         if pairs:
             said = (f'The data hardly tell apart {"; ".join(sorted(pairs))}: an error of one is '
                     f'made up for by the other. {said}')

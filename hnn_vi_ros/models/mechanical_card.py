@@ -90,8 +90,8 @@ class FittedNumber(Quantity):
     """A fitted number with its 95 % confidence interval, if the data determine it."""
 
     interval: Interval | None
-    alike: list[str] = Field([], description=(
-        'numbers that are hardly told from it: their errors have a correlation above 0.99'))
+    correlated: list[str] = Field([], description=(
+        'numbers whose errors have a correlation above 0.99 with its own'))
 
 
 class PriorCard(StrictModel):

@@ -107,3 +107,19 @@ def test_parameters_stand_in_a_report_without_intervals_too():
     kinds, angles, parameters = CHAINS[0]
     rows = parameters_text(described(kinds, angles, parameters), '')
     assert all(f'| {name} | {x:.6g} | - | kg m2 |' in rows for name, x in parameters.items())
+
+
+def test_numbers_that_a_log_does_not_determine_are_said():
+    kinds, angles, parameters = CHAINS[0]
+    gravity = FittedNumber(value=9.8, unit='N m', interval=[9.7, 9.9], correlated=['offset'])
+    offset = FittedNumber(value=0.1, unit='rad', interval=[0.0, 0.2], correlated=['gravity1'])
+    open_ = FittedNumber(value=1.0, unit='N m', interval=None)
+
+    def text(**estimates: FittedNumber) -> str:
+        return parameters_text(described(kinds, angles, parameters, estimates=estimates), '')
+    some = text(gravity1=gravity, offset=offset, spring1=open_)
+    assert '| spring1 | 1 | - | N m |' in some
+    assert 'A number without an interval is not told by the data.' in some
+    assert 'The data hardly tell apart gravity1 and offset:' in some
+    none = text(spring1=open_)
+    assert none.startswith('These numbers are not a minimum that explains the log')

@@ -28,8 +28,8 @@ _QUANTILE = 1.96
 # Residuals in units of the noise that show that a body lacks something, and the least share of
 # them that is evidence for other forces.
 _POOR, _MOST = 5.0, 0.5
-# Correlation of two numbers from which they are hardly told apart.
-_ALIKE = 0.99
+# Correlation of the errors of two numbers that is named.
+_CORRELATED = 0.99
 # Share of a direction that the data do not determine from which a number is a part of it.
 OPEN_SHARE = 1e-3
 # Differences of the values of a column, relative to its range, that are rounding errors of
@@ -150,13 +150,13 @@ class FittedRigidBody(Fitted):
         covariance = slopes @ covariance_of(self.numbers) @ slopes.T
         error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         half, told = _QUANTILE * error, self._told(slopes) & self.explains
-        alike = np.abs(covariance) > _ALIKE * np.outer(error, error)
+        correlated = np.abs(covariance) > _CORRELATED * np.outer(error, error)
         return {name: FittedNumber(
             value=x, unit=unit, interval=[x - e, x + e] if known else None,
-            alike=[other for (other, _), same, as_well in zip(own, row, told, strict=True)
-                   if same and known and as_well and other != name])
+            correlated=[other for (other, _), same, as_well in zip(own, row, told, strict=True)
+                        if same and known and as_well and other != name])
                 for (name, unit), x, e, known, row in zip(
-                    own, values.tolist(), half.tolist(), told.tolist(), alike, strict=True)}
+                    own, values.tolist(), half.tolist(), told.tolist(), correlated, strict=True)}
 
     @property
     def explains(self) -> bool:

@@ -139,16 +139,6 @@ class _Cursor:
         return part
 
 
-def decode_joint_state(data: bytes) -> JointStates:
-    """Return a sensor_msgs/msg/JointState; raise ValueError if the bytes are invalid."""
-    cursor = _Cursor(data)
-    seconds, nanoseconds = cursor.number('i'), cursor.number('I')
-    cursor.text()
-    names = tuple(cursor.text() for _ in range(cursor.count()))
-    return JointStates(seconds * 10**9 + nanoseconds, names,
-                       cursor.doubles(), cursor.doubles(), cursor.doubles())
-
-
 # Fields of the types of messages that a simulator takes, and of its scene: names, each with a code
 # of ``struct``, 'text', 'doubles', the fields of a message, or a list with the kind of an entry.
 _STAMP = ('sec', 'i'), ('nanosec', 'I')
@@ -203,6 +193,14 @@ def _decoded(cursor: _Cursor, kind: Any) -> Any:
     if isinstance(kind, list):
         return [_decoded(cursor, kind[0]) for _ in range(cursor.count())]
     return SimpleNamespace(**{name: _decoded(cursor, own) for name, own in kind})
+
+
+def decode_joint_state(data: bytes) -> JointStates:
+    """Return a sensor_msgs/msg/JointState; raise ValueError if the bytes are invalid."""
+    found = decode(JOINT_STATE, data)
+    stamp = found.header.stamp
+    return JointStates(stamp.sec * 10**9 + stamp.nanosec, tuple(found.name), found.position,
+                       found.velocity, found.effort)
 
 
 def decode_joint_trajectory(
